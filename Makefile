@@ -1,0 +1,84 @@
+# Two commands for a fresh machine: `make demo` and `make test`.
+# Each builds .venv first if there is none or if the dependencies changed.
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+EXTRAS := view,plan,sitl,dev
+CODE := angler_mjx kernels sitl_bridge experiments tests
+
+# Compiled programs survive the process, so each is compiled once per checkout.
+export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/xla
+# Take a Python that is there; never fetch one behind the user's back.
+export UV_PYTHON_DOWNLOADS := never
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test lint types imports format clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
+
+venv: $(STAMP)  ## build .venv, or bring it up to date
+
+demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2, demo-3, ...)
+	@name=demo; n=1; \
+	while [ -e "runs/$$name" ] || [ -e "runs/.$$name.partial" ]; do \
+	  n=$$((n + 1)); name=demo-$$n; \
+	done; \
+	$(BIN)/angler rollout reef_fleet --out "runs/$$name"
+
+test: $(STAMP)  ## run the tests
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(STAMP)  ## check style and formatting
+	$(BIN)/ruff check $(CODE)
+	$(BIN)/ruff format --check $(CODE)
+
+types: $(STAMP)  ## check types
+	$(BIN)/mypy
+
+imports: $(STAMP)  ## check the order of imports between rooms
+	$(BIN)/lint-imports
+
+format: $(STAMP)  ## repair style and formatting
+	$(BIN)/ruff check --fix $(CODE)
+	$(BIN)/ruff format $(CODE)
+
+clean:  ## remove .venv and all caches; runs/ stays
+	rm -rf $(VENV) .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf .hypothesis build dist
+	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# uv builds the environment where there is one, the standard library otherwise.
+$(STAMP): pyproject.toml constraints.txt .python-version
+	@set -e; \
+	new_enough='import sys, ensurepip; sys.exit(sys.version_info < (3, 12))'; \
+	if ! $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null; then \
+	  if command -v uv >/dev/null 2>&1; then \
+	    echo "make: building $(VENV) with uv"; \
+	    uv venv --quiet --clear $(VENV) \
+	      || uv venv --quiet --clear --python '>=3.12' $(VENV) \
+	      || { echo "make: uv finds no Python 3.12 or newer; install one (uv python install 3.12)" >&2; exit 1; }; \
+	  else \
+	    found=; \
+	    for python in python3.12 python3.13 python3.14 python3 python; do \
+	      if $$python -c "$$new_enough" >/dev/null 2>&1; then found=$$python; break; fi; \
+	    done; \
+	    if [ -z "$$found" ]; then \
+	      echo "make: no Python 3.12 or newer with venv and ensurepip found. Install Python 3.12" >&2; \
+	      echo "make: (Debian, Ubuntu: apt install python3.12-venv; or pyenv install 3.12; or uv)." >&2; \
+	      exit 1; \
+	    fi; \
+	    echo "make: building $(VENV) with $$($$found --version)"; \
+	    $$found -m venv --clear $(VENV); \
+	  fi; \
+	fi; \
+	echo "make: installing angler-mjx[$(EXTRAS)]; the first time takes a minute or two"; \
+	if command -v uv >/dev/null 2>&1; then \
+	  uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]'; \
+	else \
+	  if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then $(BIN)/python -m ensurepip >/dev/null; fi; \
+	  $(BIN)/python -m pip install --quiet -c constraints.txt -e '.[$(EXTRAS)]'; \
+	fi; \
+	touch $(STAMP)

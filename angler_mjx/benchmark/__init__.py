@@ -1,0 +1,1 @@
+"""`angler bench`: measured speed, with what was measured and where."""

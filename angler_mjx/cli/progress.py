@@ -1,0 +1,87 @@
+"""Progress of a run on the terminal: worlds done, speed, time left."""
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from angler_mjx.runs.simulator import CompileTime
+
+
+class _Speed(ProgressColumn):
+    """Vehicle-steps per second since the simulation began."""
+
+    def render(self, task: Task) -> Text:
+        """Text of one task."""
+        seconds = task.elapsed or 0.0
+        steps = task.fields["steps"]
+        return Text(f"{steps / seconds:.2e} vehicle-steps/s" if steps and seconds else "")
+
+
+class Bar:
+    """A progress bar on stderr; a `runs.rollout.Progress`."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        """A bar, or nothing at all if ``quiet``."""
+        console = Console(stderr=True, quiet=quiet)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            _Speed(),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._worlds = 0
+        self._done = 0.0
+        self._task = self._bar.add_task("drawing up", total=None, steps=0)
+
+    def __enter__(self) -> Self:
+        """Show the bar."""
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave the bar as it stands."""
+        self._bar.stop()
+
+    def start(self, worlds: int, done: int) -> None:
+        """See `Progress`."""
+        self._worlds, self._done = worlds, float(done)
+
+    def compiling(self) -> None:
+        """See `Progress`."""
+        self._bar.update(self._task, description="compiling")
+
+    def compiled(self, took: "CompileTime") -> None:
+        """See `Progress`."""
+        self._bar.console.print(f"compiled in {took.total_s:.1f} s", highlight=False)
+        self._bar.reset(
+            self._task,
+            description="worlds",
+            total=self._worlds,
+            completed=int(self._done),
+            steps=0,
+        )
+
+    def advance(self, worlds: float, vehicle_steps: int) -> None:
+        """See `Progress`."""
+        self._done += worlds
+        steps = self._bar.tasks[0].fields["steps"] + vehicle_steps
+        self._bar.update(self._task, completed=int(self._done + 1e-6), steps=steps)

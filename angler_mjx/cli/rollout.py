@@ -1,0 +1,165 @@
+"""`angler rollout` and what is done with its run folder: figures and replay."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.cli.device import Device, choose
+from angler_mjx.errors import ConfigError, UnsupportedError
+
+if TYPE_CHECKING:
+    from angler_mjx.runs.folder import Run
+
+
+def scenarios() -> None:
+    """List the shipped scenarios."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.runs.scenario import load_scenario, shipped
+
+    table = Table("scenario", "robots", "description")
+    for name in shipped():
+        scenario = load_scenario(name)
+        table.add_row(name, str(len(scenario.members())), scenario.description)
+    Console().print(table)
+
+
+def rollout(
+    scenario: Annotated[str, tyro.conf.Positional],
+    worlds: int | None = None,
+    seed: int | None = None,
+    out: Path | None = None,
+    engine: Literal["mjx"] | None = None,
+    device: Device | None = None,
+    tile: int | None = None,
+    chunk: int | None = None,
+    record_hz: float | None = None,
+    resume: bool = False,
+    figures: bool = True,
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Run a scenario in many worlds at once and write a run folder.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        worlds: Number of worlds; the scenario's if left out.
+        seed: Seed of the run; the scenario's if left out.
+        out: Run folder to make; runs/NAME if left out.
+        engine: Physics engine; the scenario's if left out.
+        device: Where to compute; JAX's choice if left out.
+        tile: Worlds in one device call; part of the results' bytes.
+        chunk: Worlds held in memory before they are written; sized from free memory if left out.
+        record_hz: Rate of the stored trajectories; 0 stores none.
+        resume: Go on with an interrupted run in the same folder.
+        figures: Draw figures and write a replay at the end.
+        json: Print one JSON object instead of the table.
+    """
+    choose(device)
+    from angler_mjx.cli.progress import Bar
+    from angler_mjx.runs import rollout as runs
+    from angler_mjx.runs.scenario import load_scenario
+
+    given = {"worlds": worlds, "seed": seed, "engine": engine, "tile": tile}
+    overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    if record_hz is not None:
+        overrides["time"] = {"record_hz": record_hz}
+    loaded = load_scenario(scenario, **overrides)
+    place = out or Path("runs") / loaded.name
+    with Bar(quiet=json) as bar:
+        if resume:
+            run = runs.resume(place, chunk=chunk, progress=bar)
+        else:
+            run = runs.rollout(loaded, out=place, chunk=chunk, progress=bar)
+    if figures:
+        _draw(run)
+    _report(run, as_json=json)
+    if not run.summary["complete"]:
+        sys.exit(130)
+
+
+def figures(run: Annotated[Path, tyro.conf.Positional]) -> None:
+    """Draw the figures of a run folder again and write its replay.
+
+    Args:
+        run: Run folder.
+    """
+    from angler_mjx.runs.folder import Run
+
+    _draw(Run(run))
+    print(run / "figures")
+
+
+def replay(run: Annotated[Path, tyro.conf.Positional], world: int | None = None) -> None:
+    """Open the Rerun viewer on one world of a run folder.
+
+    Args:
+        run: Run folder.
+        world: Index of the world; the worst one if left out.
+    """
+    from angler_mjx.runs.folder import Run
+    from angler_mjx.viewing import replay as viewer
+
+    loaded = Run(run)
+    chosen = viewer.worst_world(loaded) if world is None else world
+    done = set(loaded.episodes["world"].to_pylist())
+    if chosen not in done:
+        raise ConfigError(f"--world {chosen}: {run} holds worlds 0 to {max(done)}")
+    viewer.show(loaded, chosen)
+
+
+def _draw(run: "Run") -> None:
+    """Figures and replay of a run; without trajectories or viewer it says what is missing."""
+    from angler_mjx.viewing import figures as drawing
+    from angler_mjx.viewing import replay as viewer
+
+    drawing.make(run)
+    if run.scenario.time.record_hz == 0:
+        print("no maps and no replay: the run stored no trajectories", file=sys.stderr)
+        return
+    try:
+        viewer.write(run)
+    except UnsupportedError as error:
+        print(error, file=sys.stderr)
+
+
+def _report(run: "Run", *, as_json: bool) -> None:
+    """End of a run: one JSON object, or the table and the place of the run folder."""
+    summary = run.summary
+    if as_json:
+        print(json.dumps(summary))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        "outcome",
+        "robots",
+        "rate",
+        "95 % interval",
+        title=f"{summary['scenario']}: {summary['worlds_done']} worlds, {summary['robots']} robots",
+    )
+    for name, row in summary["outcomes"].items():
+        interval = f"{100 * row['low']:.1f} to {100 * row['high']:.1f} %"
+        table.add_row(name, str(row["count"]), f"{100 * row['rate']:.1f} %", interval)
+    kinds = Table("vehicle / parameter set", "robots", "reached", "95 % interval")
+    for name, row in summary["by_vehicle"].items():
+        reached = row["reached"]
+        interval = f"{100 * reached['low']:.1f} to {100 * reached['high']:.1f} %"
+        kinds.add_row(name, str(row["robots"]), f"{100 * reached['rate']:.1f} %", interval)
+    console = Console()
+    console.print(table)
+    console.print(kinds)
+    timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
+    median = "no robot arrived" if arrival is None else f"median time to goal {arrival:.0f} s"
+    console.print(
+        f"{median}; {timing['vehicle_steps_per_s']:.2e} vehicle-steps/s, "
+        f"{timing['simulate_s']:.1f} s simulating, {timing['compile_s']:.1f} s compiling",
+        highlight=False,
+    )
+    if not summary["complete"]:
+        console.print("interrupted: go on with --resume")
+    print(run.path)

@@ -1,0 +1,133 @@
+"""``angler vehicle``: what vehicles there are, what one of them can do, and its MuJoCo model."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from angler_mjx.vehicles.properties import Properties
+
+
+def list_() -> None:
+    """List the shipped vehicles and their parameter sets."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.vehicles.library import available, load
+
+    table = Table("vehicle", "thrusters", "parameter sets (default first)", "description")
+    for name in available():
+        config = load(name)
+        others = [key for key in config.parameter_sets if key != config.default_set]
+        table.add_row(
+            name,
+            str(len(config.thrusters.layout)),
+            ", ".join([config.default_set, *others]),
+            config.description,
+        )
+    Console().print(table)
+
+
+def show(
+    name: Annotated[str, tyro.conf.Positional],
+    parameter_set: Annotated[str | None, tyro.conf.arg(name="set")] = None,
+    voltage_v: Annotated[float, tyro.conf.arg(name="voltage")] = 16.0,
+) -> None:
+    """Show mass, buoyancy, wrench matrix, terminal speeds and natural periods of a vehicle.
+
+    Args:
+        name: Name of a shipped vehicle, or path of a vehicle file.
+        parameter_set: Parameter set; the vehicle's default if left out.
+        voltage_v: Battery voltage, V.
+    """
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.vehicles.library import load
+    from angler_mjx.vehicles.properties import describe
+
+    config = load(name)
+    facts = describe(config, parameter_set, voltage_v)
+    console = Console()
+    numbers = Table(
+        title=f"{config.name}, set {facts.parameter_set}, {voltage_v:g} V, still fresh water",
+        show_header=False,
+    )
+    for label, value in _rows(facts):
+        numbers.add_row(label, value)
+    console.print(numbers)
+    wrench = Table(
+        title="Force (N) and moment (N m) at the centre of mass per newton of each thruster; "
+        "x forward, y left, z up",
+        box=SIMPLE,  # eight thrusters must fit 80 columns
+        padding=(0, 1, 0, 0),
+    )
+    wrench.add_column("")
+    for thruster in config.thrusters.layout:
+        wrench.add_column(thruster.name.removeprefix("thruster_"), justify="right")
+    for label, row in zip(_WRENCH_ROWS, facts.wrench_matrix, strict=True):
+        wrench.add_row(label, *(f"{entry + 0.0:.4f}" for entry in row))
+    console.print(wrench)
+
+
+def export(
+    name: Annotated[str, tyro.conf.Positional],
+    out: Annotated[Path, tyro.conf.Positional],
+    parameter_set: Annotated[str | None, tyro.conf.arg(name="set")] = None,
+) -> None:
+    """Write the MuJoCo model (MJCF) of a vehicle; any MuJoCo viewer opens it.
+
+    Args:
+        name: Name of a shipped vehicle, or path of a vehicle file.
+        out: File to write; must not exist.
+        parameter_set: Parameter set; the vehicle's default if left out.
+    """
+    from angler_mjx.errors import ConfigError
+    from angler_mjx.vehicles.library import load
+    from angler_mjx.vehicles.mjcf import to_xml
+
+    text = to_xml(load(name), parameter_set)
+    try:
+        file = out.open("x", encoding="utf-8")
+    except FileExistsError as error:
+        raise ConfigError(f"{out}: exists; remove it or choose another name") from error
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
+    try:
+        with file:
+            file.write(text)
+    except OSError as error:
+        out.unlink()
+        raise ConfigError(f"{out}: cannot be written ({error.strerror})") from error
+    print(out)
+
+
+_WRENCH_ROWS = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def _rows(facts: "Properties") -> list[tuple[str, str]]:
+    speeds = zip(
+        ("surge", "sway", "heave"),
+        facts.terminal_speed_mps,
+        facts.speed_time_constant_s,
+        strict=True,
+    )
+    return [
+        ("mass", f"{facts.mass_kg:.3f} kg"),
+        ("weight", f"{facts.weight_n:.2f} N"),
+        ("buoyancy", f"{facts.buoyancy_n:.2f} N"),
+        ("net (up is positive)", f"{facts.buoyancy_n - facts.weight_n:+.2f} N"),
+        *(
+            (f"{axis} at full thrust", f"{speed:.2f} m/s, time constant {lag:.2f} s")
+            for axis, speed, lag in speeds
+        ),
+        ("natural roll period", _period(facts.roll_period_s)),
+        ("natural pitch period", _period(facts.pitch_period_s)),
+        ("rotor time constant", f"{facts.rotor_time_constant_s:g} s"),
+    ]
+
+
+def _period(seconds: float | None) -> str:
+    return "none: nothing rights it" if seconds is None else f"{seconds:.2f} s"

@@ -1,0 +1,1 @@
+"""Commands, pure controllers with explicit carry, and the trajectories that drive them."""

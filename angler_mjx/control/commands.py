@@ -1,0 +1,55 @@
+"""What can be told to a robot, from a pose down to the thrusters; each is for one robot."""
+
+from dataclasses import dataclass
+
+import jax
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """Where a robot believes it is and how it moves."""
+
+    p: jax.Array
+    """[3] m in W."""
+    q: jax.Array
+    """[4] attitude, F to W."""
+    nu: jax.Array
+    """[6] velocity over ground, m/s and rad/s, in F."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class PoseTarget:
+    """A pose to be at, level, with the velocity that the target itself has."""
+
+    position_m: jax.Array
+    """[3] in W."""
+    velocity_mps: jax.Array
+    """[3] in W."""
+    yaw_rad: jax.Array
+    """[] heading about z up, 0 = east."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyTwist:
+    """A velocity over ground to have: nu [6], m/s and rad/s, in F."""
+
+    nu: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyWrench:
+    """A wrench for the thrusters to exert: tau [6], N and N m, at the centre of mass, in F."""
+
+    tau: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class ThrusterPwm:
+    """The signal of each thruster: pwm_us [n_thruster], 1100 to 1900, 1500 neutral."""
+
+    pwm_us: jax.Array

@@ -1,0 +1,42 @@
+"""A path in time for each robot: what a planner hands to the controllers."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """Way-points with times of one robot; linear in between, held at the end.
+
+    Padding repeats the last way-point with its time, so every row is valid.
+    """
+
+    time_s: jax.Array
+    """[n_point] increasing (equal where padded), first one 0."""
+    position_m: jax.Array
+    """[n_point, 3] in W."""
+    found: jax.Array
+    """bool [] False where the planner found no way: the robot is told to hold its start."""
+
+
+def sample(trajectory: Trajectory, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Position and velocity of the reference at a time.
+
+    Args:
+        trajectory: of one robot.
+        t: [] s.
+
+    Returns:
+        Position [3] m and velocity [3] m/s, in W; velocity is zero past the last way-point.
+    """
+    time, point = trajectory.time_s, trajectory.position_m
+    k = jnp.clip(jnp.sum(time <= t) - 1, 0, time.shape[0] - 2)
+    span = time[k + 1] - time[k]
+    inside = (span > 0) & (t < time[-1])
+    rate = (point[k + 1] - point[k]) / jnp.where(span > 0, span, 1.0)
+    velocity = jnp.where(inside, rate, 0.0)
+    position = jnp.where(inside, point[k] + rate * (t - time[k]), point[-1])
+    return position, velocity

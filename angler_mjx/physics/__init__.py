@@ -1,0 +1,1 @@
+"""What the water and the thrusters do to a vehicle, and how one step of time is taken."""

@@ -1,0 +1,146 @@
+"""MuJoCo MJX behind one module: the inertia and the bias force of a vehicle's multibody model.
+
+Owns everything that touches ``mujoco.mjx``: the model that a fleet shares, the inertias in which
+its vehicles differ, and the accelerations that the step needs. MJX's own integrators, contacts,
+actuators and fluid model are not used; no MuJoCo fluid attribute is ever set.
+
+A free joint's velocity in MuJoCo is the linear velocity in the world and the angular velocity in
+the body; ours is ``nu``, both in the body. The conversion happens here, once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from mujoco import mjx
+
+from angler_kernels import quaternion, spd_solve
+from angler_kernels.rigid_body import matrix_times
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class MjxEngine:
+    """What all vehicles of a fleet share: one MJX model and an empty state to work on."""
+
+    model: Any
+    """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
+    data: Any
+    """mjx.Data, the scratch of one evaluation."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyInertia:
+    """The fields of an mjx.Model in which vehicles differ; MuJoCo's names and shapes."""
+
+    body_mass: jax.Array
+    body_inertia: jax.Array
+    body_iquat: jax.Array
+    body_ipos: jax.Array
+    body_subtreemass: jax.Array
+
+
+def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
+    """The engine of a fleet and the inertias of its variants.
+
+    Args:
+        models: one compiled model a variant, each a single free body.
+
+    Returns:
+        The engine, and the inertias with a leading axis [n_variant].
+
+    Raises:
+        ValueError: a model is not one free body.
+    """
+    shapes = {(m.nq, m.nv, m.nbody) for m in models}
+    if shapes != {(7, 6, 2)}:
+        raise ValueError(
+            f"every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: {shapes}"
+        )
+    model = mjx.put_model(models[0])
+    dtype = model.body_mass.dtype
+    stacked = {
+        field.name: jnp.stack([jnp.asarray(getattr(m, field.name), dtype) for m in models])
+        for field in fields(BodyInertia)
+    }
+    return MjxEngine(model=model, data=mjx.make_data(model)), BodyInertia(**stacked)
+
+
+def inertia_and_bias(
+    engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Inertia matrix and bias force of the dry vehicle, in MuJoCo's coordinates.
+
+    Args:
+        engine: of the fleet.
+        body: of one vehicle.
+        p: [3] m in W.
+        q: [4].
+        nu: [6] in F.
+
+    Returns:
+        M [6, 6] and the force [6] of gravity, Coriolis and centrifugal terms on its left-hand side.
+    """
+    v_world = quaternion.rotate(q, nu[:3])
+    model = engine.model.replace(
+        **{field.name: getattr(body, field.name) for field in fields(body)}
+    )
+    data = engine.data.replace(
+        qpos=jnp.concatenate([p, q]), qvel=jnp.concatenate([v_world, nu[3:]])
+    )
+    data = mjx.kinematics(model, data)
+    data = mjx.com_pos(model, data)
+    data = mjx.crb(model, data)
+    data = mjx.com_vel(model, data)
+    data = mjx.rne(model, data)
+    return mjx.full_m(model, data), data.qfrc_bias
+
+
+def accelerations(
+    engine: MjxEngine,
+    body: BodyInertia,
+    M_A: jax.Array,
+    p: jax.Array,
+    q: jax.Array,
+    nu: jax.Array,
+    water: jax.Array,
+    thrust: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Acceleration by all smooth forces, and the extra acceleration by the thrusters.
+
+    Added mass joins the inertia before it is solved: with T = blkdiag(R^T, 1) from MuJoCo's
+    velocity to nu, (M + T^T M_A T) a = T^T (w + M_A [omega x v; 0]) - bias.
+
+    Args:
+        engine: of the fleet.
+        body: of one vehicle.
+        M_A: [6, 6] added mass, in F.
+        p: [3] m in W.
+        q: [4].
+        nu: [6] in F.
+        water: [6] wrench of the water, in F.
+        thrust: [6] wrench of the thrusters, in F.
+
+    Returns:
+        nu' [6] by everything but the thrusters, and the part [6] that the thrusters add, in F.
+    """
+    M, bias = inertia_and_bias(engine, body, p, q, nu)
+    R = quaternion.to_matrix(q)
+    zero = jnp.zeros_like(R)
+    T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
+    M_A_T = jnp.sum(M_A[:, :, None] * T[None, :, :], axis=1)
+    M_total = M + jnp.sum(T[:, :, None] * M_A_T[:, None, :], axis=0)
+    turning = jnp.cross(nu[3:], nu[:3])
+    carried = matrix_times(M_A, jnp.concatenate([turning, jnp.zeros_like(turning)]))
+    smooth = matrix_times(T.T, water + carried) - bias
+    a = spd_solve.solve(M_total, jnp.stack([smooth, matrix_times(T.T, thrust)], axis=1))
+    smooth_linear = quaternion.rotate_inverse(q, a[:3, 0]) - turning
+    thrust_linear = quaternion.rotate_inverse(q, a[:3, 1])
+    return (
+        jnp.concatenate([smooth_linear, a[3:, 0]]),
+        jnp.concatenate([thrust_linear, a[3:, 1]]),
+    )

@@ -1,0 +1,1 @@
+"""Planners: from an environment and a fleet to one trajectory per robot."""

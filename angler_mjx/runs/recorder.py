@@ -1,0 +1,122 @@
+"""Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+SCHEMA_VERSION = 1
+
+_ABOUT: dict[str, tuple[str, str]] = {
+    "p_m": ("m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)"),
+    "q": ("1", "attitude, quaternion wxyz, body (forward, left, up) to world"),
+    "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
+    "pwm_us": ("us", "command of each thruster; 0 in padding columns"),
+    "target_m": ("m", "where the controller aims, world frame"),
+    "current_mps": ("m/s", "water velocity at the robot, world frame"),
+    "outcome": (
+        "1",
+        "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
+        "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
+    ),
+    "obstacle_p_m": ("m", "centre of each obstacle, world frame"),
+    "obstacle_q": ("1", "attitude of each obstacle, quaternion wxyz, body to world"),
+}
+"""Sampled arrays [world, time, robot or obstacle, ...]: unit and meaning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """Sizes of a run's trajectories."""
+
+    worlds: int
+    samples: int
+    robots: int
+    thrusters: int
+    obstacles: int
+    plan_points: int
+
+    def bytes_per_world(self) -> int:
+        """Uncompressed size of one world's samples and plan."""
+        floats = self.robots * (3 + 4 + 6 + 3 + 3) + self.obstacles * 7
+        small = self.robots * (2 * self.thrusters + 1)
+        return self.samples * (4 * floats + small) + self.robots * self.plan_points * 16
+
+
+class Recorder:
+    """Writes the trajectories of finished tiles into ``trajectories.zarr``."""
+
+    def __init__(self, group: zarr.Group, shape: Shape, *, tile: int) -> None:
+        """Write into ``group``; see ``create`` and ``reopen``."""
+        self._group = group
+        self._shape = shape
+        self._tile = tile
+
+    @classmethod
+    def reopen(cls, path: Path, shape: Shape, *, tile: int) -> "Recorder":
+        """Go on with the group of an interrupted run."""
+        return cls(zarr.open_group(path, mode="r+"), shape, tile=tile)
+
+    @classmethod
+    def create(cls, path: Path, shape: Shape, *, tile: int, sample_dt_s: float) -> "Recorder":
+        """Make the group and its arrays; nothing is written yet but their descriptions."""
+        recorder = cls(zarr.open_group(path, mode="w-"), shape, tile=tile)
+        recorder._describe(sample_dt_s)
+        return recorder
+
+    def _describe(self, sample_dt_s: float) -> None:
+        shape = self._shape
+        self._group.attrs.update(
+            {
+                "schema_version": SCHEMA_VERSION,
+                "world_frame": "x east, y north, z up; metres; water surface at z = 0",
+                "body_frame": "x forward, y left, z up; origin at the centre of mass",
+                "quaternion": "wxyz, body to world",
+                "missing": "NaN after all robots of the tile had ended, and in unfinished worlds",
+            }
+        )
+        time = np.arange(shape.samples) * sample_dt_s
+        self._group.create_array("time_s", data=time, attributes={"unit": "s"})
+        per_robot = {"p_m": 3, "q": 4, "nu": 6, "target_m": 3, "current_mps": 3}
+        for name, width in per_robot.items():
+            self._sampled(name, (shape.robots, width), np.float32)
+        self._sampled("pwm_us", (shape.robots, shape.thrusters), np.uint16)
+        self._sampled("outcome", (shape.robots,), np.uint8)
+        self._sampled("obstacle_p_m", (shape.obstacles, 3), np.float32)
+        self._sampled("obstacle_q", (shape.obstacles, 4), np.float32)
+        points = (shape.robots, shape.plan_points)
+        self._create("plan_time_s", points, np.float32, "s", "time of each way-point")
+        self._create("plan_m", (*points, 3), np.float32, "m", "way-points, world frame")
+
+    def _sampled(self, name: str, tail: tuple[int, ...], dtype: Any) -> None:
+        unit, meaning = _ABOUT[name]
+        self._create(name, (self._shape.samples, *tail), dtype, unit, meaning)
+
+    def _create(self, name: str, tail: tuple[int, ...], dtype: Any, unit: str, text: str) -> None:
+        if 0 in tail:
+            return
+        floating = np.issubdtype(dtype, np.floating)
+        self._group.create_array(
+            name,
+            shape=(self._shape.worlds, *tail),
+            chunks=(1, *tail),
+            shards=(self._tile, *tail),
+            dtype=dtype,
+            fill_value=np.nan if floating else 0,
+            compressors=zarr.codecs.BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            attributes={"unit": unit, "description": text},
+        )
+
+    def write(self, first_world: int, arrays: dict[str, np.ndarray]) -> None:
+        """Write one tile.
+
+        Args:
+            first_world: index of its first world, a multiple of the tile.
+            arrays: by name, worlds leading; rows past the last world of the run are dropped.
+        """
+        last = min(first_world + self._tile, self._shape.worlds)
+        for name, values in arrays.items():
+            if 0 not in values.shape[1:]:
+                self._group[name][first_world:last] = values[: last - first_world]

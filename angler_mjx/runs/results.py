@@ -1,0 +1,209 @@
+"""The results of a run: one row per robot per world, and what they add up to."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from angler_mjx.sim.state import Outcome, Touched
+
+OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
+"""How an episode can end, in the order of every table and figure."""
+
+_FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
+    ("world", pa.int64(), "1", "index of the world; with the seed it makes the world again"),
+    ("robot", pa.int32(), "1", "index in the fleet"),
+    ("seed", pa.int64(), "1", "seed of the run"),
+    ("vehicle", pa.string(), "", "vehicle"),
+    ("parameter_set", pa.string(), "", "hydrodynamic parameter set"),
+    ("planned", pa.bool_(), "1", "whether the planner found a way"),
+    ("outcome", pa.string(), "", "how the episode ended"),
+    ("time_to_goal_s", pa.float32(), "s", "arrival; NaN if not reached"),
+    ("path_length_m", pa.float32(), "m", "way of the centre of mass until the end"),
+    ("energy_j", pa.float32(), "J", "electrical energy of the thrusters until the end"),
+    ("min_clearance_m", pa.float32(), "m", "least hull distance to cells, floor, obstacles"),
+    ("min_separation_m", pa.float32(), "m", "least hull distance to other robots; inf if alone"),
+    ("failure_time_s", pa.float32(), "s", "end of a failed episode; NaN if reached"),
+    ("failure_x_m", pa.float32(), "m", "centre of mass then, east; NaN if reached"),
+    ("failure_y_m", pa.float32(), "m", "north"),
+    ("failure_z_m", pa.float32(), "m", "up, 0 at the surface"),
+    (
+        "failure_pair",
+        pa.string(),
+        "",
+        "what was touched: cell, floor, obstacle:i, robot:i; or none",
+    ),
+    ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; NaN without one"),
+    ("redraws", pa.int32(), "1", "drawings thrown away before this world"),
+)
+
+EPISODE_SCHEMA = pa.schema(
+    [
+        pa.field(name, kind, metadata={"unit": unit, "description": text})
+        for name, kind, unit, text in _FIELDS
+    ]
+)
+"""Columns of ``episodes.parquet``, with unit and meaning in each field's metadata."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileResult:
+    """What a tile of worlds leaves behind, as host arrays; [w, r] worlds and robots lead."""
+
+    world: np.ndarray
+    """int [w] global indices."""
+    variant: np.ndarray
+    """int [w, r]."""
+    planned: np.ndarray
+    """bool [w, r]."""
+    outcome: np.ndarray
+    """int [w, r]."""
+    end_time_s: np.ndarray
+    path_length_m: np.ndarray
+    energy_j: np.ndarray
+    min_clearance_m: np.ndarray
+    min_separation_m: np.ndarray
+    touched: np.ndarray
+    touched_index: np.ndarray
+    impact_speed_mps: np.ndarray
+    p: np.ndarray
+    """[w, r, 3] where each robot was at the end."""
+    redraws: np.ndarray
+    """int [w]."""
+
+
+def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
+    """Rows of a tile.
+
+    Args:
+        result: of the tile.
+        variants: vehicle and parameter set of each variant.
+        seed: of the run.
+    """
+    n_world, n_robot = result.outcome.shape
+    outcome = result.outcome.reshape(-1)
+    reached = outcome == Outcome.REACHED
+    place = result.p.reshape(-1, 3)
+    kind = result.variant.reshape(-1)
+    end = result.end_time_s.reshape(-1)
+
+    def unless_reached(values: np.ndarray) -> np.ndarray:
+        return np.where(reached, np.nan, values).astype(np.float32)
+
+    columns: dict[str, Any] = {
+        "world": np.repeat(result.world, n_robot),
+        "robot": np.tile(np.arange(n_robot, dtype=np.int32), n_world),
+        "seed": np.full(n_world * n_robot, seed, np.int64),
+        "vehicle": [variants[k][0] for k in kind],
+        "parameter_set": [variants[k][1] for k in kind],
+        "planned": result.planned.reshape(-1),
+        "outcome": [Outcome(o).name.lower() for o in outcome],
+        "time_to_goal_s": np.where(reached, end, np.nan).astype(np.float32),
+        "path_length_m": result.path_length_m.reshape(-1),
+        "energy_j": result.energy_j.reshape(-1),
+        "min_clearance_m": result.min_clearance_m.reshape(-1),
+        "min_separation_m": result.min_separation_m.reshape(-1),
+        "failure_time_s": unless_reached(end),
+        "failure_x_m": unless_reached(place[:, 0]),
+        "failure_y_m": unless_reached(place[:, 1]),
+        "failure_z_m": unless_reached(place[:, 2]),
+        "failure_pair": [
+            _pair(kind, index)
+            for kind, index in zip(
+                result.touched.reshape(-1), result.touched_index.reshape(-1), strict=True
+            )
+        ],
+        "impact_speed_mps": result.impact_speed_mps.reshape(-1),
+        "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
+    }
+    return pa.table(columns, schema=EPISODE_SCHEMA)
+
+
+def _pair(kind: int, index: int) -> str:
+    name = {
+        Touched.NOTHING: "none",
+        Touched.CELL: "cell",
+        Touched.FLOOR: "floor",
+        Touched.OBSTACLE: f"obstacle:{index}",
+        Touched.ROBOT: f"robot:{index}",
+    }
+    return name[Touched(kind)]
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """95 % Wilson score interval of a proportion (Wilson, JASA 22, 1927)."""
+    if total == 0:
+        return 0.0, 1.0
+    z = 1.959963984540054
+    share = count / total
+    scale = 1.0 + z * z / total
+    centre = (share + z * z / (2 * total)) / scale
+    half = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total)) / scale
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def rates(episodes: pa.Table) -> dict[str, Any]:
+    """Count, rate and 95 % Wilson interval of every outcome.
+
+    Args:
+        episodes: rows of ``EPISODE_SCHEMA``.
+    """
+    names = episodes["outcome"].to_pylist()
+    table = {}
+    for outcome in OUTCOMES:
+        count = names.count(outcome)
+        low, high = wilson(count, len(names))
+        rate = count / len(names) if names else 0.0
+        table[outcome] = {"count": count, "rate": rate, "low": low, "high": high}
+    return table
+
+
+def summarise(episodes: pa.Table) -> dict[str, Any]:
+    """What the rows add up to: outcomes, and quantiles of the main figures.
+
+    Returns:
+        Keys ``robots``, ``outcomes``, ``planned_rate``, ``time_to_goal_s``, ``path_length_m``,
+        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``.
+    """
+    world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
+    first_rows = np.unique(world, return_index=True)[1]
+    kinds = sorted(
+        set(
+            zip(episodes["vehicle"].to_pylist(), episodes["parameter_set"].to_pylist(), strict=True)
+        )
+    )
+    by_vehicle = {}
+    for vehicle, parameter_set in kinds:
+        chosen = episodes.filter(
+            (pa.compute.field("vehicle") == vehicle)
+            & (pa.compute.field("parameter_set") == parameter_set)
+        )
+        reached = rates(chosen)["reached"]
+        by_vehicle[f"{vehicle}/{parameter_set}"] = {"robots": chosen.num_rows, "reached": reached}
+    planned = episodes["planned"].to_numpy(zero_copy_only=False)
+    return {
+        "robots": episodes.num_rows,
+        "outcomes": rates(episodes),
+        "planned_rate": float(planned.mean()) if planned.size else 0.0,
+        "time_to_goal_s": _quantiles(episodes["time_to_goal_s"]),
+        "path_length_m": _quantiles(episodes["path_length_m"]),
+        "energy_j": _quantiles(episodes["energy_j"]),
+        "min_clearance_m": _quantiles(episodes["min_clearance_m"]),
+        "redraws": {
+            "total": int(redraws[first_rows].sum()),
+            "worlds": int((redraws[first_rows] > 0).sum()),
+        },
+        "by_vehicle": by_vehicle,
+    }
+
+
+def _quantiles(column: pa.ChunkedArray) -> dict[str, float | None]:
+    values = column.to_numpy()
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return {"p10": None, "p50": None, "p90": None}
+    ten, half, ninety = np.quantile(values, [0.1, 0.5, 0.9])
+    return {"p10": float(ten), "p50": float(half), "p90": float(ninety)}

@@ -1,0 +1,345 @@
+"""A whole run: tiles of worlds from start to end, their results into a run folder.
+
+A run is built in a hidden folder beside its place and moved there when it is whole: finished, or
+interrupted with all finished tiles in it. An interrupted run can be taken up again.
+"""
+
+import resource
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import jax
+import numpy as np
+import psutil
+import pyarrow as pa
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import folder, results
+from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.runs.results import TileResult
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.runs.simulator import CompileTime, Simulator
+from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+
+
+class Progress(Protocol):
+    """What a run tells while it goes on."""
+
+    def start(self, worlds: int, done: int) -> None:
+        """A run of ``worlds`` begins, ``done`` of them finished before."""
+
+    def compiling(self) -> None:
+        """Compilation begins."""
+
+    def compiled(self, took: CompileTime) -> None:
+        """Compilation is over."""
+
+    def advance(self, worlds: float, vehicle_steps: int) -> None:
+        """A part of the run is done."""
+
+
+class Silent:
+    """A progress that says nothing."""
+
+    def start(self, worlds: int, done: int) -> None:
+        """See `Progress`."""
+
+    def compiling(self) -> None:
+        """See `Progress`."""
+
+    def compiled(self, took: CompileTime) -> None:
+        """See `Progress`."""
+
+    def advance(self, worlds: float, vehicle_steps: int) -> None:
+        """See `Progress`."""
+
+
+@dataclass(kw_only=True)
+class Tile:
+    """A finished tile on the host, waiting to be written."""
+
+    first: int
+    episodes: pa.Table
+    arrays: dict[str, np.ndarray]
+    vehicle_steps: int
+
+
+@dataclass(kw_only=True)
+class _Clock:
+    """Where the time of a run went, and the steps it was spent on."""
+
+    compile: CompileTime
+    begun: float = field(default_factory=time.perf_counter)
+    simulate_s: float = 0.0
+    vehicle_steps: int = 0
+
+
+def rollout(
+    scenario: Scenario,
+    *,
+    out: Path | str,
+    chunk: int | None = None,
+    progress: Progress | None = None,
+) -> folder.Run:
+    """Run a scenario into a new run folder.
+
+    Args:
+        scenario: what to run.
+        out: folder to make; must not exist.
+        chunk: worlds whose trajectories are held in memory before they are written; sized from
+            free memory if left out. Changes no byte of the results.
+        progress: what to tell while running.
+
+    Returns:
+        The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
+        and `resume` goes on with it.
+
+    Raises:
+        ConfigError: the folder exists or cannot be written, or the scenario cannot be used.
+        RunError: the disk is full, or a world cannot hold the fleet.
+    """
+    place = Path(out)
+    if place.exists():
+        raise ConfigError(f"--out {place}: exists; give another folder or remove it")
+    simulator = Simulator(scenario)
+    resolved = scenario.model_copy(update={"tile": simulator.tile})
+    if scenario.time.record_hz > 0:
+        folder.require_space(place, scenario.worlds * _shape(simulator).bytes_per_world())
+    building = folder.create(place)
+    try:
+        folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
+        folder.write_json(building / folder.ENVIRONMENT, folder.describe_environment())
+        return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=True)
+    except BaseException:
+        if folder.read_parts(building) is None:
+            folder.remove(building)
+        raise
+
+
+def resume(
+    out: Path | str, *, chunk: int | None = None, progress: Progress | None = None
+) -> folder.Run:
+    """Go on with an interrupted run; arguments and errors as in `rollout`."""
+    place = Path(out)
+    building = folder.reopen(place)
+    scenario = folder.read_scenario(building)
+    simulator = Simulator(scenario)
+    return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=False)
+
+
+class _Rollout:
+    """One run in the making."""
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        building: Path,
+        out: Path,
+        chunk: int | None,
+        progress: Progress,
+    ) -> None:
+        self._sim = simulator
+        self._scenario = simulator.scenario
+        self._building = building
+        self._out = out
+        self._progress = progress
+        self._shape = _shape(simulator)
+        self._chunk_tiles = _chunk_tiles(simulator, self._shape, chunk)
+        self._recorder: Recorder | None = None
+
+    def run(self, *, new: bool) -> folder.Run:
+        """Run what is left and close the folder."""
+        if self._scenario.time.record_hz > 0:
+            path = self._building / folder.TRAJECTORIES
+            dt = 1.0 / self._scenario.time.record_hz
+            self._recorder = (
+                Recorder.create(path, self._shape, tile=self._sim.tile, sample_dt_s=dt)
+                if new
+                else Recorder.reopen(path, self._shape, tile=self._sim.tile)
+            )
+        before = folder.read_parts(self._building)
+        finished = set() if before is None else set(before["world"].to_pylist())
+        self._progress.start(self._scenario.worlds, len(finished))
+        self._progress.compiling()
+        clock = _Clock(compile=self._sim.compile())
+        self._progress.compiled(clock.compile)
+        waiting: list[Tile] = []
+        interrupted = False
+        try:
+            for first in range(0, self._scenario.worlds, self._sim.tile):
+                if first in finished:
+                    continue
+                waiting.append(self._run_tile(first, clock))
+                if len(waiting) == self._chunk_tiles:
+                    self._flush(waiting)
+        except KeyboardInterrupt:
+            interrupted = True
+        self._flush(waiting)
+        return self._close(clock, interrupted)
+
+    def _run_tile(self, first: int, clock: _Clock) -> Tile:
+        """One tile from its key to its results on the host."""
+        begun = time.perf_counter()
+        sim, kept = self._sim, min(self._sim.tile, self._scenario.worlds - first)
+        worlds = sim.worlds(first)
+        _require_valid(worlds, first, kept)
+        state = sim.reset(worlds)
+        parts: list[Sample] = []
+        for i in range(sim.segments):
+            state, sample = sim.segment(worlds, state)
+            if self._recorder is not None:
+                parts.append(jax.device_get(sample))
+            outcome = np.asarray(state.tally.outcome)[:kept]
+            steps = int(outcome.size) * sim.segment_steps * sim.spec.physics_steps
+            done = not np.any(outcome == Outcome.RUNNING)
+            share = (sim.segments - i) if done else 1
+            self._progress.advance(kept * share / sim.segments, steps)
+            if done:
+                break
+        result = _tile_result(worlds, state, first, kept)
+        steps = round(float(np.sum(result.end_time_s)) / sim.spec.physics_dt_s)
+        clock.simulate_s += time.perf_counter() - begun
+        clock.vehicle_steps += steps
+        return Tile(
+            first=first,
+            episodes=results.episode_table(result, sim.variants(), self._scenario.seed),
+            arrays=_arrays(worlds, parts, self._shape.samples, kept) if parts else {},
+            vehicle_steps=steps,
+        )
+
+    def _flush(self, waiting: list[Tile]) -> None:
+        """Write finished tiles and forget them."""
+        for tile in waiting:
+            try:
+                if self._recorder is not None:
+                    self._recorder.write(tile.first, tile.arrays)
+                folder.write_part(self._building, tile.first, tile.episodes)
+            except OSError as error:
+                raise RunError(
+                    f"--out {self._out}: writing worlds {tile.first} and on failed "
+                    f"({error.strerror or error}); what was finished before is in "
+                    f"{self._building}. Make room and go on with --resume"
+                ) from error
+        waiting.clear()
+
+    def _close(self, clock: _Clock, interrupted: bool) -> folder.Run:
+        """Put the results together and give the folder its name."""
+        episodes = folder.read_parts(self._building)
+        if episodes is None:
+            folder.remove(self._building)
+            raise RunError("interrupted before the first tile was finished; nothing was kept")
+        done = len(set(episodes["world"].to_pylist()))
+        timing = {
+            "compile_s": clock.compile.total_s,
+            "simulate_s": clock.simulate_s,
+            "total_s": time.perf_counter() - clock.begun + clock.compile.total_s,
+            "vehicle_steps": clock.vehicle_steps,
+            "vehicle_steps_per_s": clock.vehicle_steps / max(clock.simulate_s, 1e-9),
+        }
+        summary = {
+            "scenario": self._scenario.name,
+            "engine": self._scenario.engine,
+            "seed": self._scenario.seed,
+            "tile": self._sim.tile,
+            "worlds": self._scenario.worlds,
+            "worlds_done": done,
+            "complete": done == self._scenario.worlds and not interrupted,
+            **results.summarise(episodes),
+            "timing": timing,
+            "peak_memory_bytes": peak_memory_bytes(),
+            "run": str(self._out),
+        }
+        return folder.finish(self._building, self._out, episodes, summary)
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident size of this process so far (host memory)."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _shape(simulator: Simulator) -> Shape:
+    scenario = simulator.scenario
+    world = simulator.world_shape()
+    return Shape(
+        worlds=scenario.worlds,
+        samples=simulator.samples * simulator.segments,
+        robots=len(scenario.members()),
+        thrusters=world.cascade.vehicle.B.shape[-1],
+        obstacles=world.environment.obstacles.kind.shape[-1],
+        plan_points=world.path.time_s.shape[-1],
+    )
+
+
+def _chunk_tiles(simulator: Simulator, shape: Shape, chunk: int | None) -> int:
+    """Tiles held in memory before they are written."""
+    if chunk is not None:
+        if chunk < 1:
+            raise ConfigError(f"--chunk {chunk}: must be at least 1 world")
+        return max(1, chunk // simulator.tile)
+    # A quarter of the free memory, twice the arrays: samples come in parts and are joined.
+    per_tile = 2 * simulator.tile * shape.bytes_per_world()
+    return int(np.clip(psutil.virtual_memory().available // 4 // max(per_tile, 1), 1, 64))
+
+
+def _require_valid(worlds: World, first: int, kept: int) -> None:
+    """Refuse a run in which a world could not be furnished for the fleet."""
+    valid = np.asarray(worlds.environment.valid)[:kept]
+    if not valid.all():
+        bad = first + int(np.flatnonzero(~valid)[0])
+        raise RunError(
+            f"world {bad} cannot hold the fleet: no drawing within the redraw limit had room for "
+            "its starts and goals; use fewer robots, a larger shape or a lower density"
+        )
+
+
+def _tile_result(worlds: World, state: WorldState, first: int, kept: int) -> TileResult:
+    """Device state of a tile as host arrays, the horizon's end turned into time-outs."""
+    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], state.tally)
+    outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
+    return TileResult(
+        world=np.arange(first, first + kept),
+        variant=np.asarray(worlds.variant)[:kept],
+        planned=np.asarray(worlds.path.found)[:kept],
+        outcome=outcome,
+        end_time_s=tally.end_time_s,
+        path_length_m=tally.path_length_m,
+        energy_j=tally.energy_j,
+        min_clearance_m=tally.min_clearance_m,
+        min_separation_m=tally.min_separation_m,
+        touched=tally.touched,
+        touched_index=tally.touched_index,
+        impact_speed_mps=tally.impact_speed_mps,
+        p=np.asarray(state.vehicles.p)[:kept],
+        redraws=np.asarray(worlds.environment.redraws)[:kept],
+    )
+
+
+def _arrays(worlds: World, parts: list[Sample], samples: int, kept: int) -> dict[str, np.ndarray]:
+    """Recorded arrays of a tile by name, [kept, samples, ...], NaN where the tile had ended."""
+    names = {
+        "p_m": "p",
+        "q": "q",
+        "nu": "nu",
+        "pwm_us": "pwm_us",
+        "target_m": "target_m",
+        "current_mps": "current_mps",
+        "outcome": "outcome",
+        "obstacle_p_m": "obstacle_p",
+        "obstacle_q": "obstacle_q",
+    }
+    arrays = {}
+    for name, attribute in names.items():
+        joined = np.concatenate([getattr(part, attribute)[:kept] for part in parts], axis=1)
+        missing = samples - joined.shape[1]
+        if joined.dtype.kind == "f":
+            tail = np.full((kept, missing, *joined.shape[2:]), np.nan, joined.dtype)
+        else:
+            tail = np.repeat(joined[:, -1:], missing, axis=1)
+        arrays[name] = np.concatenate([joined, tail], axis=1)
+    arrays["pwm_us"] = np.nan_to_num(np.rint(arrays["pwm_us"]), nan=0.0).astype(np.uint16)
+    arrays["outcome"] = arrays["outcome"].astype(np.uint8)
+    arrays["plan_time_s"] = np.asarray(worlds.path.time_s)[:kept]
+    arrays["plan_m"] = np.asarray(worlds.path.position_m)[:kept]
+    return arrays

@@ -1,0 +1,1 @@
+"""The simulator itself: state, one step, contact detection, outcomes."""

@@ -1,0 +1,128 @@
+"""Contact detection: exact distances from every hull to everything it can touch.
+
+Contact is detected, not resolved: the first touch ends the episode of the robot. All distances are
+those of the hull's capsules (docs/validation.md compares them with coal).
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import clearance, quaternion
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim.state import Touched
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import STATIC, ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """The nearest thing to each robot; [R] leads."""
+
+    clearance_m: jax.Array
+    """[R] to cells, floor and obstacles; negative where the hull overlaps."""
+    separation_m: jax.Array
+    """[R] to the nearest other hull; inf in a fleet of one."""
+    nearest: jax.Array
+    """int32 [R] a `Touched`: what is nearest of all."""
+    nearest_index: jax.Array
+    """int32 [R] which obstacle or robot; -1 otherwise."""
+    nearest_is_static: jax.Array
+    """bool [R] cell, floor, or an obstacle that never moves."""
+    closing_speed_mps: jax.Array
+    """[R] relative speed of the centres."""
+
+
+def detect(
+    environment: Environment,
+    vehicles: VehicleParams,
+    state: VehicleState,
+    obstacles: ObstacleState,
+) -> Contact:
+    """Nearest thing to each robot of one world.
+
+    Args:
+        environment: of the world.
+        vehicles: [R] leads.
+        state: [R] leads.
+        obstacles: now.
+    """
+    place = jax.vmap(lambda p, q, c: p + quaternion.rotate(q, c), (None, None, 0))
+    a = jax.vmap(place)(state.p, state.q, vehicles.capsule_a_m)
+    b = jax.vmap(place)(state.p, state.q, vehicles.capsule_b_m)
+    r = vehicles.capsule_r_m
+    v = jax.vmap(quaternion.rotate)(state.q, state.nu[:, :3])
+    grid = environment.grid
+    to_cells = jax.vmap(clearance.capsules_grid, (0, 0, 0, 0, None, None, None))(
+        a, b, r, state.p, grid.occupied, grid.origin_m, grid.cell_m
+    )
+    lowest = jnp.min(jnp.minimum(a[..., 2], b[..., 2]) - r, axis=1)
+    to_floor = lowest - environment.floor_z_m
+    to_obstacle, obstacle = _nearest_obstacle(environment, a, b, r, obstacles)
+    to_robot, robot = _nearest_robot(a, b, r)
+
+    distances = jnp.stack([to_cells, to_floor, to_obstacle, to_robot])
+    which = jnp.argmin(distances, axis=0)
+    nearest = jnp.array([Touched.CELL, Touched.FLOOR, Touched.OBSTACLE, Touched.ROBOT])[which]
+    obstacle_v = jax.vmap(quaternion.rotate)(obstacles.q, obstacles.nu[:, :3])
+    other_v = jnp.where(
+        (nearest == Touched.ROBOT)[:, None],
+        v[robot],
+        jnp.where((nearest == Touched.OBSTACLE)[:, None], _rows(obstacle_v, obstacle), 0.0),
+    )
+    stands = _rows(environment.obstacles.motion == STATIC, obstacle)
+    return Contact(
+        clearance_m=jnp.min(distances[:3], axis=0),
+        separation_m=to_robot,
+        nearest=nearest,
+        nearest_index=jnp.where(
+            nearest == Touched.ROBOT, robot, jnp.where(nearest == Touched.OBSTACLE, obstacle, -1)
+        ),
+        nearest_is_static=(nearest != Touched.ROBOT) & ((nearest != Touched.OBSTACLE) | stands),
+        closing_speed_mps=jnp.sqrt(jnp.sum((v - other_v) ** 2, axis=1)),
+    )
+
+
+def _nearest_obstacle(
+    environment: Environment, a: jax.Array, b: jax.Array, r: jax.Array, now: ObstacleState
+) -> tuple[jax.Array, jax.Array]:
+    """Distance [R] to the nearest obstacle and its row [R]; inf and 0 where there is none."""
+    given = environment.obstacles
+    n_robot, n_obstacle = a.shape[0], given.kind.shape[0]
+    if n_obstacle == 0:
+        return jnp.full(n_robot, jnp.inf, a.dtype), jnp.zeros(n_robot, jnp.int32)
+
+    def one(a: jax.Array, b: jax.Array, r: jax.Array, row: tuple[jax.Array, ...]) -> jax.Array:
+        p, q, kind, size, exists = row
+        gap = clearance.capsules_obstacle(a, b, r, p, q, kind, size, given.kinds)
+        return jnp.where(exists, gap, jnp.inf)
+
+    rows = (now.p, now.q, given.kind, given.size_m, given.exists)
+    gaps = jax.vmap(jax.vmap(one, (None, None, None, 0)), (0, 0, 0, None))(a, b, r, rows)
+    return jnp.min(gaps, axis=1), jnp.argmin(gaps, axis=1).astype(jnp.int32)
+
+
+def _nearest_robot(a: jax.Array, b: jax.Array, r: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Distance [R] to the nearest other hull and its robot [R]; inf and 0 in a fleet of one."""
+    n = a.shape[0]
+    if n == 1:
+        return jnp.full(1, jnp.inf, a.dtype), jnp.zeros(1, jnp.int32)
+    first, second = np.triu_indices(n, k=1)
+    gap = jax.vmap(clearance.capsules_capsules)(
+        a[first], b[first], r[first], a[second], b[second], r[second]
+    )
+    pair = np.zeros((n, n), np.int32)
+    pair[first, second] = pair[second, first] = np.arange(first.size)
+    gaps = jnp.where(np.eye(n, dtype=bool), jnp.inf, gap[pair])
+    return jnp.min(gaps, axis=1), jnp.argmin(gaps, axis=1).astype(jnp.int32)
+
+
+def _rows(values: jax.Array, index: jax.Array) -> jax.Array:
+    """``values[index]``, or zeros where there are no rows at all."""
+    if values.shape[0] == 0:
+        return jnp.zeros((*index.shape, *values.shape[1:]), values.dtype)
+    return values[index]

@@ -1,0 +1,130 @@
+"""What a simulated world consists of: its constants, its state, and what is kept of each robot."""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import jax
+
+from angler_mjx.control.cascade import CascadeCarry, CascadeParams, Gains
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.physics.mjx_engine import BodyInertia
+from angler_mjx.physics.step import VehicleState, Water
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import ObstacleState
+
+
+class Outcome(IntEnum):
+    """How a robot's episode ended; the names are those of the results table."""
+
+    RUNNING = 0
+    REACHED = 1
+    COLLISION_STATIC = 2
+    COLLISION_DYNAMIC = 3
+    COLLISION_ROBOT = 4
+    OUT_OF_BOUNDS = 5
+    TIMEOUT = 6
+    DIVERGED = 7
+
+
+class Touched(IntEnum):
+    """What a robot touched; the index beside it counts within the kind."""
+
+    NOTHING = 0
+    CELL = 1
+    FLOOR = 2
+    OBSTACLE = 3
+    ROBOT = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimSpec:
+    """Settings of the simulation that are fixed while it is compiled."""
+
+    physics_dt_s: float = 0.01
+    physics_steps: int = 5
+    """Physics steps in one control step; contact is looked for once a control step."""
+    goal_tolerance_m: float = 0.3
+    """A robot has arrived when its centre is this near to its goal."""
+    water: Water = field(default_factory=Water)
+    gains: Gains = field(default_factory=Gains)
+
+    @property
+    def control_dt_s(self) -> float:
+        """Control period, s."""
+        return self.physics_dt_s * self.physics_steps
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What does not change during an episode of one world; [n_robot] leads in fleet and paths."""
+
+    environment: Environment
+    variant: jax.Array
+    """int32 [n_robot] which variant of the fleet (vehicle and parameter set) each robot is."""
+    body: BodyInertia
+    cascade: CascadeParams
+    path: Trajectory
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """What is kept of each robot; [n_robot] leads. Frozen when its episode ends."""
+
+    outcome: jax.Array
+    """int32 [R] an `Outcome`."""
+    end_time_s: jax.Array
+    """[R] when the episode ended."""
+    path_length_m: jax.Array
+    """[R] way of the centre of mass."""
+    energy_j: jax.Array
+    """[R] electrical energy of the thrusters."""
+    min_clearance_m: jax.Array
+    """[R] least distance of the hull to cells, floor and obstacles, up to the exact radius."""
+    min_separation_m: jax.Array
+    """[R] least distance of the hull to other hulls; inf in a fleet of one."""
+    touched: jax.Array
+    """int32 [R] a `Touched`."""
+    touched_index: jax.Array
+    """int32 [R] obstacle or robot; -1 otherwise."""
+    impact_speed_mps: jax.Array
+    """[R] relative speed of the centres at the touch; NaN without one."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WorldState:
+    """What changes from step to step in one world."""
+
+    vehicles: VehicleState
+    carry: CascadeCarry
+    obstacles: ObstacleState
+    tally: Tally
+    step: jax.Array
+    """int32 [] control steps taken."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One record of one world: the truth and the command at one time."""
+
+    p: jax.Array
+    """[R, 3] m in W."""
+    q: jax.Array
+    """[R, 4]."""
+    nu: jax.Array
+    """[R, 6] in F."""
+    pwm_us: jax.Array
+    """[R, n_thruster] command of the control step that begins here."""
+    target_m: jax.Array
+    """[R, 3] where the controller aims, in W."""
+    current_mps: jax.Array
+    """[R, 3] water velocity at the robot, in W."""
+    outcome: jax.Array
+    """int32 [R]."""
+    obstacle_p: jax.Array
+    """[n_obstacle, 3] m in W."""
+    obstacle_q: jax.Array
+    """[n_obstacle, 4]."""

@@ -1,0 +1,1 @@
+"""Vehicle files, their parameter sets, and what they compile to: parameters and MJCF."""

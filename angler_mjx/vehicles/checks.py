@@ -1,0 +1,80 @@
+"""What numbers in a vehicle file must satisfy to describe a body that can exist.
+
+Each function raises ValueError with the reason and the remedy; the models turn it into a fault of
+the file.
+"""
+
+from typing import Any
+
+import numpy as np
+
+type Matrix = tuple[tuple[float, ...], ...]
+
+# Matrices and unit vectors are typed by hand in files: more than this is an error, not rounding.
+_RELATIVE_TOLERANCE = 1e-6
+
+
+def _symmetric(value: Any, size: int) -> np.ndarray:
+    """Turn a diagonal or a full matrix of a file into a symmetric array, or say what is wrong."""
+    shape_hint = f"give {size} diagonal values or {size} rows of {size} values"
+    try:
+        matrix = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(shape_hint) from error
+    if matrix.shape == (size,):
+        matrix = np.diag(matrix)
+    if matrix.shape != (size, size):
+        raise ValueError(shape_hint)
+    if not np.all(np.isfinite(matrix)):
+        raise ValueError("every value must be finite")
+    if np.any(np.abs(matrix - matrix.T) > _RELATIVE_TOLERANCE * np.max(np.abs(matrix))):
+        raise ValueError("must be symmetric; make entry [i][j] equal to entry [j][i]")
+    return (matrix + matrix.T) / 2
+
+
+def _rows(matrix: np.ndarray) -> Matrix:
+    return tuple(tuple(float(entry) for entry in row) for row in matrix)
+
+
+def inertia(value: Any) -> Matrix:
+    """Check rotational inertia (3 diagonal values or 3 x 3) and return the full matrix."""
+    matrix = _symmetric(value, 3)
+    low, middle, high = np.linalg.eigvalsh(matrix)
+    if low <= 0:
+        raise ValueError("must be positive definite; a principal moment is zero or negative")
+    if low + middle < high * (1 - _RELATIVE_TOLERANCE):
+        raise ValueError(
+            f"no rigid body has principal moments {low:.4g}, {middle:.4g}, {high:.4g}: "
+            "the two smaller ones must add up to at least the largest"
+        )
+    return _rows(matrix)
+
+
+def added_mass(value: Any) -> Matrix:
+    """Check added mass (6 diagonal values or 6 x 6) and return the full matrix."""
+    matrix = _symmetric(value, 6)
+    low, *_, high = np.linalg.eigvalsh(matrix)
+    if low < -_RELATIVE_TOLERANCE * max(high, 0.0):
+        raise ValueError("must not be negative; give added mass as positive numbers")
+    return _rows(matrix)
+
+
+def damping(value: tuple[float, ...]) -> tuple[float, ...]:
+    """Check six damping coefficients."""
+    if len(value) != 6 or min(value) < 0:
+        raise ValueError("give six values for [u v w p q r], none of them negative")
+    return value
+
+
+def names_differ(kind: str, names: list[str]) -> None:
+    """Check that no name occurs twice."""
+    if len(set(names)) < len(names):
+        raise ValueError(f"{kind} names must differ; got {', '.join(names)}")
+
+
+def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Check a direction."""
+    length = float(np.linalg.norm(value))
+    if abs(length - 1) > _RELATIVE_TOLERANCE:
+        raise ValueError(f"must be a unit vector; its length is {length:.6g}")
+    return value

@@ -1,0 +1,264 @@
+"""Models of a vehicle file and of a thruster file.
+
+Every group of numbers carries its ``source``. The base frame of a vehicle file has its axes as F
+(x forward, y left, z up) and an origin chosen by the file; everything under ``parameter_sets`` is
+about the centre of mass.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel
+from angler_mjx.vehicles import checks
+from angler_mjx.vehicles.checks import Matrix
+
+type Vector3 = tuple[float, float, float]
+type Positive = Annotated[float, Field(gt=0)]
+type Source = Annotated[str, Field(min_length=1)]
+type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$")]
+type Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Capsule(FileModel):
+    """A cylinder with half-spheres at its ends, in the base frame."""
+
+    from_m: Vector3
+    to_m: Vector3
+    radius_m: Positive
+
+
+class Base(FileModel):
+    """Where the centre of mass lies in the base frame."""
+
+    center_of_mass_m: Vector3
+    source: Source
+
+
+class Hull(FileModel):
+    """Outer shape: for distances, and for how buoyancy fades at the surface."""
+
+    height_m: Positive
+    """Height over which buoyancy fades from full to none as the hull leaves the water."""
+    capsules: Annotated[tuple[Capsule, ...], Field(min_length=1)]
+    source: Source
+
+
+class Thruster(FileModel):
+    """One thruster, in the base frame."""
+
+    name: Name
+    position_m: Vector3
+    direction: Annotated[Vector3, AfterValidator(checks.unit_vector)]
+    """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
+    spin: Literal[-1, 1]
+    """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
+
+
+class Thrusters(FileModel):
+    """Where the thrusters are and where they push."""
+
+    layout: Annotated[tuple[Thruster, ...], Field(min_length=1)]
+    source: Source
+
+    @field_validator("layout")
+    @classmethod
+    def _distinct(cls, value: tuple[Thruster, ...]) -> tuple[Thruster, ...]:
+        checks.names_differ("thruster", [thruster.name for thruster in value])
+        return value
+
+
+class Lag(FileModel):
+    """First-order lag of the rotors."""
+
+    time_constant_s: Positive
+    source: Source
+
+
+class ReactionTorque(FileModel):
+    """Torque about the rotor's axis per newton of thrust."""
+
+    coefficient_m: Annotated[float, Field(ge=0)]
+    source: Source
+
+
+class Rotor(FileModel):
+    """What all thrusters of the vehicle have in common."""
+
+    model: str
+    """Name of a shipped thruster file, or a path to one, relative to the vehicle file."""
+    lag: Lag
+    reaction_torque: ReactionTorque
+
+
+class _Shape(FileModel):
+    name: Name
+    rgba: tuple[Share, Share, Share, Share]
+
+
+class Box(_Shape):
+    """A visible box: centre and full edge lengths, in the base frame."""
+
+    shape: Literal["box"]
+    position_m: Vector3
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class Cylinder(_Shape):
+    """A visible cylinder between two points of the base frame."""
+
+    shape: Literal["cylinder"]
+    from_m: Vector3
+    to_m: Vector3
+    radius_m: Positive
+
+
+class Sphere(_Shape):
+    """A visible sphere, in the base frame."""
+
+    shape: Literal["sphere"]
+    position_m: Vector3
+    radius_m: Positive
+
+
+type Shape = Annotated[Box | Cylinder | Sphere, Field(discriminator="shape")]
+
+
+class Visual(FileModel):
+    """What a viewer shows; nothing of it enters the physics."""
+
+    shapes: tuple[Shape, ...]
+    source: Source
+
+    @field_validator("shapes")
+    @classmethod
+    def _distinct(cls, value: tuple[Shape, ...]) -> tuple[Shape, ...]:
+        checks.names_differ("shape", [shape.name for shape in value])
+        return value
+
+
+class RigidBody(FileModel):
+    """Dry mass and inertia, about the centre of mass."""
+
+    mass_kg: Positive
+    inertia_kgm2: Annotated[Matrix, BeforeValidator(checks.inertia)]
+    """Three diagonal values or a full 3 x 3 matrix."""
+    source: Source
+
+
+class Buoyancy(FileModel):
+    """Displaced volume and where its centre lies, from the centre of mass."""
+
+    volume_m3: Positive
+    center_of_buoyancy_m: Vector3
+    source: Source
+
+
+class AddedMass(FileModel):
+    """Added mass at the centre of mass, in F, as positive numbers."""
+
+    coefficients: Annotated[Matrix, BeforeValidator(checks.added_mass)]
+    """Six diagonal values or a full 6 x 6 matrix; kg, kg m, kg m^2."""
+    source: Source
+
+
+class Damping(FileModel):
+    """Diagonal damping at the centre of mass, in F, as positive numbers."""
+
+    linear: Annotated[tuple[float, ...], AfterValidator(checks.damping)]
+    """N s/m (first three), N m s/rad."""
+    quadratic: Annotated[tuple[float, ...], AfterValidator(checks.damping)]
+    """N s^2/m^2 (first three), N m s^2/rad^2."""
+    source: Source
+
+    @model_validator(mode="after")
+    def _some(self) -> Self:
+        free = [
+            i
+            for i, pair in enumerate(zip(self.linear, self.quadratic, strict=True))
+            if pair == (0, 0)
+        ]
+        if free:
+            raise ValueError(
+                f"no damping at all on axis {free[0]} of [u v w p q r]; "
+                "give a linear or a quadratic coefficient above zero"
+            )
+        return self
+
+
+class ParameterSet(FileModel):
+    """One published or identified set of coefficients of the vehicle."""
+
+    description: str
+    rigid_body: RigidBody
+    buoyancy: Buoyancy
+    added_mass: AddedMass
+    damping: Damping
+
+
+class VehicleConfig(FileModel):
+    """A vehicle file."""
+
+    name: Name
+    description: str
+    default_set: str
+    """The parameter set that is used where none is named."""
+    base: Base
+    hull: Hull
+    thrusters: Thrusters
+    rotor: Rotor
+    visual: Visual
+    parameter_sets: Annotated[dict[Name, ParameterSet], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _default_exists(self) -> Self:
+        if self.default_set not in self.parameter_sets:
+            raise ValueError(
+                f"default_set = {self.default_set!r} is none of {', '.join(self.parameter_sets)}"
+            )
+        return self
+
+    def find_set(self, name: str | None) -> ParameterSet:
+        """Return the named parameter set, or the default one for None.
+
+        Raises:
+            ConfigError: the vehicle has no set of that name.
+        """
+        chosen = self.default_set if name is None else name
+        if chosen not in self.parameter_sets:
+            raise ConfigError(
+                f"vehicle {self.name!r} has no parameter set {chosen!r}; "
+                f"it has {', '.join(self.parameter_sets)}"
+            )
+        return self.parameter_sets[chosen]
+
+
+class ThrusterTable(FileModel):
+    """A thruster file: static thrust and electrical power against PWM and supply voltage."""
+
+    name: Name
+    description: str
+    source: Source
+    voltage_v: Annotated[tuple[Positive, ...], Field(min_length=2)]
+    pwm_us: Annotated[tuple[int, ...], Field(min_length=2)]
+    thrust_n: Matrix
+    """One row per PWM value, one column per voltage."""
+    power_w: Matrix
+    """As ``thrust_n``; electrical power, never negative."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        shape = (len(self.pwm_us), len(self.voltage_v))
+        for key in ("thrust_n", "power_w"):
+            rows: Matrix = getattr(self, key)
+            if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
+                raise ValueError(f"{key} needs {shape[0]} rows of {shape[1]} values")
+        if np.any(np.diff(self.voltage_v) <= 0) or np.any(np.diff(self.pwm_us) <= 0):
+            raise ValueError("voltage_v and pwm_us must increase")
+        if np.any(np.diff(np.asarray(self.thrust_n), axis=0) < 0):
+            raise ValueError("thrust_n must not fall as PWM rises")
+        if np.any(np.asarray(self.power_w) < 0):
+            raise ValueError("power_w must not be negative")
+        return self

@@ -1,0 +1,188 @@
+"""What the physics knows of one robot: a pytree of arrays, compiled from a vehicle file.
+
+Everything is about the robot's centre of mass, in F (x forward, y left, z up). The work is done
+once, on the host, in float64; the arrays have JAX's default float type.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.library import load_thruster
+from angler_mjx.vehicles.thrusters import FloatArray, tables_at
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class VehicleParams:
+    """One robot. ``n_t`` thrusters and ``c`` capsules include padding after ``stack``."""
+
+    mass_kg: jax.Array
+    """[] dry mass."""
+    inertia_kgm2: jax.Array
+    """[3, 3] about the centre of mass, in F."""
+    M_A: jax.Array
+    """[6, 6] added mass, positive; kg, kg m, kg m^2."""
+    D_l: jax.Array
+    """[6] linear damping, positive; N s/m, N m s/rad."""
+    D_q: jax.Array
+    """[6] quadratic damping, positive; N s^2/m^2, N m s^2/rad^2."""
+    volume_m3: jax.Array
+    """[] displaced volume, fully submerged."""
+    p_cb_m: jax.Array
+    """[3] centre of buoyancy from the centre of mass."""
+    hull_height_m: jax.Array
+    """[] height over which buoyancy fades at the surface."""
+    B: jax.Array
+    """[6, n_t] wrench per newton of thrust, reaction torque included; padding columns are zero."""
+    thrust_n: jax.Array
+    """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage."""
+    power_w: jax.Array
+    """[201] electrical power on the same grid."""
+    tau_s: jax.Array
+    """[] time constant of the rotors."""
+    capsule_a_m: jax.Array
+    """[c, 3] one end of each hull capsule's axis; padding repeats the last capsule."""
+    capsule_b_m: jax.Array
+    """[c, 3] the other end."""
+    capsule_r_m: jax.Array
+    """[c] radius of each capsule."""
+    radius_m: jax.Array
+    """[] smallest sphere about the centre of mass that holds the hull."""
+    terminal_speed_mps: jax.Array
+    """[3] surge, sway, heave at full thrust in still water; the slower of the two directions."""
+    thruster_exists: jax.Array
+    """bool [n_t] False for padding."""
+
+
+def build(config: VehicleConfig, parameter_set: str | None, voltage_v: float) -> VehicleParams:
+    """Compile a vehicle file to the parameters of one robot.
+
+    Args:
+        config: Vehicle file.
+        parameter_set: Name of one of its sets; None for its default.
+        voltage_v: Battery voltage, V.
+
+    Raises:
+        ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
+    """
+    chosen = config.find_set(parameter_set)
+    thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
+    B = wrench_matrix(config)
+    D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
+    D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    center = np.asarray(config.base.center_of_mass_m)
+    capsules = config.hull.capsules
+    start = np.array([capsule.from_m for capsule in capsules]) - center
+    end = np.array([capsule.to_m for capsule in capsules]) - center
+    radius = np.array([capsule.radius_m for capsule in capsules])
+    reach = np.maximum(np.linalg.norm(start, axis=1), np.linalg.norm(end, axis=1)) + radius
+    return VehicleParams(
+        mass_kg=_array(chosen.rigid_body.mass_kg),
+        inertia_kgm2=_array(chosen.rigid_body.inertia_kgm2),
+        M_A=_array(chosen.added_mass.coefficients),
+        D_l=_array(D_l),
+        D_q=_array(D_q),
+        volume_m3=_array(chosen.buoyancy.volume_m3),
+        p_cb_m=_array(chosen.buoyancy.center_of_buoyancy_m),
+        hull_height_m=_array(config.hull.height_m),
+        B=_array(B),
+        thrust_n=_array(thrust_n),
+        power_w=_array(power_w),
+        tau_s=_array(config.rotor.lag.time_constant_s),
+        capsule_a_m=_array(start),
+        capsule_b_m=_array(end),
+        capsule_r_m=_array(radius),
+        radius_m=_array(reach.max()),
+        terminal_speed_mps=_array(
+            terminal_speed(full_force(B[:3], thrust_n[0], thrust_n[-1]), D_l[:3], D_q[:3])
+        ),
+        thruster_exists=jnp.ones(B.shape[1], dtype=bool),
+    )
+
+
+def stack(variants: list[VehicleParams]) -> VehicleParams:
+    """Put robots of any kind side by side, padded to common numbers of thrusters and capsules.
+
+    Args:
+        variants: At least one robot.
+
+    Returns:
+        The same fields with one more leading axis, the variant.
+    """
+    n_t = max(variant.B.shape[1] for variant in variants)
+    n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
+    padded = [_pad(variant, n_t, n_capsule) for variant in variants]
+    stacked: VehicleParams = jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+    return stacked
+
+
+def wrench_matrix(config: VehicleConfig) -> FloatArray:
+    """Wrench at the centre of mass, in F, per newton of each thruster.
+
+    Column i is [d_i; r_i x d_i - s_i k d_i], r_i from the centre of mass, d_i the direction of
+    positive thrust, s_i the spin, k the reaction torque per newton (m).
+
+    Returns:
+        [6, n_t]; 1 (first three rows), m.
+    """
+    layout = config.thrusters.layout
+    arm = np.array([t.position_m for t in layout]) - np.asarray(config.base.center_of_mass_m)
+    direction = np.array([t.direction for t in layout])
+    spin = np.array([[t.spin] for t in layout], dtype=np.float64)
+    reaction = -config.rotor.reaction_torque.coefficient_m * spin * direction
+    wrench: FloatArray = np.concatenate([direction, np.cross(arm, direction) + reaction], axis=1).T
+    return wrench
+
+
+def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArray:
+    """Largest force along each axis that is there in both directions.
+
+    Each thruster runs at the end of its table that helps: one that points backward pushes in
+    reverse to drive the vehicle forward.
+
+    Args:
+        rows: [k, n_t] rows of the wrench matrix.
+        reverse_n: Thrust at the lowest PWM, N (negative).
+        forward_n: Thrust at the highest PWM, N.
+
+    Returns:
+        [k] N.
+    """
+    positive = np.maximum(rows * forward_n, rows * reverse_n).sum(axis=1)
+    negative = np.maximum(-rows * forward_n, -rows * reverse_n).sum(axis=1)
+    both: FloatArray = np.minimum(positive, negative)
+    return both
+
+
+def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> FloatArray:
+    """Speed at which damping balances a force: the positive root of D_l v + D_q v^2 = F.
+
+    Still water, one axis at a time, net buoyancy left out.
+
+    Returns:
+        [k] m/s.
+    """
+    speed: FloatArray = 2 * force_n / (D_l + np.sqrt(D_l**2 + 4 * D_q * force_n))
+    return speed
+
+
+def _array(value: ArrayLike) -> jax.Array:
+    return jnp.asarray(np.asarray(value, dtype=np.float64))
+
+
+def _pad(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
+    more_t = n_t - params.B.shape[1]
+    more_c = n_capsule - params.capsule_r_m.shape[0]
+    return replace(
+        params,
+        B=jnp.pad(params.B, ((0, 0), (0, more_t))),
+        thruster_exists=jnp.pad(params.thruster_exists, (0, more_t)),
+        capsule_a_m=jnp.pad(params.capsule_a_m, ((0, more_c), (0, 0)), mode="edge"),
+        capsule_b_m=jnp.pad(params.capsule_b_m, ((0, more_c), (0, 0)), mode="edge"),
+        capsule_r_m=jnp.pad(params.capsule_r_m, (0, more_c), mode="edge"),
+    )

@@ -1,0 +1,1 @@
+"""Figures and replays, made from a run folder alone."""

@@ -1,0 +1,1 @@
+"""Environments, obstacles and currents: everything around the robots."""

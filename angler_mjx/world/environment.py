@@ -1,0 +1,54 @@
+"""What one world is: static cells, obstacles, currents, and where each robot starts and goes.
+
+Pytrees of one world; a batch of worlds has one more leading axis on every leaf. Everything here is
+in the world frame W (x east, y north, z up, metres, water surface at z = 0).
+"""
+
+from dataclasses import dataclass
+
+import jax
+
+from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import Obstacles
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Static cells: a regular boolean grid of cubes."""
+
+    occupied: jax.Array
+    """bool [nx, ny, nz]; cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]."""
+    origin_m: jax.Array
+    """[3] lower corner of cell (0, 0, 0), in W."""
+    cell_m: jax.Array
+    """[] edge of a cell, m."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Environment:
+    """One world, complete: everything but the robots' own parameters and state."""
+
+    grid: Grid
+    floor_z_m: jax.Array
+    """[] height of the sea floor, m (negative)."""
+    obstacles: Obstacles
+    """Explicit and drawn obstacles, [n_obstacle] rows; rows with exists = False are padding."""
+    current: Current
+    start_m: jax.Array
+    """[n_robot, 3] start of each robot's centre of mass."""
+    start_yaw_rad: jax.Array
+    """[n_robot] heading at the start, about z up, 0 = east."""
+    goal_m: jax.Array
+    """[n_robot, 3]."""
+    density: jax.Array
+    """[] share of cells that are occupied."""
+    path_ratio: jax.Array
+    """[n_robot] shortest 26-connected free path over the straight line, start to goal; >= 1."""
+    line_free: jax.Array
+    """bool [n_robot] whether the straight line from start to goal meets no occupied cell."""
+    redraws: jax.Array
+    """int32 [] how many drawings were thrown away before this one could hold the fleet."""
+    valid: jax.Array
+    """bool [] False only where the redraw limit was reached; such a world is never simulated."""

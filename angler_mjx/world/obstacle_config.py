@@ -1,0 +1,144 @@
+"""What a scenario file may say about obstacles: some by hand, some drawn.
+
+Lengths in metres, angles in degrees, all places and directions in W (x east, y north, z up).
+"""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from angler_mjx.files import FileModel
+
+type Vector = tuple[float, float, float]
+type Span = tuple[float, float]
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class StaticMotion(FileModel):
+    """Stays where it is."""
+
+    type: Literal["static"] = "static"
+
+
+class DriftMotion(FileModel):
+    """Moves as the water moves it."""
+
+    type: Literal["drift"] = "drift"
+    relative_velocity_mps: Vector = (0.0, 0.0, 0.0)
+    """Velocity at the start relative to the water there; zero: it starts with the water."""
+
+
+class StraightMotion(FileModel):
+    """Moves at constant speed and is thrown back by the bounds of the world."""
+
+    type: Literal["straight"] = "straight"
+    velocity_mps: Vector
+
+
+class SineMotion(FileModel):
+    """Swings about its position."""
+
+    type: Literal["sine"] = "sine"
+    amplitude_m: Vector
+    period_s: Positive
+    phase_deg: float = 0.0
+
+
+class CircleMotion(FileModel):
+    """Goes round its position, anticlockwise about the axis."""
+
+    type: Literal["circle"] = "circle"
+    radius_m: Positive
+    period_s: Positive
+    clockwise: bool = False
+    phase_deg: float = 0.0
+    """Angle at t = 0, from east (from north where the axis is nearly east)."""
+    axis: Vector = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _axis_has_direction(self) -> Self:
+        if math.hypot(*self.axis) < 1e-9:
+            raise ValueError("axis must not be zero")
+        return self
+
+
+type Motion = Annotated[
+    StaticMotion | DriftMotion | StraightMotion | SineMotion | CircleMotion,
+    Field(discriminator="type"),
+]
+
+
+class _Placed(FileModel):
+    position_m: Vector
+    """Centre at the start; of the swing or circle for those motions."""
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw: turned about x, then y, then z of the world."""
+    motion: Motion = StaticMotion()
+    mass_kg: Positive | None = None
+    """As heavy as the water it displaces if left out; matters for drifting ones only."""
+
+
+class SphereConfig(_Placed):
+    """A sphere."""
+
+    type: Literal["sphere"] = "sphere"
+    radius_m: Positive
+
+
+class BoxConfig(_Placed):
+    """A box; ``size_m`` is its full length along its own x, y and z."""
+
+    type: Literal["box"] = "box"
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class CapsuleConfig(_Placed):
+    """A capsule along its own z; ``length_m`` is that of the axis, without the caps."""
+
+    type: Literal["capsule"] = "capsule"
+    radius_m: Positive
+    length_m: Positive
+
+
+type ExplicitConfig = Annotated[
+    SphereConfig | BoxConfig | CapsuleConfig, Field(discriminator="type")
+]
+
+
+class DynamicConfig(FileModel):
+    """Drifting spheres and cubes, drawn anew for each world."""
+
+    count: int = Field(default=0, ge=0)
+    radius_m: Span = (0.4, 0.75)
+    """Lowest and highest radius, of the sphere or of the sphere around the cube."""
+    cube_share: Share = 0.5
+    """Probability of a cube; the others are spheres."""
+    rise_share: Share = 0.2
+    """Probability of one lighter than water."""
+    sink_share: Share = 0.2
+    """Probability of one heavier than water; the rest are neutral."""
+    vertical_speed_mps: Span = (0.02, 0.1)
+    """Lowest and highest steady speed at which the light ones rise and the heavy ones sink; it
+    sets their mass. (Density would be an awkward knob: a sphere of 0.5 m radius that is 0.1 %
+    lighter than water already rises at 0.17 m/s.)"""
+
+    @model_validator(mode="after")
+    def _spans(self) -> Self:
+        if not 0 < self.radius_m[0] <= self.radius_m[1]:
+            raise ValueError(f"radius_m = {self.radius_m}: needs 0 < low <= high")
+        if not 0 <= self.vertical_speed_mps[0] <= self.vertical_speed_mps[1]:
+            raise ValueError(
+                f"vertical_speed_mps = {self.vertical_speed_mps}: needs 0 <= low <= high"
+            )
+        if self.rise_share + self.sink_share > 1:
+            raise ValueError("rise_share and sink_share add up to more than 1")
+        return self
+
+
+class ObstaclesConfig(FileModel):
+    """The obstacles of a scenario beside the cells of its grid."""
+
+    dynamic: DynamicConfig = DynamicConfig()
+    explicit: tuple[ExplicitConfig, ...] = ()

@@ -1,0 +1,1 @@
+"""Shipped scenarios and studies of angler_mjx."""

@@ -1,0 +1,217 @@
+"""Distances between segments, points and boxes, each for one pair, in closed form.
+
+A distance is found in two parts: the parameter of the nearest point on each segment, then the
+length of the gap there. The parameters are constants to differentiation: at the minimum the gap
+does not change with them to first order (envelope theorem), so first derivatives are right and
+stay finite; second derivatives are not provided. Where shapes touch the distance is 0 and its
+gradient is 0. Lengths in metres; all shapes of a call in one frame unless it says otherwise.
+"""
+
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.quaternion import rotate, rotate_inverse
+
+SPHERE, BOX, CAPSULE = 0, 1, 2
+
+
+def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
+    """Distance [] of a point p [3] to the axis-aligned box from lo [3] to hi [3]; inside 0."""
+    return _root(
+        _square([jnp.maximum(jnp.maximum(lo[i] - p[i], p[i] - hi[i]), 0.0) for i in range(3)])
+    )
+
+
+def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
+    """Distance [] of the segment from a [3] to b [3] to the point p [3]; a = b is allowed."""
+    d, gap = b - a, a - p
+    s = _foot(d, -gap)
+    return _root(_square([gap[i] + s * d[i] for i in range(3)]))
+
+
+def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) -> jax.Array:
+    """Distance [] of two segments, also where they are parallel, cross or have no length.
+
+    The squared gap is convex on the unit square of the two parameters: its minimum is the crossing
+    of the two lines' common normal, if that lies in the square, or lies on one of the four edges,
+    each of which is an end point against a segment. The least of the five is taken; every one of
+    them is the gap of two points that exist, so rounding where the lines are nearly parallel can
+    not make the answer too small.
+    """
+    d1, d2, gap = b1 - a1, b2 - a2, a1 - a2
+    s1, s2 = _crossing(d1, d2, gap)
+    zero, one = jnp.zeros_like(s1), jnp.ones_like(s1)
+    pairs = (
+        (s1, s2),
+        (_foot(d1, -gap), zero),
+        (_foot(d1, d2 - gap), one),
+        (zero, _foot(d2, gap)),
+        (one, _foot(d2, gap + d1)),
+    )
+    squares = [_square([gap[i] + s * d1[i] - t * d2[i] for i in range(3)]) for s, t in pairs]
+    return _root(functools.reduce(jnp.minimum, squares))
+
+
+def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
+    """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3].
+
+    Half the derivative of the squared gap along the segment, h(s) = d . outside(a + s d), grows
+    with s and is piecewise linear; it bends only where the segment passes one of the six faces'
+    planes. Between the last bend where it is negative and the first where it is not, it is one
+    straight line, whose zero is the nearest point. Where h is nowhere negative the near end is
+    nearest, where it is negative everywhere the far end.
+
+    The six bends are taken one by one in scalars: under ``vmap`` that is one pass over the batch.
+    """
+    axes = [_Axis(a[i], b[i] - a[i], lo[i], hi[i]) for i in range(3)]
+    s_left, s_right = jnp.zeros_like(a[0]), jnp.ones_like(a[0])
+    h_left = h_start = _slope(axes, s_left)
+    h_right = h_end = _slope(axes, s_right)
+    for axis in axes:
+        inverse = 1.0 / jnp.where(axis.d == 0.0, 1.0, axis.d)
+        for face in (axis.lo, axis.hi):
+            s = jnp.clip((face - axis.a) * inverse, 0.0, 1.0)
+            h = _slope(axes, s)
+            before = h < 0.0
+            s_left = jnp.where(before, jnp.maximum(s_left, s), s_left)
+            h_left = jnp.where(before, jnp.maximum(h_left, h), h_left)
+            s_right = jnp.where(before, s_right, jnp.minimum(s_right, s))
+            h_right = jnp.where(before, h_right, jnp.minimum(h_right, h))
+    crosses = (h_start < 0.0) & (h_end >= 0.0)
+    rise = jnp.where(crosses, h_right - h_left, 1.0)
+    zero = s_left - (s_right - s_left) * h_left / rise
+    at = jnp.where(crosses, zero, jnp.where(h_start < 0.0, 1.0, 0.0))
+    at = jax.lax.stop_gradient(at)
+    return _root(_square([axis.outside(at) for axis in axes]))
+
+
+def segment_oriented_box(
+    a: jax.Array, b: jax.Array, p: jax.Array, q: jax.Array, half: jax.Array
+) -> jax.Array:
+    """Distance [] of a segment to a box with centre p [3], attitude q [4] (wxyz), half extents [3].
+
+    q rotates vectors of the box's frame to the frame of a, b and p.
+    """
+    return segment_box(rotate_inverse(q, a - p), rotate_inverse(q, b - p), -half, half)
+
+
+def capsules_capsules(
+    a1: jax.Array, b1: jax.Array, r1: jax.Array, a2: jax.Array, b2: jax.Array, r2: jax.Array
+) -> jax.Array:
+    """Least distance [] between two unions of capsules; negative is overlap of the radii.
+
+    Args:
+        a1: [c, 3] one end of each axis of the first body.
+        b1: [c, 3] other end.
+        r1: [c] radii.
+        a2: [e, 3] one end of each axis of the second body.
+        b2: [e, 3] other end.
+        r2: [e] radii.
+    """
+    to_second = jax.vmap(segment_segment, in_axes=(None, None, 0, 0))
+    gap = jax.vmap(to_second, in_axes=(0, 0, None, None))(a1, b1, a2, b2)
+    return jnp.min(gap - r1[:, None] - r2[None, :])
+
+
+def capsules_obstacle(
+    a: jax.Array,
+    b: jax.Array,
+    r: jax.Array,
+    p: jax.Array,
+    q: jax.Array,
+    kind: jax.Array,
+    size: jax.Array,
+    kinds: Sequence[int] = (SPHERE, BOX, CAPSULE),
+) -> jax.Array:
+    """Least distance [] of a union of capsules to one obstacle; negative is overlap of the radii.
+
+    Args:
+        a: [c, 3] one end of each capsule's axis.
+        b: [c, 3] other end.
+        r: [c] radii.
+        p: [3] centre of the obstacle.
+        q: [4] its attitude, wxyz.
+        kind: int [] 0 sphere, 1 box, 2 capsule.
+        size: [3] sphere (radius, 0, 0); box half extents; capsule (radius, half length, 0), its
+            axis along its own z.
+        kinds: the kinds that can occur; others are not traced.
+    """
+    gap = jnp.full(r.shape, jnp.inf, a.dtype)
+    if SPHERE in kinds:
+        sphere = jax.vmap(segment_point, in_axes=(0, 0, None))(a, b, p) - size[0]
+        gap = jnp.where(kind == SPHERE, sphere, gap)
+    if BOX in kinds:
+        to_box = jax.vmap(segment_oriented_box, in_axes=(0, 0, None, None, None))
+        gap = jnp.where(kind == BOX, to_box(a, b, p, q, size), gap)
+    if CAPSULE in kinds:
+        axis = rotate(q, jnp.stack([jnp.zeros_like(size[1]), jnp.zeros_like(size[1]), size[1]]))
+        to_axis = jax.vmap(segment_segment, in_axes=(0, 0, None, None))
+        gap = jnp.where(kind == CAPSULE, to_axis(a, b, p - axis, p + axis) - size[0], gap)
+    return jnp.min(gap - r)
+
+
+class _Axis(NamedTuple):
+    """One coordinate of a segment a + s d and of a box."""
+
+    a: jax.Array
+    d: jax.Array
+    lo: jax.Array
+    hi: jax.Array
+
+    def outside(self, s: jax.Array) -> jax.Array:
+        """Signed distance [] past the nearer face, 0 between the faces."""
+        x = self.a + s * self.d
+        return jnp.maximum(x - self.hi, 0.0) - jnp.maximum(self.lo - x, 0.0)
+
+
+def _slope(axes: Sequence[_Axis], s: jax.Array) -> jax.Array:
+    """h(s) of `segment_box`."""
+    x, y, z = (axis.d * axis.outside(s) for axis in axes)
+    return x + y + z
+
+
+def _square(v: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    """Squared length [] of a vector."""
+    return _dot(v, v)
+
+
+def _dot(u: Sequence[jax.Array] | jax.Array, v: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    """Inner product [] of two vectors, written out."""
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _root(square: jax.Array) -> jax.Array:
+    """Square root [] whose derivative at zero is zero instead of infinite."""
+    return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
+
+
+def _foot(d: jax.Array, to_point: Sequence[jax.Array] | jax.Array) -> jax.Array:
+    """Parameter in [0, 1] of the point of a segment d nearest to a point, both seen from its start.
+
+    A constant to gradients.
+    """
+    square = _square(d)
+    s = _dot(d, to_point) / jnp.where(square > 0.0, square, 1.0)
+    return jax.lax.stop_gradient(jnp.clip(s, 0.0, 1.0))
+
+
+def _crossing(d1: jax.Array, d2: jax.Array, gap: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Parameters of the feet of two lines' common normal, held to [0, 1]; 0 and a foot if none.
+
+    The determinant is taken as |d1 x d2|^2, which keeps its digits where the lines are nearly
+    parallel; |d1|^2 |d2|^2 - (d1 . d2)^2 does not.
+    """
+    normal = _cross(d1, d2)
+    det = _square(normal)
+    s1 = -_dot(_cross(gap, d2), normal) / jnp.where(det > 0.0, det, 1.0)
+    s1 = jax.lax.stop_gradient(jnp.clip(s1, 0.0, 1.0))
+    return s1, _foot(d2, [gap[i] + s1 * d1[i] for i in range(3)])
+
+
+def _cross(u: jax.Array, v: jax.Array) -> list[jax.Array]:
+    """Vector product of two vectors [3], as three scalars."""
+    return [u[i] * v[j] - u[j] * v[i] for i, j in ((1, 2), (2, 0), (0, 1))]

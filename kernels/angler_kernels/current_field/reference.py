@@ -1,0 +1,106 @@
+"""Velocity fields at one point: value, rate and gradient, in closed form.
+
+Each field returns ``(v, v_t, J)``: the velocity [3] m/s, its rate at the fixed point [3] m/s^2 and
+its Jacobian [3, 3] 1/s with ``J[i, j] = dv_i / dx_j``, all in the world frame. Fields add up, and
+so do their three parts; the material derivative does not and is taken of the sum.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+type Field = tuple[jax.Array, jax.Array, jax.Array]
+
+PEAK_RADIUS = 1.1209064227785
+"""Radius of the greatest speed of a Lamb-Oseen vortex in core radii: the root x of
+exp(x^2) = 1 + 2 x^2 (x^2 = 1.25643; Devenport et al., J. Fluid Mech. 312, 1996, p. 67)."""
+
+_SERIES_BELOW = 0.1
+_SERIES = tuple((-1.0) ** k / math.factorial(k + 1) for k in range(11))
+
+
+def smooth_knots(t: jax.Array, knots: jax.Array, knot_dt: jax.Array) -> Field:
+    """A velocity that is the same everywhere and passes through knots in time.
+
+    Between two knots v = v_k + (3 s^2 - 2 s^3) (v_k+1 - v_k): once continuously differentiable in
+    time and never outside the convex hull of the knots. Held before the first and after the last.
+
+    Args:
+        t: [] s.
+        knots: [n_knot, 3] m/s at 0, knot_dt, 2 knot_dt ...; at least two.
+        knot_dt: [] s.
+    """
+    last = knots.shape[0] - 1
+    phase = jnp.clip(t / knot_dt, 0.0, last)
+    k = jnp.clip(jnp.floor(phase).astype(jnp.int32), 0, last - 1)
+    s = phase - k
+    here = jax.lax.dynamic_index_in_dim(knots, k, keepdims=False)
+    jump = jax.lax.dynamic_index_in_dim(knots, k + 1, keepdims=False) - here
+    v = here + (s * s * (3.0 - 2.0 * s)) * jump
+    v_t = (6.0 * s * (1.0 - s) / knot_dt) * jump
+    return v, v_t, jnp.zeros((3, 3), v.dtype)
+
+
+def lamb_oseen(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array) -> Field:
+    """Steady Lamb-Oseen vortices with vertical axes.
+
+    Each turns the water at v_theta = Gamma / (2 pi r) (1 - exp(-r^2 / a^2)) (Saffman, Vortex
+    Dynamics, 1992, section 13.1, with a^2 = 4 nu t frozen). Written with phi(s) = (1 - exp(-s)) / s
+    and s = r^2 / a^2 it is v = Gamma / (2 pi a^2) phi(s) [-y, x, 0], smooth at the axis too.
+
+    Args:
+        p: [3] m.
+        centre: [n, 2] x and y of the axes, m.
+        circulation: [n] Gamma, m^2/s, positive anticlockwise seen from above.
+        core: [n] a, m.
+    """
+    x, y = p[0] - centre[:, 0], p[1] - centre[:, 1]
+    inverse = 1.0 / (core * core)
+    phi, slope = _phi((x * x + y * y) * inverse)
+    rate = circulation * inverse / (2.0 * math.pi)
+    turn = rate * phi
+    bend = 2.0 * inverse * rate * slope
+    shear = jnp.sum(bend * x * y)
+    zero = jnp.zeros_like(shear)
+    v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), zero])
+    J = jnp.stack(
+        [
+            jnp.stack([-shear, -jnp.sum(turn + bend * y * y), zero]),
+            jnp.stack([jnp.sum(turn + bend * x * x), shear, zero]),
+            jnp.stack([zero, zero, zero]),
+        ]
+    )
+    return v, jnp.zeros_like(v), J
+
+
+def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
+    """Circulation of the Lamb-Oseen vortex whose greatest speed is ``peak_speed``, m^2/s.
+
+    At r = PEAK_RADIUS a, where exp(x^2) = 1 + 2 x^2, the speed is
+    Gamma / (2 pi a) 2 x / (1 + 2 x^2) = 0.6382 Gamma / (2 pi a).
+    """
+    x = PEAK_RADIUS
+    return 2.0 * math.pi * core * peak_speed * (1.0 + 2.0 * x * x) / (2.0 * x)
+
+
+def material_derivative(v: jax.Array, v_t: jax.Array, J: jax.Array) -> jax.Array:
+    """Dv/Dt = dv/dt + (v . grad) v [3] of a flow: what a particle of water feels, m/s^2."""
+    return v_t + jnp.sum(J * v[None, :], axis=1)
+
+
+def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """phi(s) = (1 - exp(-s)) / s and its derivative, for s >= 0.
+
+    Near zero both are power series (ten terms: 1e-17 at the threshold); the closed form, which
+    cancels there, is given a harmless argument so that gradients stay finite.
+    """
+    small = s < _SERIES_BELOW
+    safe = jnp.where(small, 1.0, s)
+    far = -jnp.expm1(-safe) / safe
+    far_slope = (jnp.exp(-safe) - far) / safe
+    near, near_slope = jnp.zeros_like(s), jnp.zeros_like(s)
+    for k in range(len(_SERIES) - 1, 0, -1):
+        near = (near + _SERIES[k]) * s
+        near_slope = near_slope * s + k * _SERIES[k]
+    return jnp.where(small, near + _SERIES[0], far), jnp.where(small, near_slope, far_slope)

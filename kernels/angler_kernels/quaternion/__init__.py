@@ -1,0 +1,23 @@
+"""Unit quaternions, wxyz, rotating body vectors into the world."""
+
+from angler_kernels.quaternion.reference import (
+    conjugate,
+    exp,
+    from_yaw,
+    multiply,
+    rotate,
+    rotate_inverse,
+    to_matrix,
+    yaw,
+)
+
+__all__ = [
+    "conjugate",
+    "exp",
+    "from_yaw",
+    "multiply",
+    "rotate",
+    "rotate_inverse",
+    "to_matrix",
+    "yaw",
+]

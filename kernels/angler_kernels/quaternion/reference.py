@@ -1,0 +1,75 @@
+"""Quaternion algebra for one quaternion [4] (w, x, y, z); the batch is the caller's ``vmap``."""
+
+import jax
+import jax.numpy as jnp
+
+
+def multiply(a: jax.Array, b: jax.Array) -> jax.Array:
+    """Hamilton product of two quaternions [4]."""
+    aw, ax, ay, az = a[0], a[1], a[2], a[3]
+    bw, bx, by, bz = b[0], b[1], b[2], b[3]
+    return jnp.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def conjugate(q: jax.Array) -> jax.Array:
+    """Inverse of a unit quaternion [4]."""
+    return jnp.stack([q[0], -q[1], -q[2], -q[3]])
+
+
+def rotate(q: jax.Array, v: jax.Array) -> jax.Array:
+    """Vector [3] given in the body frame, expressed in the world frame."""
+    w, u = q[0], q[1:]
+    t = 2.0 * jnp.cross(u, v)
+    return v + w * t + jnp.cross(u, t)
+
+
+def rotate_inverse(q: jax.Array, v: jax.Array) -> jax.Array:
+    """Vector [3] given in the world frame, expressed in the body frame."""
+    return rotate(conjugate(q), v)
+
+
+def to_matrix(q: jax.Array) -> jax.Array:
+    """Rotation matrix [3, 3] that maps body vectors to world vectors."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def exp(rotation: jax.Array) -> jax.Array:
+    """Unit quaternion [4] of a rotation vector [3], rad: the exponential map of SO(3).
+
+    Below 1e-3 rad the series sin(h)/h = 1 - h^2/6 + h^4/120 is used, exact there to float64; both
+    branches of the ``where`` are given a safe argument, so gradients are finite at zero too.
+    """
+    square = jnp.sum(rotation * rotation)
+    small = square < 1e-6
+    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    half = 0.5 * angle
+    h2 = 0.25 * square
+    sinc = jnp.where(small, 1.0 - h2 / 6.0 + h2 * h2 / 120.0, jnp.sin(half) / half)
+    cosine = jnp.where(small, 1.0 - h2 / 2.0 + h2 * h2 / 24.0, jnp.cos(half))
+    return jnp.concatenate([cosine[None], 0.5 * sinc * rotation])
+
+
+def yaw(q: jax.Array) -> jax.Array:
+    """Heading [] about world z of the body x axis, rad, 0 = world x (east)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def from_yaw(heading: jax.Array) -> jax.Array:
+    """Quaternion [4] of a rotation about world z by ``heading`` [], rad."""
+    zero = jnp.zeros_like(heading)
+    return jnp.stack([jnp.cos(0.5 * heading), zero, zero, jnp.sin(0.5 * heading)])

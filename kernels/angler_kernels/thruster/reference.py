@@ -1,0 +1,60 @@
+"""Table look-ups on a uniform PWM grid and the exact first-order lag, for one thruster."""
+
+import jax
+import jax.numpy as jnp
+
+
+def lookup(
+    table: jax.Array, pwm: jax.Array, first: jax.Array | float, step: jax.Array | float
+) -> jax.Array:
+    """Linear interpolation of ``table`` [n] at ``pwm`` [], held at both ends.
+
+    Args:
+        table: [n] values at ``first + step * i``.
+        pwm: [] us.
+        first: PWM of the first entry, us.
+        step: us between entries.
+    """
+    x = jnp.clip((pwm - first) / step, 0.0, table.shape[0] - 1.0)
+    i = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, table.shape[0] - 2)
+    fraction = x - i
+    return table[i] * (1.0 - fraction) + table[i + 1] * fraction
+
+
+def inverse_lookup(
+    table: jax.Array, value: jax.Array, first: jax.Array | float, step: jax.Array | float
+) -> jax.Array:
+    """PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped to its ends.
+
+    Where the table is flat (the dead band) the middle of the flat stretch is returned, so a demand
+    of zero thrust is the neutral signal.
+    """
+    n = table.shape[0]
+    wanted = jnp.clip(value, table[0], table[-1])
+    below = jnp.sum(table < wanted)
+    not_above = jnp.sum(table <= wanted)
+    i = jnp.clip(below, 1, n - 1)
+    rise = table[i] - table[i - 1]
+    inside = i - 1 + (wanted - table[i - 1]) / jnp.where(rise > 0, rise, 1.0)
+    flat = 0.5 * (below + not_above - 1)
+    return first + step * jnp.where(not_above > below, flat, inside)
+
+
+def rotor_lag(
+    thrust: jax.Array, command: jax.Array, tau: jax.Array, dt: jax.Array | float
+) -> tuple[jax.Array, jax.Array]:
+    """One step of the lag tau f' = command - f, solved exactly for a command held over the step.
+
+    Args:
+        thrust: [...] N at the beginning of the step.
+        command: [...] N.
+        tau: time constant, s, > 0.
+        dt: s.
+
+    Returns:
+        Thrust at the end of the step, and its mean over the step: dt times the mean is the exact
+        impulse.
+    """
+    decay = jnp.exp(-dt / tau)
+    gap = thrust - command
+    return command + gap * decay, command + gap * (1.0 - decay) * tau / dt

@@ -1,0 +1,1 @@
+"""Real ArduSub processes behind the control interface of angler_mjx."""
