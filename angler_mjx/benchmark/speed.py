@@ -1,7 +1,7 @@
 """Speed of a scenario on this device: drawing and planning worlds, and simulating them.
 
-What is timed is said with every row. The simulation is timed in its first seconds, while every robot
-moves; a result with NaN in it is refused.
+What is timed is said with every row. The simulation is timed in its first seconds, while all robots
+move; a result with NaN in it is refused.
 """
 
 import json
@@ -15,8 +15,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.folder import describe_environment
-from angler_mjx.runs.rollout import peak_memory_bytes
+from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import Outcome

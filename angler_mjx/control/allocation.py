@@ -16,6 +16,12 @@ from angler_mjx.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 
+NEUTRAL_US = 1500.0
+"""The signal of a thruster that stands still."""
+LEAST_THRUST_N = 0.005
+"""Half a unit of the last place of the thrust data: less than this is no thrust. Without it the
+rounding of a balanced wrench would switch a thruster between the two edges of its dead band."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +57,7 @@ def allocate(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
         command: wrench [6] at the centre of mass, in F.
 
     Returns:
-        PWM [n_thruster]; a demand inside the dead band gives the neutral signal.
+        PWM [n_thruster]; a demand below ``LEAST_THRUST_N`` gives the neutral signal.
     """
     low, high = params.thrust_n[0], params.thrust_n[-1]
     tau = command.tau
@@ -63,7 +69,7 @@ def allocate(params: AllocationParams, command: BodyWrench) -> ThrusterPwm:
     pwm = jax.vmap(thruster.inverse_lookup, (None, 0, None, None))(
         params.thrust_n, thrust, PWM_LOW_US, PWM_STEP_US
     )
-    return ThrusterPwm(pwm_us=pwm)
+    return ThrusterPwm(pwm_us=jnp.where(jnp.abs(thrust) < LEAST_THRUST_N, NEUTRAL_US, pwm))
 
 
 def _largest_share(base: jax.Array, extra: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:

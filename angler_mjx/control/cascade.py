@@ -30,7 +30,7 @@ class Gains:
     """Velocity loop: acceleration per m/s of error."""
     rate_per_s: float = 4.0
     """Velocity loop: angular acceleration per rad/s of error."""
-    integral_per_s2: float = 0.8
+    integral_per_s2: float = 1.5
     """Velocity loop: growth of the acceleration held against the current."""
     integral_limit_mps2: float = 3.0
     """Anti-windup: bound of that acceleration."""
@@ -169,9 +169,11 @@ def velocity_loop(
     density: float,
     gravity: float,
 ) -> tuple[CascadeCarry, BodyWrench]:
-    """PI on velocity, scaled by the vehicle's inertia, with its drag and net weight fed forward.
+    """PI on velocity, scaled by the vehicle's inertia; drag, C_A and net weight are fed forward.
 
-    tau = (M_RB + M_A) (K_p e + z) + D(nu_cmd) nu_cmd + (W - B) up; z integrates e and is bounded.
+    tau = (M_RB + M_A) (K_p e + z) + D(nu_cmd) nu_cmd + C_A(nu_cmd) nu_cmd + (W - B) up; z
+    integrates e and is bounded. C_A holds the Munk moment, which would pitch and roll a vehicle
+    that moves along two axes at once.
     """
     vehicle = params.vehicle
     error = command.nu - estimate.nu
@@ -192,8 +194,9 @@ def velocity_loop(
     )
     lift = (density * vehicle.volume_m3 - vehicle.mass_kg) * gravity
     drag = rigid_body.damping_wrench(vehicle.D_l, vehicle.D_q, command.nu)
+    munk = rigid_body.added_mass_coriolis(vehicle.M_A, command.nu)
     buoyancy = rigid_body.buoyancy_wrench(estimate.q, lift, jnp.zeros(3, error.dtype))
-    tau = dry + matrix_times(vehicle.M_A, acceleration) - drag - buoyancy
+    tau = dry + matrix_times(vehicle.M_A, acceleration) + munk - drag - buoyancy
     return (
         CascadeCarry(clock_s=carry.clock_s, yaw_rad=carry.yaw_rad, integral=integral),
         BodyWrench(tau=tau),

@@ -1,7 +1,7 @@
 """MuJoCo MJX behind one module: the inertia and the bias force of a vehicle's multibody model.
 
 Owns everything that touches ``mujoco.mjx``: the model that a fleet shares, the inertias in which
-its vehicles differ, and the accelerations that the step needs. MJX's own integrators, contacts,
+its vehicles differ, and the inertia and force that the step needs. MJX's own integrators, contacts,
 actuators and fluid model are not used; no MuJoCo fluid attribute is ever set.
 
 A free joint's velocity in MuJoCo is the linear velocity in the world and the angular velocity in
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import mujoco
 from mujoco import mjx
 
-from angler_kernels import quaternion, spd_solve
+from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
 
 
@@ -70,10 +70,13 @@ def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
     return MjxEngine(model=model, data=mjx.make_data(model)), BodyInertia(**stacked)
 
 
-def inertia_and_bias(
+def inertia_and_force(
     engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Inertia matrix and bias force of the dry vehicle, in MuJoCo's coordinates.
+    """Inertia of the dry vehicle, and the force of gravity and rotation on it, both in F.
+
+    With T = blkdiag(R^T, 1) from MuJoCo's velocity v to nu and nu' = T v' - [omega x v; 0],
+    M v' + bias = T^T w becomes (T M T^T) nu' = w - T bias - T M T^T [omega x v; 0].
 
     Args:
         engine: of the fleet.
@@ -83,8 +86,23 @@ def inertia_and_bias(
         nu: [6] in F.
 
     Returns:
-        M [6, 6] and the force [6] of gravity, Coriolis and centrifugal terms on its left-hand side.
+        M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle, in F).
     """
+    M, bias = _inertia_and_bias(engine, body, p, q, nu)
+    R = quaternion.to_matrix(q)
+    zero = jnp.zeros_like(R)
+    T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
+    T_M = jnp.sum(T[:, :, None] * M[None, :, :], axis=1)
+    M_RB = jnp.sum(T_M[:, None, :] * T[None, :, :], axis=2)
+    turning = jnp.cross(nu[3:], nu[:3])
+    turning = jnp.concatenate([turning, jnp.zeros_like(turning)])
+    return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
+
+
+def _inertia_and_bias(
+    engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
     v_world = quaternion.rotate(q, nu[:3])
     model = engine.model.replace(
         **{field.name: getattr(body, field.name) for field in fields(body)}
@@ -98,49 +116,3 @@ def inertia_and_bias(
     data = mjx.com_vel(model, data)
     data = mjx.rne(model, data)
     return mjx.full_m(model, data), data.qfrc_bias
-
-
-def accelerations(
-    engine: MjxEngine,
-    body: BodyInertia,
-    M_A: jax.Array,
-    p: jax.Array,
-    q: jax.Array,
-    nu: jax.Array,
-    water: jax.Array,
-    thrust: jax.Array,
-) -> tuple[jax.Array, jax.Array]:
-    """Acceleration by all smooth forces, and the extra acceleration by the thrusters.
-
-    Added mass joins the inertia before it is solved: with T = blkdiag(R^T, 1) from MuJoCo's
-    velocity to nu, (M + T^T M_A T) a = T^T (w + M_A [omega x v; 0]) - bias.
-
-    Args:
-        engine: of the fleet.
-        body: of one vehicle.
-        M_A: [6, 6] added mass, in F.
-        p: [3] m in W.
-        q: [4].
-        nu: [6] in F.
-        water: [6] wrench of the water, in F.
-        thrust: [6] wrench of the thrusters, in F.
-
-    Returns:
-        nu' [6] by everything but the thrusters, and the part [6] that the thrusters add, in F.
-    """
-    M, bias = inertia_and_bias(engine, body, p, q, nu)
-    R = quaternion.to_matrix(q)
-    zero = jnp.zeros_like(R)
-    T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
-    M_A_T = jnp.sum(M_A[:, :, None] * T[None, :, :], axis=1)
-    M_total = M + jnp.sum(T[:, :, None] * M_A_T[:, None, :], axis=0)
-    turning = jnp.cross(nu[3:], nu[:3])
-    carried = matrix_times(M_A, jnp.concatenate([turning, jnp.zeros_like(turning)]))
-    smooth = matrix_times(T.T, water + carried) - bias
-    a = spd_solve.solve(M_total, jnp.stack([smooth, matrix_times(T.T, thrust)], axis=1))
-    smooth_linear = quaternion.rotate_inverse(q, a[:3, 0]) - turning
-    thrust_linear = quaternion.rotate_inverse(q, a[:3, 1])
-    return (
-        jnp.concatenate([smooth_linear, a[3:, 0]]),
-        jnp.concatenate([thrust_linear, a[3:, 1]]),
-    )

@@ -2,23 +2,26 @@
 
 In this order, at time t with pose (p, q), velocity nu, thrusts f, and a command held over the step:
 
-1. flow and its material derivative at p; wrench of the water at (p, q, nu);
+1. flow and its material derivative at p; wrench of the water and slope J of its damping at
+   (p, q, nu);
 2. rotor lag, exact: thrusts at t + dt and their mean over the step;
-3. nu' by the smooth forces, and the acceleration by the mean thrusts, at (p, q, nu);
-4. nu(t+dt) = nu + dt (3/2 nu' - 1/2 nu'_before) + dt (acceleration by the mean thrusts), all in the
-   body frame;
+3. inertia and force of the dry vehicle at (p, q, nu); M = M_RB + M_A, F = all smooth forces;
+4. (M + dt/2 J) d = dt (3/2 F - 1/2 G + B f_mean), nu(t+dt) = nu + d, all in the body frame; then
+   G = F - J d for the next step: two-step Adams-Bashforth, with damping by the linearised
+   trapezoidal rule;
 5. pose by the mean of nu(t) and nu(t+dt): q(t+dt) = q exp(dt omega_mean), p(t+dt) = p + dt R(q at
    mid-step) v_mean.
 
-Second order with one evaluation of the forces a step (docs/validation.md has the convergence).
+Second order with one evaluation of the forces a step (docs/validation.md has the convergence). The
+damping of small vehicles is stiff (2 D_q |omega| / I passes 100 1/s), hence its implicit treatment.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import rigid_body, thruster
+from angler_kernels import quaternion, rigid_body, thruster
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.vehicles.params import VehicleParams
@@ -46,36 +49,50 @@ class VehicleState:
     """[4] attitude, F to W."""
     nu: jax.Array
     """[6] velocity over ground, in F."""
-    nu_dot: jax.Array
-    """[6] nu' by the smooth forces at the step before; at rest before the first step."""
+    force_before: jax.Array
+    """[6] smooth forces of the step before, brought to the present velocity, in F; see `step`."""
     thrust: jax.Array
     """[n_thruster] N, behind the rotor's lag."""
 
 
-def water_wrench(
+def smooth_force(
+    engine: MjxEngine,
+    body: BodyInertia,
     params: VehicleParams,
     state: VehicleState,
     current: Current,
     t: jax.Array,
     water: Water,
-) -> jax.Array:
-    """Wrench [6] of the water on one vehicle at time t [], in F; see angler_kernels.rigid_body."""
-    v_c, Dv_c = currents.evaluate(current, state.p, t)
-    return rigid_body.water_wrench(
-        M_A=params.M_A,
-        D_l=params.D_l,
-        D_q=params.D_q,
-        volume=params.volume_m3,
-        p_cb=params.p_cb_m,
-        height=params.hull_height_m,
-        z=state.p[2],
-        q=state.q,
-        nu=state.nu,
-        v_c=v_c,
-        Dv_c=Dv_c,
-        density=water.density_kgpm3,
-        gravity=water.gravity_mps2,
-    )
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Everything that moves one vehicle but its thrusters, at time t [].
+
+    Returns:
+        M [6, 6] with added mass, F [6] and the slope [6] of its damping, in F: without thrusters
+        M nu' = F.
+    """
+    with jax.named_scope("water"):
+        v_c, Dv_c = currents.evaluate(current, state.p, t)
+        wrench = rigid_body.water_wrench(
+            M_A=params.M_A,
+            D_l=params.D_l,
+            D_q=params.D_q,
+            volume=params.volume_m3,
+            p_cb=params.p_cb_m,
+            height=params.hull_height_m,
+            z=state.p[2],
+            q=state.q,
+            nu=state.nu,
+            v_c=v_c,
+            Dv_c=Dv_c,
+            density=water.density_kgpm3,
+            gravity=water.gravity_mps2,
+        )
+        v_r = state.nu[:3] - quaternion.rotate_inverse(state.q, v_c)
+        nu_r = jnp.concatenate([v_r, state.nu[3:]])
+        slope = rigid_body.damping_slope(params.D_l, params.D_q, nu_r)
+    with jax.named_scope("multibody"):
+        M_RB, dry = mjx_engine.inertia_and_force(engine, body, state.p, state.q, state.nu)
+    return M_RB + params.M_A, dry + wrench, slope
 
 
 def reset(
@@ -87,17 +104,10 @@ def reset(
     current: Current,
     water: Water,
 ) -> VehicleState:
-    """A vehicle at rest over ground at p [3], q [4], thrusters still, at t = 0.
-
-    The acceleration of the resting vehicle is evaluated, so that the first step is Euler's.
-    """
-    state = VehicleState(
-        p=p,
-        q=q,
-        nu=jnp.zeros(6, p.dtype),
-        nu_dot=jnp.zeros(6, p.dtype),
-        thrust=jnp.zeros(params.B.shape[-1], p.dtype),
-    )
+    """A vehicle at rest over ground at p [3], q [4], thrusters still, at t = 0."""
+    zero = jnp.zeros(6, p.dtype)
+    thrust = jnp.zeros(params.B.shape[-1], p.dtype)
+    state = VehicleState(p=p, q=q, nu=zero, force_before=zero, thrust=thrust)
     return start_multistep(engine, body, params, state, current, jnp.zeros((), p.dtype), water)
 
 
@@ -110,12 +120,9 @@ def start_multistep(
     t: jax.Array,
     water: Water,
 ) -> VehicleState:
-    """The same state with ``nu_dot`` evaluated at t, as a new start of the multistep formula."""
-    wrench = water_wrench(params, state, current, t, water)
-    nu_dot, _ = mjx_engine.accelerations(
-        engine, body, params.M_A, state.p, state.q, state.nu, wrench, jnp.zeros_like(wrench)
-    )
-    return VehicleState(p=state.p, q=state.q, nu=state.nu, nu_dot=nu_dot, thrust=state.thrust)
+    """The same state with ``force_before`` evaluated at t, as a new start of the formula."""
+    _, force, _ = smooth_force(engine, body, params, state, current, t, water)
+    return replace(state, force_before=force)
 
 
 def step(
@@ -145,16 +152,13 @@ def step(
     Returns:
         The state at t + dt.
     """
-    with jax.named_scope("water"):
-        wrench = water_wrench(params, state, current, t, water)
+    M, force, slope = smooth_force(engine, body, params, state, current, t, water)
     with jax.named_scope("thrusters"):
         thrust, mean_thrust = thruster.rotor_lag(state.thrust, thrust_command, params.tau_s, dt)
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
-    with jax.named_scope("multibody"):
-        nu_dot, nu_dot_thrust = mjx_engine.accelerations(
-            engine, body, params.M_A, state.p, state.q, state.nu, wrench, thrust_wrench
-        )
     with jax.named_scope("integrate"):
-        nu = rigid_body.advance_velocity(state.nu, nu_dot, state.nu_dot, dt) + dt * nu_dot_thrust
+        nu, force_before = rigid_body.advance_damped_velocity(
+            state.nu, M, slope, force, state.force_before, thrust_wrench, dt
+        )
         p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
-    return VehicleState(p=p, q=q, nu=nu, nu_dot=nu_dot, thrust=thrust)
+    return VehicleState(p=p, q=q, nu=nu, force_before=force_before, thrust=thrust)

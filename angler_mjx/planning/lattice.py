@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
-from angler_kernels.clearance import capsules_obstacle
 
+from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.world.environment import Environment, Grid
 from angler_mjx.world.obstacles import STATIC, Obstacles
@@ -106,7 +106,7 @@ class Layout:
         return seen << -dz if dz < 0 else seen
 
     def centres(self, grid: Grid) -> tuple[jax.Array, jax.Array]:
-        """x and y [total] of the centre of each word's column, m."""
+        """X and y [total] of the centre of each word's column, m."""
         n = jnp.arange(self.total) - self.guard
         x = grid.origin_m[0] + (n // self.row + 0.5) * grid.cell_m
         y = grid.origin_m[1] + (n % self.row + 0.5) * grid.cell_m
@@ -174,11 +174,11 @@ def terrain(environment: Environment) -> Terrain:
     cell_gap = edge_gap = None
     if STATIC in obstacles.motions:
         cell_gap = _obstacle_gap(obstacles, centre, centre)
-        corner = [
-            (centre + grid.cell_m * jnp.array(edge.near), centre + grid.cell_m * jnp.array(edge.far))
-            for edge in EDGES
-        ]
-        edge_gap = jnp.stack([_obstacle_gap(obstacles, a, b) for a, b in corner])
+        near = jnp.array([edge.near for edge in EDGES]) * grid.cell_m
+        far = jnp.array([edge.far for edge in EDGES]) * grid.cell_m
+        edge_gap = jax.vmap(lambda a, b: _obstacle_gap(obstacles, centre + a, centre + b))(
+            near, far
+        )
     return Terrain(
         grid=grid,
         columns=column_words(grid.occupied),
@@ -217,15 +217,15 @@ def line_of_sight(land: Terrain, a: jax.Array, b: jax.Array, clearance_m: jax.Ar
     """Whether the segment from a [3] to b [3] keeps ``clearance_m`` from cells and obstacles.
 
     Rock is grown by the clearance along each axis, so that near its corners and edges the test asks
-    for up to sqrt(3) times more than it must. The segment is clipped to each grown column; the cells
-    that it meets there are those its z-range covers. Faces and floor are not looked at: they are
-    planes, so a segment is clear of them where its ends are.
+    for up to sqrt(3) times more than it must. The segment is clipped to each grown column; the
+    cells that it meets there are those its z-range covers. Faces and floor are not looked at: they
+    are planes, so a segment is clear of them where its ends are.
 
     Returns:
         bool [].
     """
     cell, origin = land.grid.cell_m, land.grid.origin_m
-    # A direction of exactly zero would divide by it; 1e-6 m moves the segment by nothing that counts.
+    # A direction of zero cannot be divided by; 1e-6 m moves the segment by nothing that counts.
     d = jnp.where(jnp.abs(b - a) < 1e-6, 1e-6, b - a)
     enter, leave = [], []
     for axis in (0, 1):

@@ -1,21 +1,21 @@
-"""Space-time reachability of one robot over free cells, and the way back from its goal.
+"""Space-time reachability of one robot over free cells.
 
 A layer is half the time of a step along an axis. Steps along 1, 2, 3 axes take 2, 3, 4 layers: the
-lengths 2, 2.83, 3.46 rounded up. The set of cells that can be reached exactly at a layer is one word
-per column; the next layer is some hundred bit operations per word.
+lengths 2, 2.83, 3.46 rounded up. The set of cells that can be reached exactly at a layer is one
+word per column; the next layer is some hundred bit operations per word.
 
 Other robots are balls (see `traffic`). A step is covered by balls too: about its beginning, middle
 and end, each with a quarter of its length; during each of its layers only those count between which
-the robot then is. A ball is tested as the upright cylinder around it, which in a word is one span of
-bits. So a step that is taken is clear in continuous time and space.
+the robot then is. A ball is tested as the upright cylinder around it, which in a word is one span
+of bits. So a step that is taken is clear in continuous time and space.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
+from angler_mjx.planning.batching import least_of_batch
 from angler_mjx.planning.lattice import BLOCKS, EDGES, FreeSpace, Layout, Terrain, span_bits
 from angler_mjx.planning.traffic import Balls
 
@@ -37,14 +37,29 @@ class Lines:
     """[4, total] cells that are taken during the last layer, for waiting and for the ends of steps
     over 1, 2, 3 axes."""
     middle: tuple[jax.Array, jax.Array, jax.Array]
-    """[n, blocks, total] per number of axes: middles of blocks that were taken during the last
-    layers (2, 3, 3 of them)."""
+    """[n, blocks, total] per number of axes: middles of its 3, 3, 1 kinds of block that were taken
+    during the last 2, 3, 3 layers."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    layer: jax.Array
+    lines: Lines
+    history: jax.Array
+    arrival: jax.Array
 
 
 def reachable(
-    land: Terrain, free: FreeSpace, balls: Balls, start: jax.Array, first: jax.Array
-) -> jax.Array:
-    """Cells that the robot can be in at each layer.
+    land: Terrain,
+    free: FreeSpace,
+    balls: Balls,
+    start: jax.Array,
+    first: jax.Array,
+    goal: jax.Array,
+    may_stay: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Cells that the robot can be in at each layer, until it can end at its goal.
 
     Args:
         land: the world.
@@ -52,54 +67,78 @@ def reachable(
         balls: the other robots; L layers.
         start: uint32 [total] the start cell's bit.
         first: int [] layer at which the robot is there.
+        goal: int [3] the goal's cell.
+        may_stay: bool [L] whether a robot at its goal from this layer on is never met.
 
     Returns:
-        uint32 [L, inner].
+        uint32 [L, inner]; zero after the last layer that any world of a batch needed. Layer [] of
+        the arrival, and whether there is one.
     """
     layout = land.layout
+    n_layer = balls.radius_m.shape[0]
+    goal_word = goal[0] * layout.row + goal[1]
     stamp = _Stamp(land)
-    n_block = [sum(sum(b) == axes for b in BLOCKS) for axes in (1, 2, 3)]
-    none = jnp.zeros((layout.total,), jnp.uint32)
+
+    def layer(state: _Search) -> _Search:
+        n, lines = state.layer, state.lines
+        seed = jnp.where(n == first, start, jnp.uint32(0))
+        reached = layout.pad(_advance(layout, free, lines)) | seed
+        rest, middle = stamp(balls.centre_m[n], balls.radius_m[n])
+        inner = reached[layout.guard : layout.guard + layout.inner]
+        there = ((inner[goal_word] >> goal[2].astype(jnp.uint32)) & 1) == 1
+        return _Search(
+            layer=n + 1,
+            lines=_shift(lines, reached, rest, middle),
+            history=state.history.at[n].set(inner),
+            arrival=jnp.where(there & may_stay[n] & (state.arrival < 0), n, state.arrival),
+        )
+
+    def going(state: _Search) -> jax.Array:
+        slowest: jax.Array = least_of_batch(state.arrival)
+        return (state.layer < n_layer) & (slowest < 0)
+
+    begin = _Search(
+        layer=jnp.array(0),
+        lines=_no_lines(layout),
+        history=jnp.zeros((n_layer, layout.inner), jnp.uint32),
+        arrival=jnp.array(-1),
+    )
+    end = jax.lax.while_loop(going, layer, begin)
+    return end.history, jnp.maximum(end.arrival, 0), end.arrival >= 0
+
+
+def _no_lines(layout: Layout) -> Lines:
+    """The lines before the first layer: nothing reached, nothing taken."""
 
     def zeros(*lead: int) -> jax.Array:
         return jnp.zeros((*lead, layout.total), jnp.uint32)
 
-    begin = Lines(
-        reached=none,
+    return Lines(
+        reached=zeros(),
         leave=(zeros(2), zeros(3), zeros(4)),
         rest=zeros(4),
-        middle=(zeros(2, n_block[0]), zeros(3, n_block[1]), zeros(3, n_block[2])),
+        middle=(zeros(2, 3), zeros(3, 3), zeros(3, 1)),
     )
 
-    def layer(
-        lines: Lines, now: tuple[jax.Array, jax.Array, jax.Array]
-    ) -> tuple[Lines, jax.Array]:
-        n, centre, radius = now
-        inner = _advance(layout, free, lines)
-        seed = jnp.where(n == first, start, jnp.uint32(0))
-        reached = layout.pad(inner) | seed
-        rest, middle = stamp(centre, radius)
-        return (
-            Lines(
-                reached=reached,
-                leave=tuple(
-                    jnp.concatenate([line[1:], (reached & ~rest[axes])[None]])
-                    for axes, line in zip((1, 2, 3), lines.leave, strict=True)
-                ),
-                rest=rest,
-                middle=tuple(
-                    jnp.concatenate([line[1:], taken[None]])
-                    for line, taken in zip(lines.middle, middle, strict=True)
-                ),
-            ),
-            reached[layout.guard : layout.guard + layout.inner],
-        )
 
-    n_layer = balls.radius_m.shape[0]
-    _, history = jax.lax.scan(
-        layer, begin, (jnp.arange(n_layer), balls.centre_m, balls.radius_m)
+def _shift(
+    lines: Lines, reached: jax.Array, rest: jax.Array, middle: tuple[jax.Array, ...]
+) -> Lines:
+    """The lines one layer later."""
+    leave = [
+        jnp.concatenate([line[1:], (reached & ~rest[axes])[None]])
+        for axes, line in zip((1, 2, 3), lines.leave, strict=True)
+    ]
+    taken = [
+        jnp.concatenate([line[1:], new[None]])
+        for line, new in zip(lines.middle, middle, strict=True)
+    ]
+    return Lines(
+        reached=reached,
+        leave=(leave[0], leave[1], leave[2]),
+        rest=rest,
+        middle=(taken[0], taken[1], taken[2]),
     )
-    return history
 
 
 def _advance(layout: Layout, free: FreeSpace, lines: Lines) -> jax.Array:
@@ -121,9 +160,13 @@ def _advance(layout: Layout, free: FreeSpace, lines: Lines) -> jax.Array:
             if edge.axes != axes:
                 continue
             for a, b in ((edge.near, edge.far), (edge.far, edge.near)):
-                came = layout.look(lines.leave[axes - 1][0], *(i - k for i, k in zip(a, b, strict=True)))
+                came = layout.look(
+                    lines.leave[axes - 1][0], *(i - k for i, k in zip(a, b, strict=True))
+                )
                 back = tuple(-k for k in b)
-                arrived |= came & layout.look(clear, *back) & ~layout.look(blocks[edge.block], *back)
+                arrived |= (
+                    came & layout.look(clear, *back) & ~layout.look(blocks[edge.block], *back)
+                )
         reached |= arrived & ~layout.look(lines.rest[axes], 0, 0, 0)
     return reached & layout.look(free.cells, 0, 0, 0)
 
@@ -176,173 +219,3 @@ class _Stamp:
             inside = (square < wide[k] ** 2) & (wide[k] >= 0.0)
             words |= jnp.where(inside, bits[k], jnp.uint32(0))
         return words
-
-
-def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of the 26 steps: what to add to a cell to get the one before, layers, cover of the way.
-
-    The cover is five rows (share of the step still ahead, layer before arrival, 1 the last), some
-    of them equal; see the module's docstring.
-    """
-    cover = {
-        1: [(1.0, 2), (0.5, 2), (0.5, 1), (0.0, 1), (0.0, 1)],
-        2: [(1.0, 3), (0.5, 3), (0.5, 2), (0.5, 1), (0.0, 1)],
-        3: [(1.0, 4), (0.5, 3), (0.5, 2), (0.0, 1), (0.0, 1)],
-    }
-    steps, layers, share, when, grow = [], [], [], [], []
-    for edge in EDGES:
-        step = np.subtract(edge.far, edge.near)
-        for sign in (1, -1):
-            steps.append(sign * step)
-            layers.append(edge.layers)
-            share.append([row[0] for row in cover[edge.axes]])
-            when.append([row[1] for row in cover[edge.axes]])
-            grow.append(QUARTER[edge.axes])
-    return np.array(steps), np.array(layers), np.array(share), np.array(when), np.array(grow)
-
-
-_STEPS, _LAYERS, _SHARE, _WHEN, _GROW = _backward_tables()
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Route:
-    """A way over cells in time; K rows from the start to the goal, the first one repeated."""
-
-    position_m: jax.Array
-    """[K, 3]."""
-    arrive_s: jax.Array
-    """[K]."""
-    leave_s: jax.Array
-    """[K] >= arrive_s: until then the robot can stay there."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class _Walk:
-    cell: jax.Array
-    layer: jax.Array
-    last: jax.Array
-    row: jax.Array
-    cells: jax.Array
-    arrive: jax.Array
-    leave: jax.Array
-
-
-def trace_back(
-    land: Terrain,
-    free: FreeSpace,
-    balls: Balls,
-    history: jax.Array,
-    layer_s: jax.Array,
-    goal: tuple[jax.Array, jax.Array],
-    start: tuple[jax.Array, jax.Array],
-) -> Route:
-    """A way from the start to the goal through the reached sets, walked backwards.
-
-    Where the robot could have been in the same cell one layer before, it waited there: so every cell
-    of the way is entered as early as it can be. Among the steps that could have led there the one
-    nearest to the straight line from the start is taken, because that pulls straight best.
-
-    Args:
-        land: the world.
-        free: the robot's free space.
-        balls: the other robots, L layers.
-        history: uint32 [L, inner] reached sets.
-        layer_s: [] time of a layer.
-        goal: cell [3] and layer [] of the arrival.
-        start: cell [3] and layer [] of the beginning.
-
-    Returns:
-        The route; it begins at the start's cell only if the goal was reached.
-    """
-    layout = land.layout
-    size = history.shape[0] // 2 + 2
-    row = jnp.array(size - 1)
-    walk = _Walk(
-        cell=goal[0],
-        layer=goal[1],
-        last=goal[1],
-        row=row,
-        cells=jnp.broadcast_to(start[0], (size, 3)),
-        arrive=jnp.zeros((size,), goal[1].dtype),
-        leave=jnp.zeros((size,), goal[1].dtype),
-    )
-    flat = history.reshape(-1)
-    shape = jnp.array(layout.shape)
-    edge_rows = jnp.repeat(jnp.arange(len(EDGES)), 2)
-    lowest = jnp.array(np.minimum(0, -_STEPS))
-
-    def was_there(cells: jax.Array, layers: jax.Array) -> jax.Array:
-        inside = jnp.all((cells >= 0) & (cells < shape), axis=-1) & (layers >= start[1])
-        at = layers * layout.inner + cells[:, 0] * layout.row + cells[:, 1]
-        words = flat[jnp.where(inside, at, 0)]
-        return inside & (((words >> cells[:, 2].astype(jnp.uint32)) & 1) == 1)
-
-    def step(walk: _Walk) -> _Walk:
-        recent = jax.tree.map(
-            lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, jnp.maximum(walk.layer - 4, 0), 4), balls
-        )
-        before = jnp.concatenate([walk.cell[None], walk.cell - _STEPS])
-        took = jnp.concatenate([jnp.ones((1,), jnp.int32), jnp.array(_LAYERS, jnp.int32)])
-        possible = was_there(before, walk.layer - took)
-        low = walk.cell + lowest
-        word = layout.guard + low[:, 0] * layout.row + low[:, 1]
-        free_edge = (free.edges[edge_rows, word] >> jnp.maximum(low[:, 2], 0).astype(jnp.uint32)) & 1
-        possible &= jnp.concatenate([jnp.ones((1,), bool), free_edge == 1])
-        possible &= _undisturbed(land, recent, walk)
-        off = _off_line(walk.cell - _STEPS, start[0], walk.cell)
-        # Waiting first; a way that cannot be (-inf would hide it) goes last.
-        cost = jnp.where(possible, jnp.concatenate([jnp.full((1,), -1.0, off.dtype), off]), jnp.inf)
-        best = jnp.argmin(cost)
-        moved = best > 0
-        here = (jnp.arange(size) == walk.row) & moved
-        return replace(
-            walk,
-            cell=before[best],
-            layer=walk.layer - took[best],
-            last=jnp.where(moved, walk.layer - took[best], walk.last),
-            row=walk.row - moved,
-            cells=jnp.where(here[:, None], walk.cell, walk.cells),
-            arrive=jnp.where(here, walk.layer, walk.arrive),
-            leave=jnp.where(here, walk.last, walk.leave),
-        )
-
-    def going(walk: _Walk) -> jax.Array:
-        return walk.layer > start[1]
-
-    walk = jax.lax.while_loop(going, step, walk)
-    first = jnp.arange(size) == walk.row
-    leave = jnp.where(first, walk.last, walk.leave)
-    arrive = jnp.where(first, walk.layer, walk.arrive)
-    grid = land.grid
-    return Route(
-        position_m=grid.origin_m + (walk.cells + 0.5) * grid.cell_m,
-        arrive_s=arrive * layer_s,
-        leave_s=leave * layer_s,
-    )
-
-
-def _undisturbed(land: Terrain, recent: Balls, walk: _Walk) -> jax.Array:
-    """Whether waiting and each of the 26 steps that end in ``walk`` keep clear of balls, bool [27]."""
-    cell = land.grid.cell_m
-    here = land.grid.origin_m + (walk.cell + 0.5) * cell
-    first = jnp.maximum(walk.layer - 4, 0)
-    index = jnp.maximum(walk.layer - _WHEN - first, 0)
-    place = here - _SHARE[..., None] * _STEPS[:, None, :] * cell
-    centre, radius = recent.centre_m[index], recent.radius_m[index]
-    apart = jnp.sum((place[:, :, None, :] - centre) ** 2, axis=-1)
-    wide = radius + (_GROW * cell)[:, None, None]
-    hit = (radius >= 0.0) & (apart < wide * wide)
-    now = walk.layer - 1 - first
-    rest = jnp.sum((here - recent.centre_m[now]) ** 2, axis=-1)
-    stays = (recent.radius_m[now] < 0.0) | (rest >= recent.radius_m[now] ** 2)
-    return jnp.concatenate([jnp.all(stays)[None], ~jnp.any(hit, axis=(1, 2))])
-
-
-def _off_line(points: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
-    """Squared distance [n] of ``points`` [n, 3] from the line through a and b, in cells."""
-    d = (b - a).astype(jnp.float32)
-    r = (points - a).astype(jnp.float32)
-    along = jnp.sum(r * d, axis=-1)
-    return jnp.sum(r * r, axis=-1) - along * along / jnp.maximum(jnp.sum(d * d), 1.0)

@@ -60,28 +60,33 @@ def clear_of(
 ) -> jax.Array:
     """Whether steady motion from a [3] at t_a [] to b [3] at t_b >= t_a keeps the reach; exact.
 
-    Over the common time of the motion and one leg of another robot the relative motion is a straight
-    line; its distance to the origin is the least distance.
+    Over the common time of the motion and one leg of another robot the relative motion is a
+    straight line; its distance to the origin is the least distance.
 
     Returns:
         bool [].
     """
-    time, point = traffic.time_s, traffic.position_m
-    begin = time
-    end = jnp.concatenate([time[:, 1:], jnp.full_like(time[:, :1], jnp.inf)], axis=1)
-    goes_to = jnp.concatenate([point[:, 1:], point[:, -1:]], axis=1)
+    begin = traffic.time_s
+    end = jnp.concatenate([begin[:, 1:], jnp.full_like(begin[:, :1], jnp.inf)], axis=1)
     low = jnp.maximum(begin, t_a)
     high = jnp.minimum(jnp.minimum(end, t_b), traffic.until_s[:, None])
+    moving = (end > begin) & jnp.isfinite(end)
+    per_s = jnp.where(moving, 1.0 / jnp.where(moving, end - begin, 1.0), 0.0)
     rate = (b - a) / jnp.where(t_b > t_a, t_b - t_a, 1.0)
-    span = end - begin
-    moving = (span > 0.0) & jnp.isfinite(span)
-    other = jnp.where(
-        moving[..., None], (goes_to - point) / jnp.where(moving, span, 1.0)[..., None], 0.0
-    )
-    near = point + other * (low - begin)[..., None] - (a + rate * (low - t_a)[..., None])
-    step = (other - rate) * (high - low)[..., None]
-    square = jnp.sum(step * step, axis=-1)
-    s = jnp.clip(-jnp.sum(near * step, axis=-1) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    gap = near + s[..., None] * step
-    meets = jnp.sum(gap * gap, axis=-1) < (traffic.reach_m**2)[:, None]
+    near, step = [], []
+    # Axis by axis on [R, P] arrays: the short last axis of points would not fill vector registers.
+    for axis in range(3):
+        point = traffic.position_m[:, :, axis]
+        goes_to = jnp.concatenate([point[:, 1:], point[:, -1:]], axis=1)
+        other = (goes_to - point) * per_s
+        near.append(point + other * (low - begin) - a[axis] - rate[axis] * (low - t_a))
+        step.append((other - rate[axis]) * (high - low))
+    square = _dot(step, step)
+    s = jnp.clip(-_dot(near, step) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    gap = [n + s * d for n, d in zip(near, step, strict=True)]
+    meets = _dot(gap, gap) < (traffic.reach_m**2)[:, None]
     return ~jnp.any(meets & (low <= high))
+
+
+def _dot(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

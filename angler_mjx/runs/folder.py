@@ -6,18 +6,12 @@ folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the fi
 """
 
 import json
-import os
-import platform
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import jax
 import pyarrow as pa
 import pyarrow.parquet as pq
 import zarr
@@ -151,42 +145,6 @@ def finish(building: Path, out: Path, episodes: pa.Table, summary: dict[str, Any
 def write_json(path: Path, table: dict[str, Any]) -> None:
     """Write a table as indented JSON."""
     path.write_text(json.dumps(table, indent=2, allow_nan=False) + "\n")
-
-
-def describe_environment() -> dict[str, Any]:
-    """Versions, device, machine, commit and command of this process."""
-    packages = ("angler-mjx", "jax", "jaxlib", "mujoco", "mujoco-mjx", "numpy", "zarr", "pyarrow")
-    device = jax.devices()[0]
-    return {
-        "versions": {name: version(name) for name in packages},
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "cpu_count": os.cpu_count(),
-        "backend": device.platform,
-        "device": device.device_kind,
-        "device_count": jax.device_count(),
-        "commit": _commit(),
-        "command": sys.argv,
-    }
-
-
-def _commit() -> str | None:
-    """Commit of the checkout that runs, with a mark if it was changed; None outside a checkout."""
-    git = ["git", "-C", str(Path(__file__).parent)]
-    try:
-        commit = subprocess.run(
-            [*git, "rev-parse", "HEAD"], capture_output=True, text=True, check=True, timeout=10
-        ).stdout.strip()
-        changed = subprocess.run(
-            [*git, "status", "--porcelain", "--untracked-files=no"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
-        ).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return f"{commit}-changed" if changed else commit
 
 
 def remove(building: Path) -> None:

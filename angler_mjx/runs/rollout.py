@@ -4,7 +4,6 @@ A run is built in a hidden folder beside its place and moved there when it is wh
 interrupted with all finished tiles in it. An interrupted run can be taken up again.
 """
 
-import resource
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import folder, results
+from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.recorder import Recorder, Shape
 from angler_mjx.runs.results import TileResult
 from angler_mjx.runs.scenario import Scenario
@@ -110,7 +110,7 @@ def rollout(
     building = folder.create(place)
     try:
         folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
-        folder.write_json(building / folder.ENVIRONMENT, folder.describe_environment())
+        folder.write_json(building / folder.ENVIRONMENT, describe_environment())
         return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=True)
     except BaseException:
         if folder.read_parts(building) is None:
@@ -252,11 +252,6 @@ class _Rollout:
             "run": str(self._out),
         }
         return folder.finish(self._building, self._out, episodes, summary)
-
-
-def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far (host memory)."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _shape(simulator: Simulator) -> Shape:

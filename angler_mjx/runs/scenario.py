@@ -14,8 +14,6 @@ from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles import library
 from angler_mjx.world.config import WorldConfig
-from angler_mjx.world.currents import CurrentConfig
-from angler_mjx.world.obstacles import ObstaclesConfig
 
 SCHEMA_VERSION = 1
 
@@ -159,8 +157,6 @@ class Scenario(FileModel):
     water: WaterConfig = WaterConfig()
     world: WorldConfig
     fleet: tuple[FleetEntry, ...] = Field(min_length=1)
-    obstacles: ObstaclesConfig = ObstaclesConfig()
-    currents: tuple[CurrentConfig, ...] = ()
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
 

@@ -20,6 +20,7 @@ from angler_mjx.runs.scenario import Scenario
 from angler_mjx.sim import episode, fleet
 from angler_mjx.sim.state import Sample, World, WorldState
 from angler_mjx.world import generate
+from angler_mjx.world.config import WorldRecipe, resolve
 
 DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 """Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
@@ -77,10 +78,10 @@ class Simulator:
             if timing.steps_per_sample
             else 1
         )
-        self._plan = grid_planner.GridPlanner(
+        self._plan = grid_planner.GridPlannerConfig(
             horizon_s=timing.horizon_s, margin_m=scenario.planner.margin_m
         )
-        self._one_world = partial(_one_world, scenario, self._plan)
+        self._one_world = partial(_one_world, scenario, resolve(scenario.world), self._plan)
         self._prepare = jax.jit(self._prepare_tile)
         self._reset = jax.jit(jax.vmap(partial(episode.reset, self.spec), (None, 0)))
         self._step = jax.jit(jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0)))
@@ -182,7 +183,8 @@ class Simulator:
 
 def _one_world(
     scenario: Scenario,
-    planner: grid_planner.GridPlanner,
+    recipe: WorldRecipe,
+    planner: grid_planner.GridPlannerConfig,
     kinds: fleet.Fleet,
     seed: jax.Array,
     index: jax.Array,
@@ -191,13 +193,11 @@ def _one_world(
     key = jax.random.fold_in(jax.random.key(seed), index)
     variant, cascade, body = fleet.draw(kinds, jax.random.fold_in(key, 0))
     environment = generate.generate(
-        scenario.world,
-        scenario.obstacles,
-        scenario.currents,
+        recipe,
         fleet.radius_bound(kinds),
         jax.random.fold_in(key, 1),
-        horizon_s=scenario.time.horizon_s,
-        density_kgpm3=scenario.water.density_kgpm3,
+        scenario.time.horizon_s,
+        scenario.water.density_kgpm3,
     )
     path = grid_planner.plan(
         environment, cascade.vehicle.radius_m, cascade.cruise_speed_mps, planner

@@ -28,7 +28,7 @@ class Contact:
     separation_m: jax.Array
     """[R] to the nearest other hull; inf in a fleet of one."""
     nearest: jax.Array
-    """int32 [R] a `Touched`: what is nearest of all."""
+    """int32 [R] a `Touched`: what is nearest of all; CELL where nothing is within the exact radius."""
     nearest_index: jax.Array
     """int32 [R] which obstacle or robot; -1 otherwise."""
     nearest_is_static: jax.Array

@@ -231,7 +231,7 @@ def _stop_ended(
         p=jnp.where(goes_on, after.p, before.p),
         q=jnp.where(goes_on, after.q, before.q),
         nu=jnp.where(goes_on, after.nu, still),
-        nu_dot=jnp.where(goes_on, after.nu_dot, still),
+        force_before=jnp.where(goes_on, after.force_before, still),
         thrust=jnp.where(goes_on, after.thrust, 0.0),
     )
     return held, alive & ~sound

@@ -2,9 +2,11 @@
 
 from angler_kernels.rigid_body.reference import (
     added_mass_coriolis,
+    advance_damped_velocity,
     advance_pose,
     advance_velocity,
     buoyancy_wrench,
+    damping_slope,
     damping_wrench,
     flow_inertia_wrench,
     matrix_times,
@@ -15,9 +17,11 @@ from angler_kernels.rigid_body.reference import (
 
 __all__ = [
     "added_mass_coriolis",
+    "advance_damped_velocity",
     "advance_pose",
     "advance_velocity",
     "buoyancy_wrench",
+    "damping_slope",
     "damping_wrench",
     "flow_inertia_wrench",
     "matrix_times",

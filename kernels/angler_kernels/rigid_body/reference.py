@@ -17,6 +17,7 @@ The equation, in the body frame F (x forward, y left, z up) with its origin at t
 import jax
 import jax.numpy as jnp
 
+from angler_kernels import spd_solve
 from angler_kernels.quaternion import exp, multiply, rotate, rotate_inverse
 
 
@@ -41,6 +42,11 @@ def added_mass_coriolis(M_A: jax.Array, nu_r: jax.Array) -> jax.Array:
 def damping_wrench(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
     """Wrench [6] of linear and quadratic damping, ``-(D_l + D_q |nu_r|) nu_r``; both [6], >= 0."""
     return -(D_l + D_q * jnp.abs(nu_r)) * nu_r
+
+
+def damping_slope(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
+    """Diagonal [6] of how damping grows with velocity, D_l + 2 D_q |nu_r|; N s/m, N m s/rad."""
+    return D_l + 2.0 * D_q * jnp.abs(nu_r)
 
 
 def submerged_fraction(z: jax.Array, height: jax.Array) -> jax.Array:
@@ -132,6 +138,42 @@ def advance_velocity(
     through it: their impulse over the step is exact and is added by the caller.
     """
     return nu + dt * (1.5 * nu_dot - 0.5 * nu_dot_before)
+
+
+def advance_damped_velocity(
+    nu: jax.Array,
+    M: jax.Array,
+    slope: jax.Array,
+    force: jax.Array,
+    force_before: jax.Array,
+    mean_thrust: jax.Array,
+    dt: jax.Array | float,
+) -> tuple[jax.Array, jax.Array]:
+    """One step of velocity, second order, stable for any strength of damping.
+
+    (M + dt/2 J) d = dt (f + 1/2 (f - g) + b),  nu(t + dt) = nu + d,  g(t + dt) = f - J d.
+
+    Damping is taken by the trapezoidal rule, linearised in the velocity with slope J; what else
+    changes the smooth force f is extrapolated by the two-step Adams-Bashforth formula. g is the
+    force of the step before, brought to the velocity that it led to: without other changes g = f.
+    With J = 0 this is `advance_velocity`, which is unstable where dt J / M > 1.
+
+    Args:
+        nu: [6] velocity.
+        M: [6, 6] inertia with added mass.
+        slope: [6] diagonal of J, `damping_slope`.
+        force: [6] f, all smooth forces, damping included.
+        force_before: [6] g of the step before; f itself before the first step.
+        mean_thrust: [6] b, the mean over the step of forces known in advance.
+        dt: s.
+
+    Returns:
+        nu [6] at the end of the step, and g [6] for the next.
+    """
+    implicit = M + 0.5 * dt * slope[:, None] * jnp.eye(slope.shape[0], dtype=slope.dtype)
+    impulse = dt * (1.5 * force - 0.5 * force_before + mean_thrust)
+    change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
+    return nu + change, force - slope * change
 
 
 def advance_pose(

@@ -26,8 +26,7 @@ def inverse_lookup(
 ) -> jax.Array:
     """PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped to its ends.
 
-    Where the table is flat (the dead band) the middle of the flat stretch is returned, so a demand
-    of zero thrust is the neutral signal.
+    Where the table is flat (the dead band) the middle of the flat stretch is returned.
     """
     n = table.shape[0]
     wanted = jnp.clip(value, table[0], table[-1])

@@ -1,0 +1,22 @@
+"""Loops that end together: the one thing a world may know of the others in its batch.
+
+Under vmap a loop whose end differs between worlds makes every world's whole state wait, row by row,
+behind a select. A loop that ends for the batch as a whole does not. A result must never depend on
+what is found here, only how many rounds without effect are made.
+"""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.custom_batching.custom_vmap
+def least_of_batch(x: jax.Array) -> jax.Array:
+    """The least ``x`` [] of all worlds under vmap; ``x`` itself without."""
+    return x
+
+
+@least_of_batch.def_vmap
+def _least(_: int, in_batched: Sequence[bool], x: jax.Array) -> tuple[jax.Array, bool]:
+    return least_of_batch(jnp.min(x, axis=0) if in_batched[0] else x), False

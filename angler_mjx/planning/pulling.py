@@ -1,0 +1,172 @@
+"""String-pulling: from a way over cells to few way-points, at cruise speed where that is clear.
+
+The way over cells is a timetable that is clear as it stands. The pulled path goes ahead of it: a
+straight segment is taken only if it is clear of rock and, at its new times, of the other robots,
+and if the robot can stand at its end until the timetable leaves there. So the timetable can be
+resumed at every way-point, and a wait that safety needs stays.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.planning.batching import least_of_batch
+from angler_mjx.planning.lattice import Terrain, line_of_sight
+from angler_mjx.planning.tracing import Route
+from angler_mjx.planning.traffic import Traffic, clear_of
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _String:
+    """A segment from ``from_m``, left at ``from_s``, to ``to_m``, reached at ``to_s``."""
+
+    from_m: jax.Array
+    from_s: jax.Array
+    to_m: jax.Array
+    to_s: jax.Array
+    leave_s: jax.Array
+    """When the timetable leaves ``to_m``."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Knot:
+    """An end of a segment that stays in the path."""
+
+    keep: jax.Array
+    position_m: jax.Array
+    arrive_s: jax.Array
+    leave_s: jax.Array
+
+
+def pull(
+    land: Terrain,
+    traffic: Traffic,
+    route: Route,
+    clearance_m: jax.Array,
+    speed_mps: jax.Array,
+    n_point: int,
+) -> Trajectory:
+    """Pull one robot's route straight.
+
+    Args:
+        land: the world.
+        traffic: the other robots.
+        route: K rows, a timetable no faster than the cruise speed, ending with the time up to which
+            the robot must be able to stand at its goal.
+        clearance_m: [] to keep from cells and obstacles.
+        speed_mps: [] cruise speed.
+        n_point: way-points of the result.
+
+    Returns:
+        Trajectory of ``n_point`` rows; ``found`` is False where they are too few or the route is
+        not clear.
+    """
+    begin = _String(
+        from_m=route.position_m[0],
+        from_s=jnp.zeros_like(speed_mps),
+        to_m=route.position_m[0],
+        to_s=jnp.zeros_like(speed_mps),
+        leave_s=route.leave_s[0],
+    )
+    size = route.arrive_s.shape[0]
+    empty = _Knot(
+        keep=jnp.zeros((size,), bool),
+        position_m=jnp.zeros_like(route.position_m),
+        arrive_s=jnp.zeros_like(route.arrive_s),
+        leave_s=jnp.zeros_like(route.leave_s),
+    )
+
+    def lengthen(k: jax.Array, state: tuple[_String, _Knot]) -> tuple[_String, _Knot]:
+        string, knots = state
+        row = (route.position_m[k], route.arrive_s[k], route.leave_s[k])
+        string, knot = _lengthen(land, traffic, clearance_m, speed_mps, string, row)
+        return string, jax.tree.map(lambda many, one: many.at[k - 1].set(one), knots, knot)
+
+    first = least_of_batch(jnp.maximum(route.begin, 1))
+    string, knots = jax.lax.fori_loop(first, size, lengthen, (begin, empty))
+    end = _Knot(
+        keep=jnp.array(True), position_m=string.to_m, arrive_s=string.to_s, leave_s=string.to_s
+    )
+    knots = jax.tree.map(lambda many, one: many.at[-1].set(one), knots, end)
+    path = _collect(route.position_m[0], knots, n_point)
+    return replace(
+        path, found=path.found & route.whole & _keeps_clear(traffic, path, route.leave_s[-1])
+    )
+
+
+def _keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
+    """Whether a whole path keeps clear, and then its end until ``until_s``.
+
+    The timetable's own legs were proved by the search; this proves all of them once more, exactly.
+    """
+    place = jnp.concatenate([path.position_m, path.position_m[-1:]])
+    time = jnp.concatenate([path.time_s, jnp.maximum(path.time_s[-1:], until_s)])
+    legs = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
+        traffic, place[:-1], time[:-1], place[1:], time[1:]
+    )
+    return jnp.all(legs)
+
+
+def _lengthen(
+    land: Terrain,
+    traffic: Traffic,
+    clearance_m: jax.Array,
+    speed_mps: jax.Array,
+    string: _String,
+    row: tuple[jax.Array, jax.Array, jax.Array],
+) -> tuple[_String, _Knot]:
+    """Draw the string on to the route's next row, or knot it at its present end first."""
+    goal, arrive, leave = row
+    starts = jnp.stack([string.from_m, string.to_m])
+    departs = jnp.stack([string.from_s, string.to_s])
+    gap = goal - starts
+    arrives = departs + jnp.sqrt(jnp.sum(gap * gap, axis=-1)) / speed_mps
+    # Each way is a motion followed by standing at its end: four motions in one test.
+    goals = jnp.broadcast_to(goal, (2, 3))
+    clear = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
+        traffic,
+        jnp.concatenate([starts, goals]),
+        jnp.concatenate([departs, arrives]),
+        jnp.concatenate([goals, goals]),
+        jnp.concatenate([arrives, jnp.maximum(arrives, leave)]),
+    )
+    clear = clear[:2] & clear[2:]
+    seen = jax.vmap(line_of_sight, in_axes=(None, 0, None, None))(land, starts, goal, clearance_m)
+    straight, at_once = clear[0] & seen[0], clear[1] & seen[1]
+    go = jnp.where(at_once, string.to_s, string.leave_s)
+    knot = _Knot(keep=~straight, position_m=string.to_m, arrive_s=string.to_s, leave_s=go)
+    return (
+        _String(
+            from_m=jnp.where(straight, string.from_m, string.to_m),
+            from_s=jnp.where(straight, string.from_s, go),
+            to_m=goal,
+            to_s=jnp.where(straight, arrives[0], jnp.where(at_once, arrives[1], arrive)),
+            leave_s=leave,
+        ),
+        knot,
+    )
+
+
+def _collect(start: jax.Array, knots: _Knot, n_point: int) -> Trajectory:
+    """Gather the knots that stay, each with arrival and departure, into ``n_point`` rows."""
+    time = jnp.stack([knots.arrive_s, knots.leave_s], axis=1).reshape(-1)
+    place = jnp.repeat(knots.position_m, 2, axis=0)
+    time = jnp.where(jnp.repeat(knots.keep, 2), time, 0.0)
+    before = jnp.concatenate([jnp.zeros((1,), time.dtype), jax.lax.cummax(time)[:-1]])
+    new = time > before
+    rank = jnp.cumsum(new)
+    count = rank[-1]
+    row = jnp.minimum(jnp.arange(n_point), count)
+    # One-hot rows: each sum has one term, so it is exact.
+    pick = (rank == row[:, None]) & new
+    times = jnp.sum(jnp.where(pick, time, 0.0), axis=1)
+    places = jnp.sum(jnp.where(pick[..., None], place, 0.0), axis=1)
+    return Trajectory(
+        time_s=times,
+        position_m=jnp.where((row == 0)[:, None], start, places),
+        found=count < n_point,
+    )

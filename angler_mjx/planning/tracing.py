@@ -1,0 +1,204 @@
+"""The way back from the goal: one route through the sets that the search reached."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.planning.lattice import EDGES, FreeSpace, Layout, Terrain
+from angler_mjx.planning.search import QUARTER
+from angler_mjx.planning.traffic import Balls
+
+
+def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of the 26 steps: what to add to a cell to get the one before, layers, cover of the way.
+
+    The cover is five rows (share of the step still ahead, layer before arrival, 1 the last), some
+    of them equal; see `search`.
+    """
+    cover = {
+        1: [(1.0, 2), (0.5, 2), (0.5, 1), (0.0, 1), (0.0, 1)],
+        2: [(1.0, 3), (0.5, 3), (0.5, 2), (0.5, 1), (0.0, 1)],
+        3: [(1.0, 4), (0.5, 3), (0.5, 2), (0.0, 1), (0.0, 1)],
+    }
+    steps, layers, share, when, grow = [], [], [], [], []
+    for edge in EDGES:
+        step = np.subtract(edge.far, edge.near)
+        for sign in (1, -1):
+            steps.append(sign * step)
+            layers.append(edge.layers)
+            share.append([row[0] for row in cover[edge.axes]])
+            when.append([row[1] for row in cover[edge.axes]])
+            grow.append(QUARTER[edge.axes])
+    return np.array(steps), np.array(layers), np.array(share), np.array(when), np.array(grow)
+
+
+_STEPS, _LAYERS, _SHARE, _WHEN, _GROW = _backward_tables()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """A way over cells in time; K rows from the start to the goal, the first one repeated."""
+
+    position_m: jax.Array
+    """[K, 3]."""
+    arrive_s: jax.Array
+    """[K]."""
+    leave_s: jax.Array
+    """[K] >= arrive_s: until then the robot can stay there."""
+    begin: jax.Array
+    """[] row from which on the rows are not repeated."""
+    whole: jax.Array
+    """bool []: every step of it was found among the reached sets."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Walk:
+    cell: jax.Array
+    layer: jax.Array
+    last: jax.Array
+    row: jax.Array
+    cells: jax.Array
+    arrive: jax.Array
+    leave: jax.Array
+    whole: jax.Array
+
+
+def trace_back(
+    land: Terrain,
+    free: FreeSpace,
+    balls: Balls,
+    history: jax.Array,
+    layer_s: jax.Array,
+    goal: tuple[jax.Array, jax.Array],
+    start: tuple[jax.Array, jax.Array],
+) -> Route:
+    """A way from the start to the goal through the reached sets, walked backwards.
+
+    Where the robot could have been in the same cell one layer before, it waited there: so every
+    cell of the way is entered as early as it can be. Among the steps that could have led there the
+    one that begins nearest to the straight line from the start is taken.
+
+    Args:
+        land: the world.
+        free: the robot's free space.
+        balls: the other robots, L layers.
+        history: uint32 [L, inner] reached sets.
+        layer_s: [] time of a layer.
+        goal: cell [3] and layer [] of the arrival.
+        start: cell [3] and layer [] of the beginning.
+
+    Returns:
+        The route; it begins at the start's cell only if the goal was reached.
+    """
+    size = history.shape[0] // 2 + 2
+    walk = _Walk(
+        cell=goal[0],
+        layer=goal[1],
+        last=goal[1],
+        row=jnp.array(size - 1),
+        cells=jnp.broadcast_to(start[0], (size, 3)),
+        arrive=jnp.zeros((size,), goal[1].dtype),
+        leave=jnp.zeros((size,), goal[1].dtype),
+        whole=jnp.array(True),
+    )
+
+    def back(walk: _Walk) -> _Walk:
+        return _back(land, free, balls, history, start, walk)
+
+    walk = jax.lax.while_loop(lambda walk: walk.layer > start[1], back, walk)
+    first = jnp.arange(size) == walk.row
+    leave = jnp.where(first, walk.last, walk.leave)
+    arrive = jnp.where(first, walk.layer, walk.arrive)
+    grid = land.grid
+    return Route(
+        position_m=grid.origin_m + (walk.cells + 0.5) * grid.cell_m,
+        arrive_s=arrive * layer_s,
+        leave_s=leave * layer_s,
+        begin=walk.row,
+        whole=walk.whole & jnp.all(walk.cell == start[0]),
+    )
+
+
+def _back(
+    land: Terrain,
+    free: FreeSpace,
+    balls: Balls,
+    history: jax.Array,
+    start: tuple[jax.Array, jax.Array],
+    walk: _Walk,
+) -> _Walk:
+    """One wait of a layer or one step, backwards."""
+    recent: Balls = jax.tree.map(
+        lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, jnp.maximum(walk.layer - 4, 0), 4), balls
+    )
+    before = jnp.concatenate([walk.cell[None], walk.cell - _STEPS])
+    took = jnp.concatenate([jnp.ones((1,), jnp.int32), jnp.array(_LAYERS, jnp.int32)])
+    possible = _was_reached(land.layout, history, before, walk.layer - took)
+    possible &= walk.layer - took >= start[1]
+    possible &= jnp.concatenate([jnp.ones((1,), bool), _edges_to(land.layout, free, walk.cell)])
+    possible &= _undisturbed(land, recent, walk)
+    off = _off_line(walk.cell - _STEPS, start[0], walk.cell)
+    # Waiting comes first, what is impossible last.
+    cost = jnp.where(possible, jnp.concatenate([jnp.full((1,), -1.0, off.dtype), off]), jnp.inf)
+    best = jnp.argmin(cost)
+    moved = best > 0
+    layer = walk.layer - took[best]
+    here = (jnp.arange(walk.arrive.shape[0]) == walk.row) & moved
+    return _Walk(
+        cell=before[best],
+        layer=layer,
+        last=jnp.where(moved, layer, walk.last),
+        row=walk.row - moved,
+        cells=jnp.where(here[:, None], walk.cell, walk.cells),
+        arrive=jnp.where(here, walk.layer, walk.arrive),
+        leave=jnp.where(here, walk.last, walk.leave),
+        whole=walk.whole & (cost[best] < jnp.inf),
+    )
+
+
+def _was_reached(
+    layout: Layout, history: jax.Array, cells: jax.Array, layers: jax.Array
+) -> jax.Array:
+    """Whether each of ``cells`` [n, 3] is in the reached set of its layer [n], bool [n]."""
+    inside = jnp.all((cells >= 0) & (cells < jnp.array(layout.shape)), axis=-1) & (layers >= 0)
+    at = layers * layout.inner + cells[:, 0] * layout.row + cells[:, 1]
+    words = history.reshape(-1)[jnp.where(inside, at, 0)]
+    return inside & (((words >> jnp.maximum(cells[:, 2], 0).astype(jnp.uint32)) & 1) == 1)
+
+
+def _edges_to(layout: Layout, free: FreeSpace, cell: jax.Array) -> jax.Array:
+    """Whether the edges of the 26 steps to ``cell`` [3] are free, bool [26]; guards are not."""
+    low = cell + np.minimum(0, -_STEPS)
+    word = layout.guard + low[:, 0] * layout.row + low[:, 1]
+    edge = np.repeat(np.arange(len(EDGES)), 2)
+    bit = jnp.maximum(low[:, 2], 0).astype(jnp.uint32)
+    return ((free.edges[edge, word] >> bit) & 1) == 1
+
+
+def _undisturbed(land: Terrain, recent: Balls, walk: _Walk) -> jax.Array:
+    """Whether waiting and each of the 26 steps to the cell keep clear of the balls, bool [27]."""
+    cell = land.grid.cell_m
+    here = land.grid.origin_m + (walk.cell + 0.5) * cell
+    first = jnp.maximum(walk.layer - 4, 0)
+    index = jnp.maximum(walk.layer - _WHEN - first, 0)
+    place = here - _SHARE[..., None] * _STEPS[:, None, :] * cell
+    centre, radius = recent.centre_m[index], recent.radius_m[index]
+    apart = jnp.sum((place[:, :, None, :] - centre) ** 2, axis=-1)
+    wide = radius + (_GROW * cell)[:, None, None]
+    hit = (radius >= 0.0) & (apart < wide * wide)
+    now = walk.layer - 1 - first
+    rest = jnp.sum((here - recent.centre_m[now]) ** 2, axis=-1)
+    stays = (recent.radius_m[now] < 0.0) | (rest >= recent.radius_m[now] ** 2)
+    return jnp.concatenate([jnp.all(stays)[None], ~jnp.any(hit, axis=(1, 2))])
+
+
+def _off_line(points: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+    """Squared distance [n] of ``points`` [n, 3] from the line through a and b, in cells."""
+    d = (b - a).astype(jnp.float32)
+    r = (points - a).astype(jnp.float32)
+    along = jnp.sum(r * d, axis=-1)
+    return jnp.sum(r * r, axis=-1) - along * along / jnp.maximum(jnp.sum(d * d), 1.0)

@@ -1,0 +1,73 @@
+"""The figures of a run, drawn from its folder alone into ``figures/``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from angler_mjx.runs.folder import Run
+from angler_mjx.viewing import maps, scene, statistics, style
+from angler_mjx.viewing.choose import good_world, worst_world
+
+FOLDER = "figures"
+"""Where figures lie in a run folder."""
+
+
+def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
+    """Draw all figures of a run; older ones of the same name are replaced.
+
+    ``outcomes.png``, ``distances.png`` and ``time_to_goal.png`` about all robots, and one
+    ``map_world_K.png`` for each chosen world, where the run stored trajectories.
+
+    Args:
+        run: run folder.
+        worlds: global indices to map; the worst and one good world if left out.
+
+    Returns:
+        The files, in the order above.
+
+    Raises:
+        ConfigError: the run does not hold a world.
+        RunError: a file cannot be written.
+    """
+    folder = run.path / FOLDER
+    name, episodes = run.scenario.name, run.episodes
+    paths = [
+        style.save(statistics.outcomes(episodes, name), folder / "outcomes.png"),
+        style.save(statistics.distances(episodes, name), folder / "distances.png"),
+        style.save(
+            statistics.times(episodes, name, run.scenario.time.horizon_s),
+            folder / "time_to_goal.png",
+        ),
+    ]
+    if run.scenario.time.record_hz > 0:
+        for world, word in _chosen(run, worlds).items():
+            paths.append(world_map(run, world, word))
+    return paths
+
+
+def world_map(run: Run, world: int, word: str = "") -> Path:
+    """Draw the map of one world.
+
+    Args:
+        run: run folder, with trajectories.
+        world: global index.
+        word: why this one, for the title.
+    """
+    one = scene.read(run, world)
+    density = float(one.environment.density)
+    figure = maps.draw(
+        one,
+        title=f"World {world}{word}: {maps.describe(one)}",
+        subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; "
+        f"{100 * density:.1f} % of the cells are rock",
+    )
+    return style.save(figure, run.path / FOLDER / f"map_world_{world}.png")
+
+
+def _chosen(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
+    """Worlds to map, and what to call them."""
+    if worlds is not None:
+        return dict.fromkeys(worlds, "")
+    worst, good = worst_world(run), good_world(run)
+    if worst == good:  # a run of one world, or of worlds that all went alike
+        return {worst: ""}
+    return {worst: " (the worst)", good: " (a good one)"}

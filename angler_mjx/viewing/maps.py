@@ -1,0 +1,314 @@
+"""The map of one world: from above and from the south, with rock, water, obstacles and tracks."""
+
+import matplotlib.patheffects as effects
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Polygon, Rectangle
+
+from angler_mjx.viewing import style
+from angler_mjx.viewing.outlines import outline
+from angler_mjx.viewing.scene import RobotTrack, Scene
+from angler_mjx.world.environment import Grid
+from angler_mjx.world.obstacles import STATIC
+
+_ABOVE, _SOUTH = (0, 1), (0, 2)
+"""World axes of the two pictures: x and y, x and z."""
+
+_LISTED = 12
+"""Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
+
+_HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
+
+
+def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
+    """The map of a world.
+
+    Args:
+        scene: the world.
+        title: what one sees.
+        subtitle: a quieter line below.
+    """
+    low, high = scene.bounds_m
+    size = high - low
+    with style.styled():
+        listed = min(len(scene.robots), _LISTED + 1)
+        panel = min(5.1 * float(max(size[1], size[2]) / size[0]), 9.0)
+        figure = style.new_figure(11.6, panel + 1.6 + 0.21 * max(listed, 4), headline_in=0.6)
+        style.headline(figure, title, subtitle)
+        above, south = figure.subplots(1, 2)
+        norm = Normalize(low[2], high[2])
+        for axes, plane in ((above, _ABOVE), (south, _SOUTH)):
+            _bounds(axes, scene, plane)
+            _rock(axes, scene.environment.grid, plane, norm)
+            if plane == _ABOVE:
+                _arrows(axes, scene)
+            _obstacles(axes, scene, plane)
+            for robot in scene.robots:
+                _track(axes, scene, robot, plane)
+        above.set(title="From above", xlabel="east, m", ylabel="north, m")
+        south.set(title="From the south", xlabel="east, m", ylabel="height, m (0: surface)")
+        figure.legend(handles=_robot_handles(scene), loc="outside lower left", handlelength=2.2)
+        figure.legend(
+            handles=_other_handles(scene),
+            loc="outside lower right",
+            ncols=2,
+            handlelength=2.2,
+        )
+    return figure
+
+
+def describe(scene: Scene) -> str:
+    """How the world went, in words: arrivals, then the causes of failure."""
+    ends = [robot.outcome for robot in scene.robots]
+    arrived = ends.count("reached")
+    causes = [
+        f"{ends.count(outcome)} {text}"
+        for outcome, text in style.OUTCOME_TEXT.items()
+        if outcome != "reached" and outcome in ends
+    ]
+    return ", ".join([f"{arrived} of {len(ends)} robots arrived", *causes])
+
+
+def _bounds(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
+    low, high = scene.bounds_m
+    a, b = plane
+    axes.set_aspect("equal", anchor="N")
+    axes.set_facecolor(style.PAPER)
+    axes.add_patch(
+        Rectangle(
+            (low[a], low[b]),
+            high[a] - low[a],
+            high[b] - low[b],
+            facecolor=style.WATER,
+            edgecolor=style.FAINT,
+            zorder=0,
+        )
+    )
+    margin = 0.02 * float(np.max(high - low))
+    axes.set_xlim(low[a] - margin, high[a] + margin)
+    bottom, top = low[b] - margin, high[b] + margin
+    if b == 2:
+        floor = float(scene.environment.floor_z_m)
+        bottom = min(bottom, floor - 3 * margin)
+        axes.axhspan(bottom, floor, facecolor="#cdbf9b", zorder=0)
+    axes.set_ylim(bottom, top)
+
+
+def _rock(axes: Axes, grid: Grid, plane: tuple[int, int], norm: Normalize) -> None:
+    """Cells as squares, coloured by the height of the topmost or of the nearest one."""
+    occupied = np.asarray(grid.occupied)
+    origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
+    height = origin[2] + cell * (np.arange(occupied.shape[2]) + 1.0)
+    tops = np.where(occupied, height, np.nan)
+    depth = 2 if plane == _ABOVE else 1
+    covered = occupied.any(axis=depth)
+    first = occupied.argmax(axis=depth)
+    if plane == _ABOVE:
+        first = occupied.shape[2] - 1 - occupied[:, :, ::-1].argmax(axis=2)
+    shade = np.take_along_axis(tops, np.expand_dims(first, depth), axis=depth).squeeze(depth)
+    squares = [
+        Rectangle((origin[plane[0]] + cell * i, origin[plane[1]] + cell * j), cell, cell)
+        for i, j in np.argwhere(covered)
+    ]
+    if squares:
+        colors = style.ROCK(norm(shade[covered]))
+        axes.add_collection(
+            PatchCollection(
+                squares, facecolors=colors, edgecolors=style.PAPER, linewidths=0.6, zorder=1
+            )
+        )
+
+
+def _arrows(axes: Axes, scene: Scene) -> None:
+    """The current at the start, in the middle of the cube's height."""
+    if not scene.environment.current:
+        return
+    low, high = scene.bounds_m
+    x, y = (np.linspace(low[i], high[i], 13)[1::2] for i in (0, 1))
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    points = np.c_[grid, np.full(len(grid), 0.5 * (low[2] + high[2]))].astype(np.float32)
+    v = scene.current_at(points, 0.0)
+    fastest = float(np.max(np.linalg.norm(v[:, :2], axis=1)))
+    if fastest < 1e-3:
+        return
+    spacing = float(x[1] - x[0])
+    shown = float(f"{fastest:.1g}")
+    arrows = axes.quiver(
+        *grid.T,
+        v[:, 0],
+        v[:, 1],
+        angles="xy",
+        scale_units="xy",
+        scale=fastest / (0.8 * spacing),
+        pivot="middle",
+        color=style.CURRENT,
+        width=0.0042,
+        headwidth=4.0,
+        headlength=4.5,
+        headaxislength=4.0,
+        alpha=0.85,
+        zorder=2,
+    )
+    axes.quiverkey(
+        arrows,
+        0.86,
+        1.035,
+        shown,
+        f"current at t = 0: {shown:g} m/s",
+        labelpos="W",
+        labelcolor=style.QUIET,
+        fontproperties={"size": 8.5},
+        color=style.CURRENT,
+    )
+
+
+def _obstacles(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
+    """Outlines at the start; of moving ones the way and a thin outline at the end as well."""
+    given = scene.environment.obstacles
+    ways = []
+    for i in np.flatnonzero(np.asarray(given.exists)):
+        kind, size = int(given.kind[i]), np.asarray(given.size_m[i])
+        still = int(given.motion[i]) == STATIC
+        color = style.OBSTACLE_STATIC if still else style.OBSTACLE_DYNAMIC
+        p, q = scene.obstacle_p_m[:, i], scene.obstacle_q[:, i]
+        axes.add_patch(
+            Polygon(
+                outline(kind, size, p[0], q[0], plane),
+                facecolor=color,
+                edgecolor=color,
+                alpha=0.75 if still else 0.45,
+                linewidth=1.0,
+                zorder=3,
+            )
+        )
+        if not still:
+            ways.append(p[:, list(plane)])
+            axes.add_patch(
+                Polygon(
+                    outline(kind, size, p[-1], q[-1], plane),
+                    fill=False,
+                    edgecolor=color,
+                    linewidth=0.8,
+                    alpha=0.7,
+                    zorder=3,
+                )
+            )
+    axes.add_collection(
+        LineCollection(
+            ways, colors=style.OBSTACLE_DYNAMIC, linewidths=0.9, linestyles=":", zorder=3
+        )
+    )
+
+
+def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) -> None:
+    a, b = plane
+    color = style.robot_color(robot.index)
+    flown = robot.p_m[scene.time_s <= robot.end_time_s + 1e-6]
+    axes.plot(
+        robot.plan_m[:, a],
+        robot.plan_m[:, b],
+        color=color,
+        linewidth=1.1,
+        linestyle=(0, (3, 2)),
+        alpha=0.8,
+        zorder=4,
+    )
+    axes.plot(flown[:, a], flown[:, b], color=color, linewidth=2.0, zorder=5, path_effects=_HALO)
+    axes.plot(*robot.start_m[[a, b]], "o", ms=12, color=color, mec=style.PAPER, mew=1.0, zorder=6)
+    axes.text(
+        robot.start_m[a],
+        robot.start_m[b],
+        str(robot.index),
+        color=style.PAPER,
+        fontsize=8,
+        fontweight="bold",
+        ha="center",
+        va="center_baseline",
+        zorder=7,
+        in_layout=False,
+    )
+    axes.plot(*robot.goal_m[[a, b]], "*", ms=15, color=color, mec=style.PAPER, mew=1.0, zorder=6)
+    if not robot.arrived:
+        _cross(axes, robot, plane)
+
+
+def _cross(axes: Axes, robot: RobotTrack, plane: tuple[int, int]) -> None:
+    x, y = (float(robot.failure_m[axis]) for axis in plane)
+    axes.plot(x, y, "X", ms=11, color=style.INK, mec=style.PAPER, mew=1.2, zorder=8)
+    left, right = axes.get_xlim()
+    far = x > left + 0.75 * (right - left)
+    axes.annotate(
+        f"{robot.index}: {_cause(robot)}",
+        (x, y),
+        xytext=(-9 if far else 9, 5),
+        textcoords="offset points",
+        ha="right" if far else "left",
+        fontsize=8.5,
+        fontweight="bold",
+        path_effects=_HALO,
+        zorder=9,
+        in_layout=False,
+    )
+
+
+def _cause(robot: RobotTrack) -> str:
+    """What ended the robot, in a word or two."""
+    if robot.failure_pair == "none":
+        return {"out_of_bounds": "out of bounds", "timeout": "time out"}.get(
+            robot.outcome, robot.outcome
+        )
+    kind, _, index = robot.failure_pair.partition(":")
+    return {"cell": "rock"}.get(kind, f"{kind} {index}".strip())
+
+
+def _robot_handles(scene: Scene) -> list[Line2D]:
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=style.robot_color(robot.index),
+            linewidth=2.4,
+            label=f"{robot.index}  {robot.vehicle}, {robot.parameter_set}: "
+            f"{style.OUTCOME_TEXT[robot.outcome]} after {robot.end_time_s:.0f} s",
+        )
+        for robot in scene.robots[:_LISTED]
+    ]
+    left_out = len(scene.robots) - _LISTED
+    if left_out > 0:
+        handles.append(Line2D([], [], color="none", label=f"... and {left_out} more"))
+    return handles
+
+
+def _other_handles(scene: Scene) -> list[Line2D | Patch]:
+    """What the other signs mean, of those that occur."""
+    given = scene.environment.obstacles
+    there = np.asarray(given.exists)
+    still = np.asarray(given.motion) == STATIC
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=style.QUIET, linestyle=(0, (3, 2)), label="planned way"),
+        Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
+        Line2D(
+            [], [], color=style.QUIET, marker="*", ms=11, linestyle="", label="goal (disc: start)"
+        ),
+    ]
+    if any(not robot.arrived for robot in scene.robots):
+        handles.append(
+            Line2D([], [], color=style.INK, marker="X", ms=8, linestyle="", label="failure")
+        )
+    if np.asarray(scene.environment.grid.occupied).any():
+        handles.append(Patch(color=style.ROCK(0.75), label="rock; lighter is higher"))
+    if np.any(there & ~still):
+        handles.append(
+            Patch(
+                color=style.OBSTACLE_DYNAMIC,
+                alpha=0.6,
+                label="moving obstacle at the start; dotted: its way",
+            )
+        )
+    if np.any(there & still):
+        handles.append(Patch(color=style.OBSTACLE_STATIC, label="still obstacle"))
+    return handles

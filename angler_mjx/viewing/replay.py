@@ -1,0 +1,163 @@
+"""Replays in the Rerun viewer: a file of some worlds of a run, or the viewer opened on one."""
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from angler_mjx.errors import RunError, UnsupportedError
+from angler_mjx.runs.folder import Run
+from angler_mjx.viewing import maps, scene
+from angler_mjx.viewing.choose import good_world, worst_world
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+__all__ = ["FILE", "good_world", "show", "worst_world", "write"]
+
+FILE = "replay.rrd"
+"""Name of the replay in a run folder."""
+
+_PLAYBACK_SPEED = 4.0
+"""Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
+
+
+def write(run: Run, worlds: Sequence[int] | None = None) -> Path:
+    """Write ``replay.rrd`` into a run folder; an older one is replaced.
+
+    Args:
+        run: run folder.
+        worlds: global indices; the worst and one good world if left out.
+
+    Raises:
+        UnsupportedError: Rerun is not installed.
+        ConfigError: the run stored no trajectories, or does not hold a world.
+        RunError: the file cannot be written.
+    """
+    chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
+    rr = _rerun(run, chosen[0])
+    scenes = [scene.read(run, world) for world in chosen]
+    path = run.path / FILE
+    written = path.with_suffix(".tmp")
+    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    try:
+        recording.save(written, default_blueprint=_blueprint(scenes))
+        _log(recording, scenes)
+        recording.flush()
+        recording.disconnect()
+        written.replace(path)
+    except OSError as error:
+        written.unlink(missing_ok=True)
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def show(run: Run, world: int) -> None:
+    """Open the Rerun viewer on one world of a run.
+
+    Args:
+        run: run folder.
+        world: global index.
+
+    Raises:
+        UnsupportedError: Rerun is not installed, or there is no display.
+        ConfigError: the run stored no trajectories, or does not hold that world.
+    """
+    rr = _rerun(run, world)
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ):
+        raise UnsupportedError(
+            f"no display to open the viewer on; copy {run.path / FILE} to a machine with one and "
+            f"open it there with `rerun {FILE}`, or serve it from here with "
+            f"`rerun --serve-web {run.path / FILE}`"
+        )
+    scenes = [scene.read(run, world)]
+    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    recording.spawn(default_blueprint=_blueprint(scenes))
+    _log(recording, scenes)
+    recording.flush()
+
+
+def _rerun(run: Run, world: int) -> ModuleType:
+    try:
+        import rerun
+    except ImportError as error:
+        raise UnsupportedError(
+            "no replay was written: Rerun is not installed. Install the extra `view` "
+            f"(pip install 'angler-mjx[view]'), then make it from the run folder: "
+            f"`angler figures {run.path}` writes {FILE}, "
+            f"`angler replay {run.path} --world {world}` opens the viewer"
+        ) from error
+    return rerun
+
+
+def _name(run: Run) -> str:
+    return f"{run.path.name} ({run.scenario.name}, seed {run.scenario.seed})"
+
+
+def _root(world: int) -> str:
+    return f"world_{world}"
+
+
+def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.Scene]) -> None:
+    from angler_mjx.viewing.replay_world import log_world
+
+    for one in scenes:
+        log_world(recording, one, _root(one.world))
+
+
+def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
+    """Each world in a tab: the 3-D view, the fleet's table, distance to goal, and events."""
+    import rerun.blueprint as rrb
+
+    tabs = []
+    for one in scenes:
+        root = _root(one.world)
+        low, high = one.bounds_m
+        middle, size = 0.5 * (low + high), float(max(high - low))
+        view = rrb.Spatial3DView(
+            origin=f"/{root}",
+            contents=[f"/{root}/space/**"],
+            name="Reef",
+            background=[16, 38, 54],
+            line_grid=False,
+            eye_controls=rrb.EyeControls3D(
+                kind=rrb.Eye3DKind.Orbital,
+                position=middle + size * np.array([0.95, -1.35, 0.75]),
+                look_target=middle - size * np.array([0.0, 0.0, 0.08]),
+                eye_up=[0.0, 0.0, 1.0],
+            ),
+        )
+        side = rrb.Vertical(
+            rrb.TextDocumentView(origin=f"/{root}/fleet", name="Fleet"),
+            rrb.TimeSeriesView(origin=f"/{root}/distance_to_goal_m", name="Distance to goal, m"),
+            rrb.TextLogView(
+                origin=f"/{root}/events",
+                name="Events",
+                columns=rrb.TextLogColumns(
+                    timeline_columns=["time"], text_log_columns=["LogLevel", "Body"]
+                ),
+            ),
+            row_shares=[3, 3, 2],
+        )
+        arrived = maps.describe(one).split(",")[0]
+        tabs.append(
+            rrb.Horizontal(view, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")
+        )
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0],
+        rrb.TimePanel(
+            timeline="time",
+            playback_speed=_PLAYBACK_SPEED,
+            play_state="playing",
+            loop_mode="all",
+            state="collapsed",
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        auto_views=False,
+    )

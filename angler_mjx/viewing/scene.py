@@ -1,0 +1,130 @@
+"""One world of a run, read back for pictures: host arrays, the time axis cut to its end."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.compute as pc
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.folder import Run
+from angler_mjx.world import currents, store
+from angler_mjx.world.environment import Environment
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotTrack:
+    """One robot: who it was, where it went and how it ended."""
+
+    index: int
+    vehicle: str
+    parameter_set: str
+    outcome: str
+    end_time_s: float
+    """When its episode ended."""
+    failure_pair: str
+    """What it touched: cell, floor, obstacle:i, robot:i or none."""
+    failure_m: np.ndarray
+    """[3] where it failed; NaN if it arrived."""
+    p_m: np.ndarray
+    """[T, 3]."""
+    q: np.ndarray
+    """[T, 4]."""
+    current_mps: np.ndarray
+    """[T, 3] water velocity at the robot, W."""
+    plan_m: np.ndarray
+    """[n, 3] way-points, padding dropped."""
+    start_m: np.ndarray
+    """[3]."""
+    goal_m: np.ndarray
+    """[3]."""
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it reached its goal."""
+        return self.outcome == "reached"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """One world of a run."""
+
+    world: int
+    time_s: np.ndarray
+    """[T] until the last robot's end."""
+    environment: Environment
+    """Leaves are host arrays."""
+    robots: tuple[RobotTrack, ...]
+    obstacle_p_m: np.ndarray
+    """[T, n, 3]."""
+    obstacle_q: np.ndarray
+    """[T, n, 4]."""
+
+    @property
+    def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner [3] of the cube of cells."""
+        grid = self.environment.grid
+        low = np.asarray(grid.origin_m)
+        return low, low + float(grid.cell_m) * np.asarray(grid.occupied.shape)
+
+    def current_at(self, points_m: np.ndarray, time_s: float) -> np.ndarray:
+        """Water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
+        field = jax.vmap(currents.velocity, (None, 0, None))
+        points = jnp.asarray(points_m, float)
+        time = jnp.asarray(time_s, points.dtype)
+        return np.asarray(field(self.environment.current, points, time))
+
+
+def read(run: Run, world: int) -> Scene:
+    """One world of a run.
+
+    Args:
+        run: run folder.
+        world: global index.
+
+    Raises:
+        ConfigError: the run stored no trajectories, or does not hold that world.
+    """
+    rows = run.episodes.filter(pc.field("world") == world).to_pylist()
+    if not rows:
+        raise ConfigError(f"world {world} is not in {run.path}")
+    stored: Any = run.trajectories
+    environment = store.read(stored["environment"], world)
+    last = max(_end(row) for row in rows)
+    time = np.asarray(stored["time_s"])
+    count = min(time.size, int(np.searchsorted(time, last)) + 1)
+    robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
+    plan_time, plan = stored["plan_time_s"][world], stored["plan_m"][world]
+    tracks = tuple(
+        RobotTrack(
+            index=i,
+            vehicle=row["vehicle"],
+            parameter_set=row["parameter_set"],
+            outcome=row["outcome"],
+            end_time_s=_end(row),
+            failure_pair=row["failure_pair"],
+            failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"]),
+            plan_m=plan[i][np.r_[True, np.diff(plan_time[i]) > 0]],
+            start_m=np.asarray(environment.start_m[i]),
+            goal_m=np.asarray(environment.goal_m[i]),
+            **{name: values[:, i] for name, values in robots.items()},
+        )
+        for i, row in enumerate(rows)
+    )
+    moving = "obstacle_p_m" in stored
+    return Scene(
+        world=world,
+        time_s=time[:count],
+        environment=environment,
+        robots=tracks,
+        obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
+        obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
+    )
+
+
+def _end(row: dict[str, Any]) -> float:
+    """When a robot's episode ended, s."""
+    arrived = row["outcome"] == "reached"
+    return float(row["time_to_goal_s"] if arrived else row["failure_time_s"])

@@ -1,0 +1,246 @@
+"""Figures about all robots of a run: how they ended, how near they came, how long they took."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from angler_mjx.runs.results import OUTCOMES, rates
+from angler_mjx.viewing import style
+
+
+def kinds(episodes: pa.Table) -> list[tuple[str, str]]:
+    """Vehicle and parameter set of all kinds of robot in a run, sorted."""
+    pairs = zip(episodes["vehicle"].to_pylist(), episodes["parameter_set"].to_pylist(), strict=True)
+    return sorted(set(pairs))
+
+
+def rows_of(episodes: pa.Table, kind: tuple[str, str]) -> pa.Table:
+    """Rows of one kind of robot."""
+    return episodes.filter(
+        (pc.field("vehicle") == kind[0]) & (pc.field("parameter_set") == kind[1])
+    )
+
+
+def outcomes(episodes: pa.Table, name: str) -> Figure:
+    """Share of robots by outcome, with 95 % Wilson intervals, of all and of each kind.
+
+    Args:
+        episodes: rows of the run.
+        name: of the scenario, for the title.
+    """
+    groups = kinds(episodes)
+    with style.styled():
+        figure = style.new_figure(9.6, 5.4 + 0.46 * len(groups), headline_in=0.65)
+        top, bottom = figure.subplots(
+            2, 1, height_ratios=[len(OUTCOMES) + 0.5, 1.2 + 0.9 * len(groups)]
+        )
+        all_rates = rates(episodes)
+        _rate_bars(top, all_rates)
+        style.headline(
+            figure,
+            f"{name}: {100 * all_rates['reached']['rate']:.0f} % of robots arrived",
+            f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
+            "lines are 95 % Wilson intervals",
+        )
+        top.set_title("All robots")
+        _stacked_kinds(bottom, {kind: rates(rows_of(episodes, kind)) for kind in groups})
+    return figure
+
+
+def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
+    for place, outcome in enumerate(OUTCOMES):
+        row = table[outcome]
+        axes.barh(place, row["rate"], height=0.66, color=style.OUTCOMES[outcome])
+        axes.plot([row["low"], row["high"]], [place, place], color=style.INK, linewidth=1.3)
+        axes.text(
+            max(row["high"], row["rate"]) + 0.012,
+            place,
+            f"{100 * row['rate']:.1f} %  ({row['count']:,})",
+            va="center",
+            fontsize=8.8,
+            color=style.INK if row["count"] else style.QUIET,
+        )
+    axes.set_yticks(range(len(OUTCOMES)), [style.OUTCOME_TEXT[outcome] for outcome in OUTCOMES])
+    axes.tick_params(axis="y", length=0, labelcolor=style.INK)
+    axes.invert_yaxis()
+    most = max(row["high"] for row in table.values())
+    axes.set_xlim(0.0, min(1.16, most + 0.16))
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes.set_xlabel("share of robots")
+    axes.grid(axis="x")
+    axes.spines["left"].set_visible(False)
+
+
+def _stacked_kinds(
+    axes: Axes, tables: Mapping[tuple[str, str], Mapping[str, Mapping[str, float]]]
+) -> None:
+    """One bar a kind of robot, its outcomes side by side; the interval is that of arrival."""
+    for place, table in enumerate(tables.values()):
+        left = 0.0
+        for outcome in OUTCOMES:
+            rate = table[outcome]["rate"]
+            axes.barh(
+                place,
+                rate,
+                left=left,
+                height=0.62,
+                color=style.OUTCOMES[outcome],
+                edgecolor=style.PAPER,
+                linewidth=0.6,
+            )
+            if rate > 0.06:
+                axes.text(
+                    left + 0.008,
+                    place,
+                    f"{100 * rate:.0f} %",
+                    va="center",
+                    color=style.PAPER,
+                    fontsize=8.5,
+                    fontweight="bold",
+                )
+            left += rate
+        reached = table["reached"]
+        below = place + 0.39  # beside the bar, where it crosses no number
+        axes.plot([reached["low"], reached["high"]], [below, below], color=style.INK, linewidth=1.6)
+    labels = [
+        f"{vehicle}\n{chosen} ({round(sum(row['count'] for row in table.values())):,})"
+        for (vehicle, chosen), table in tables.items()
+    ]
+    axes.set_yticks(range(len(labels)), labels)
+    axes.tick_params(axis="y", length=0, labelcolor=style.INK)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.0)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    axes.set_title("By vehicle and parameter set")
+    axes.set_xlabel("share of robots of the kind, colours as above; line: interval of arrival")
+    axes.spines["left"].set_visible(False)
+
+
+def distances(episodes: pa.Table, name: str) -> Figure:
+    """How near robots came to rock, floor and obstacles, and to each other.
+
+    Args:
+        episodes: rows of the run.
+        name: of the scenario, for the title.
+    """
+    names = [
+        ("min_clearance_m", "least distance of the hull to rock, floor and obstacles, m"),
+        ("min_separation_m", "least distance to another robot's hull, m"),
+    ]
+    shown = [(column, label) for column, label in names if _finite(episodes, column).size]
+    arrived = _arrived(episodes)
+    with style.styled():
+        figure = style.new_figure(5.2 * max(len(shown), 1), 4.6, headline_in=0.65)
+        style.headline(
+            figure,
+            f"{name}: {_passed(episodes)}",
+            "least distances of whole episodes; 0 is touch; the last bar holds all beyond",
+        )
+        for axes, (column, label) in zip(
+            figure.subplots(1, max(len(shown), 1), squeeze=False)[0], shown, strict=False
+        ):
+            values = _column(episodes, column)
+            there = np.isfinite(values)
+            _touch_histogram(axes, values[there], arrived[there], label)
+    return figure
+
+
+def _passed(episodes: pa.Table) -> str:
+    """How near half of the robots that arrived came to something, in words."""
+    clearance = _column(episodes, "min_clearance_m")[_arrived(episodes)]
+    clearance = clearance[np.isfinite(clearance)]
+    if clearance.size == 0:
+        return "no robot arrived"
+    return f"half of the arrived robots came within {np.median(clearance):.2f} m of something"
+
+
+def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label: str) -> None:
+    """Stacked histogram of a least distance, arrived and failed, up to the 98th percentile."""
+    high = max(float(np.quantile(values, 0.98)), 0.1)
+    bins = np.linspace(0.0, high, 31)
+    inside = np.clip(values, 0.0, high)
+    axes.hist(
+        [inside[arrived], inside[~arrived]],
+        bins=bins.tolist(),
+        stacked=True,
+        color=[style.OUTCOMES["reached"], style.OUTCOMES["collision_robot"]],
+        label=["arrived", "failed"],
+        edgecolor=style.PAPER,
+        linewidth=0.4,
+    )
+    axes.set(xlabel=label, ylabel="robots", xlim=(0.0, high))
+    axes.grid(axis="y")
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.legend(loc="upper right")
+
+
+def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
+    """Share of robots that had arrived by a time, of each vehicle and parameter set.
+
+    Robots that never arrive count in the share, so a curve ends at the rate of arrival.
+
+    Args:
+        episodes: rows of the run.
+        name: of the scenario, for the title.
+        horizon_s: end of the time axis, s.
+    """
+    with style.styled():
+        figure = style.new_figure(9.6, 4.9, headline_in=0.65)
+        axes = figure.subplots()
+        groups = kinds(episodes)
+        for i, kind in enumerate(groups):
+            rows = rows_of(episodes, kind)
+            arrival = np.sort(_finite(rows, "time_to_goal_s"))
+            share = np.arange(1, arrival.size + 1) / max(rows.num_rows, 1)
+            end = share[-1] if arrival.size else 0.0
+            axes.step(
+                np.r_[0.0, arrival, horizon_s],
+                np.r_[0.0, share, end],
+                where="post",
+                color=style.robot_color(i),
+                linestyle=("-", "--", ":")[i // len(style.ROBOTS) % 3],
+                linewidth=2.0,
+                label=_arrival_label(kind, arrival),
+            )
+        every = _finite(episodes, "time_to_goal_s")
+        what = "no robot arrived"
+        if every.size:
+            what = f"half of those that arrive need at most {np.median(every):.0f} s"
+        style.headline(
+            figure,
+            f"{name}: {what}",
+            "a curve levels off at the share of its robots that ever arrive",
+        )
+        axes.set_xlim(0.0, horizon_s)
+        axes.set_ylim(0.0, 1.02)
+        axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        axes.set_xlabel("time since the start, s")
+        axes.set_ylabel("robots at their goal")
+        axes.grid()
+        axes.legend(loc="upper left", title="vehicle, parameter set", alignment="left")
+    return figure
+
+
+def _arrival_label(kind: tuple[str, str], arrival: np.ndarray) -> str:
+    median = f"median {np.median(arrival):.0f} s" if arrival.size else "none arrived"
+    return f"{kind[0]}, {kind[1]}: {median}"
+
+
+def _column(episodes: pa.Table, name: str) -> np.ndarray:
+    values: np.ndarray = episodes[name].to_numpy()
+    return values
+
+
+def _finite(episodes: pa.Table, name: str) -> np.ndarray:
+    values = _column(episodes, name)
+    kept: np.ndarray = values[np.isfinite(values)]
+    return kept
+
+
+def _arrived(episodes: pa.Table) -> np.ndarray:
+    return np.array([outcome == "reached" for outcome in episodes["outcome"].to_pylist()])

@@ -1,0 +1,160 @@
+"""What a scenario file may say about the world, and what comes of it.
+
+`WorldConfig` is what a person writes: a preset and a few changes to it. `resolve` fills in
+everything else from the preset and gives a `WorldRecipe`: complete, hashable, one meaning. The
+recipe is what `generate` reads as a static argument.
+"""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel
+from angler_mjx.world import calibration, presets
+from angler_mjx.world.currents import CurrentConfig
+from angler_mjx.world.obstacles import ObstaclesConfig
+from angler_mjx.world.rules import AutomatonRule, Rule, WallsRule
+
+type Vector = tuple[float, float, float]
+type Placement = Literal["cross", "parallel", "random", "given"]
+Cells = Annotated[int, Field(ge=3, le=128)]
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+
+class WorldConfig(FileModel):
+    """The world of a scenario: a preset, and what differs from it. What is left out is the preset's."""
+
+    preset: str = "reef"
+    density: Share | None = None
+    """Share of cells that are occupied, on average over worlds."""
+    fill: Share | None = None
+    """Instead of density: share of walls before the rule is applied."""
+    shape: tuple[Cells, Cells, Cells] | None = None
+    """Number of cells along x, y, z."""
+    cell_m: Positive | None = None
+    depth_m: Annotated[float, Field(ge=0)] | None = None
+    """Depth of the top of the grid below the surface."""
+    floor_depth_m: Positive | None = None
+    """Depth of the sea floor; the bottom of the grid if neither file nor preset says more."""
+    rule: Rule | None = None
+    min_obstacles: Annotated[int, Field(ge=0)] | None = None
+    """Worlds with fewer occupied cells are drawn again."""
+    redraw_limit: Annotated[int, Field(ge=0)] = 100
+    """A world that has been drawn again this often and still cannot hold the fleet is given up."""
+    placement: Placement | None = None
+    clearance_m: Annotated[float, Field(ge=0)] = 0.3
+    """Free water between two robots at their starts, and at their goals."""
+    start_m: tuple[Vector, ...] = ()
+    """Starts of the robots, for placement = "given"."""
+    goal_m: tuple[Vector, ...] = ()
+    currents: tuple[CurrentConfig, ...] = ()
+    obstacles: ObstaclesConfig | None = None
+
+    @model_validator(mode="after")
+    def _has_a_meaning(self) -> Self:
+        resolve(self)
+        return self
+
+
+class WorldRecipe(FileModel):
+    """A world config with nothing left open. Lengths in metres, W."""
+
+    shape: tuple[int, int, int]
+    cell_m: float
+    origin_m: Vector
+    """Lower corner of the grid: centred on the origin seen from above."""
+    floor_z_m: float
+    rule: Rule
+    fill: float
+    min_obstacles: int
+    redraw_limit: int
+    placement: Placement
+    clearance_m: float
+    start_m: tuple[Vector, ...]
+    goal_m: tuple[Vector, ...]
+    currents: tuple[CurrentConfig, ...]
+    obstacles: ObstaclesConfig
+
+    @property
+    def size_m(self) -> Vector:
+        """Edges of the grid."""
+        x, y, z = (n * self.cell_m for n in self.shape)
+        return x, y, z
+
+
+def resolve(config: WorldConfig) -> WorldRecipe:
+    """The recipe that a world config stands for.
+
+    Raises:
+        ConfigError: unknown preset, or values that do not go together.
+    """
+    preset = presets.load(config.preset)
+    shape = config.shape or preset.shape
+    cell = config.cell_m or preset.cell_m
+    depth = preset.depth_m if config.depth_m is None else config.depth_m
+    floor_depth = config.floor_depth_m or preset.floor_depth_m or depth + shape[2] * cell
+    if floor_depth <= depth + cell:
+        raise ConfigError(
+            f"floor_depth_m = {floor_depth}: must lie at least a cell ({cell} m) below the top of "
+            f"the grid, which is at a depth of {depth} m"
+        )
+    rule = config.rule or preset.rule
+    if isinstance(rule, WallsRule):
+        rule.check(shape)
+    placement = config.placement or preset.placement
+    _check_given(config, placement)
+    return WorldRecipe(
+        shape=shape,
+        cell_m=cell,
+        origin_m=(-0.5 * shape[0] * cell, -0.5 * shape[1] * cell, -depth - shape[2] * cell),
+        floor_z_m=-floor_depth,
+        rule=rule,
+        fill=_fill(config, preset, rule, shape),
+        min_obstacles=(
+            preset.min_obstacles if config.min_obstacles is None else config.min_obstacles
+        ),
+        redraw_limit=config.redraw_limit,
+        placement=placement,
+        clearance_m=config.clearance_m,
+        start_m=config.start_m,
+        goal_m=config.goal_m,
+        currents=config.currents,
+        obstacles=config.obstacles or preset.obstacles,
+    )
+
+
+def _fill(
+    config: WorldConfig, preset: presets.Preset, rule: Rule, shape: tuple[int, int, int]
+) -> float:
+    """Share of walls before the rule; 0 for rules that do not start from random walls."""
+    density, fill = config.density, config.fill
+    if density is not None and fill is not None:
+        raise ConfigError(f"density = {density} and fill = {fill}: give one of them, not both")
+    if density is None and fill is None:
+        density, fill = preset.density, preset.fill
+    if not isinstance(rule, AutomatonRule):
+        if config.density is not None or config.fill is not None:
+            key = "density" if config.density is not None else "fill"
+            raise ConfigError(
+                f"{key} = {config.density or config.fill}: has no meaning for rule "
+                f"{rule.type!r} (preset {config.preset!r}); leave it out or take another preset"
+            )
+        return 0.0
+    if fill is not None:
+        return fill
+    if density is None:
+        raise ConfigError(f"rule {rule.type!r} with preset {config.preset!r} needs a density")
+    return calibration.fill_for_density(rule, shape, density)
+
+
+def _check_given(config: WorldConfig, placement: str) -> None:
+    n_start, n_goal = len(config.start_m), len(config.goal_m)
+    if n_start != n_goal:
+        raise ConfigError(f"start_m has {n_start} places and goal_m {n_goal}: needs one each")
+    if (placement == "given") != (n_start > 0):
+        raise ConfigError(
+            f"placement = {placement!r} with {n_start} places in start_m: places and "
+            'placement = "given" go together'
+        )

@@ -1,0 +1,233 @@
+"""Whole worlds from a recipe and a key: cells, starts and goals, obstacles, current, difficulty.
+
+`generate` makes one world and is pure; `generate_batch` is the boundary where it is compiled and
+batched. World i of a seed is the same whatever batch it is made in.
+"""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.world import currents, obstacles
+from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
+from angler_mjx.world.difficulty import line_is_free, shortest_way
+from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.obstacle_explicit import explicit_rows
+from angler_mjx.world.placement import cell_centres, cell_clearance, cell_of, obstacle_gap, place
+from angler_mjx.world.rules import draw_cells
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Drawing:
+    """One try at a world: cells, and where the fleet would stand."""
+
+    occupied: jax.Array
+    clearance: jax.Array
+    start: jax.Array
+    goal: jax.Array
+    fits: jax.Array
+    redraws: jax.Array
+
+
+def generate(
+    recipe: WorldRecipe,
+    radius_m: jax.Array,
+    key: jax.Array,
+    horizon_s: float = 120.0,
+    water_density_kgm3: float = 1000.0,
+) -> Environment:
+    """One world for one fleet.
+
+    Cells and places are drawn again, with new keys, until the world holds the fleet or the limit
+    of the recipe is reached; then ``valid`` is False.
+
+    Args:
+        recipe: static.
+        radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
+        key: random key of this world.
+        horizon_s: time that the current covers; static.
+        water_density_kgm3: for the obstacles' mass and added mass.
+    """
+    cells_key, obstacles_key, current_key = jax.random.split(key, 3)
+    drawing = _draw(recipe, radius_m, cells_key, water_density_kgm3)
+    lo = jnp.array(recipe.origin_m, float)
+    hi = lo + jnp.array(recipe.size_m, float)
+    lo = lo.at[2].max(recipe.floor_z_m)
+    grid = Grid(
+        occupied=drawing.occupied,
+        origin_m=jnp.array(recipe.origin_m, float),
+        cell_m=jnp.array(recipe.cell_m, float),
+    )
+    keep_out = jnp.concatenate([drawing.start, drawing.goal])
+    keep_out_radius = jnp.tile(radius_m + recipe.clearance_m, 2)
+    to_goal = drawing.goal - drawing.start
+    path_ratio, line_free = _difficulty(recipe, radius_m, drawing)
+    return Environment(
+        grid=grid,
+        floor_z_m=jnp.array(recipe.floor_z_m, float),
+        obstacles=obstacles.draw(
+            recipe.obstacles, obstacles_key, grid, lo, hi, keep_out, keep_out_radius,
+            water_density_kgm3,
+        ),
+        current=currents.draw(recipe.currents, current_key, lo, hi, horizon_s),
+        start_m=drawing.start,
+        start_yaw_rad=jnp.arctan2(to_goal[:, 1], to_goal[:, 0]),
+        goal_m=drawing.goal,
+        density=jnp.mean(drawing.occupied, dtype=lo.dtype),
+        path_ratio=path_ratio,
+        line_free=line_free,
+        redraws=drawing.redraws,
+        valid=drawing.fits,
+    )
+
+
+def generate_batch(
+    config: WorldConfig,
+    radius_m: np.ndarray | jax.Array,
+    seed: int,
+    first_index: int,
+    count: int,
+    horizon_s: float = 120.0,
+    water_density_kgm3: float = 1000.0,
+) -> Environment:
+    """Worlds ``first_index`` to ``first_index + count - 1`` of a seed, compiled once per count.
+
+    Args:
+        config: of the scenario.
+        radius_m: [n_robot] radius of each robot's bounding sphere, or [count, n_robot] where
+            fleets differ between worlds.
+        seed: 0 to 2^32 - 1; the key of a world is this seed's, folded with the world's index.
+        first_index: index of the first world among all worlds of the seed.
+        count: number of worlds.
+        horizon_s: time that the current covers.
+        water_density_kgm3: for the obstacles' mass and added mass.
+
+    Returns:
+        Environment with a leading axis of ``count``.
+
+    Raises:
+        ConfigError: a robot that no cell could hold, or more robots than places in the file.
+    """
+    recipe = resolve(config)
+    radius = np.asarray(radius_m)
+    if not 0 <= seed < 2**32:
+        raise ConfigError(f"seed = {seed}: must lie between 0 and 2^32 - 1")
+    _check_fleet(recipe, radius)
+    radii = jnp.broadcast_to(jnp.asarray(radius, float), (count, radius.shape[-1]))
+    return _batch(recipe, radii, seed, first_index, horizon_s, water_density_kgm3)
+
+
+def require_valid(environment: Environment, first_index: int = 0) -> None:
+    """Refuse a batch in which no world at all can hold its fleet.
+
+    Raises:
+        ConfigError: all worlds reached the redraw limit.
+    """
+    valid = np.asarray(environment.valid)
+    if not valid.any():
+        n_robot = environment.start_m.shape[-2]
+        raise ConfigError(
+            f"none of the worlds {first_index} to {first_index + valid.size - 1} holds the fleet "
+            f"of {n_robot} robots, each after {int(np.max(environment.redraws))} redraws; take "
+            "fewer or smaller robots, a larger shape, a lower density or another placement"
+        )
+
+
+@partial(jax.jit, static_argnames=("recipe", "horizon_s"))
+def _batch(
+    recipe: WorldRecipe,
+    radius_m: jax.Array,
+    seed: jax.Array,
+    first_index: jax.Array,
+    horizon_s: float,
+    water_density_kgm3: jax.Array,
+) -> Environment:
+    index = jnp.uint32(first_index) + jnp.arange(radius_m.shape[0], dtype=jnp.uint32)
+    root = jax.random.key(jnp.uint32(seed))
+
+    def one(i: jax.Array, radius: jax.Array) -> Environment:
+        key = jax.random.fold_in(root, i)
+        return generate(recipe, radius, key, horizon_s, water_density_kgm3)
+
+    return jax.vmap(one)(index, radius_m)
+
+
+def _check_fleet(recipe: WorldRecipe, radius: np.ndarray) -> None:
+    n_robot = radius.shape[-1]
+    if n_robot < 1:
+        raise ConfigError("the fleet has no robot")
+    widest = float(radius.max())
+    if not float(radius.min()) > 0 or widest >= 1.5 * recipe.cell_m:
+        raise ConfigError(
+            f"robot radius {widest:.3g} m: must be above 0 and below 1.5 cells, and a cell "
+            f"(cell_m) is {recipe.cell_m} m"
+        )
+    if recipe.placement == "given" and n_robot != len(recipe.start_m):
+        raise ConfigError(
+            f"start_m and goal_m have {len(recipe.start_m)} places, the fleet has {n_robot} robots"
+        )
+
+
+def _draw(
+    recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, water_density: jax.Array | float
+) -> _Drawing:
+    """Draw cells and places until the fleet fits or the limit is reached."""
+    centres = cell_centres(recipe)
+    ground = centres[..., 2] - recipe.floor_z_m
+    start_gap = jnp.full(recipe.shape, jnp.inf)
+    if recipe.obstacles.explicit:
+        rows = explicit_rows(recipe.obstacles.explicit, water_density)
+        start_gap = obstacle_gap(rows, centres, only_static=False)
+        ground = jnp.minimum(ground, obstacle_gap(rows, centres, only_static=True))
+
+    def again(last: _Drawing) -> _Drawing:
+        redraws = last.redraws + 1
+        cells_key, places_key = jax.random.split(jax.random.fold_in(key, redraws))
+        occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_key)
+        clearance = jnp.minimum(cell_clearance(occupied, recipe.cell_m), ground)
+        start, goal, fits = place(recipe, centres, clearance, start_gap, radius_m, places_key)
+        return _Drawing(
+            occupied=occupied,
+            clearance=clearance,
+            start=start,
+            goal=goal,
+            fits=fits & (jnp.sum(occupied) >= recipe.min_obstacles),
+            redraws=redraws,
+        )
+
+    nowhere = jnp.zeros((radius_m.shape[0], 3), centres.dtype)
+    blank = _Drawing(
+        occupied=jnp.zeros(recipe.shape, bool),
+        clearance=jnp.zeros(recipe.shape, centres.dtype),
+        start=nowhere,
+        goal=nowhere,
+        fits=jnp.array(False),
+        redraws=jnp.array(-1, jnp.int32),
+    )
+    return jax.lax.while_loop(
+        lambda last: ~last.fits & (last.redraws < recipe.redraw_limit), again, blank
+    )
+
+
+def _difficulty(
+    recipe: WorldRecipe, radius_m: jax.Array, drawing: _Drawing
+) -> tuple[jax.Array, jax.Array]:
+    """Path ratio and whether the straight line is free, [n_robot] each."""
+    from_cell, to_cell = cell_of(recipe, drawing.start), cell_of(recipe, drawing.goal)
+
+    def way(radius: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+        return shortest_way(drawing.clearance >= radius, a, b)
+
+    length = jax.vmap(way)(radius_m, from_cell, to_cell)
+    straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=1).astype(length.dtype))
+    ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
+    origin = jnp.array(recipe.origin_m, float)
+    line = jax.vmap(partial(line_is_free, drawing.occupied))
+    in_cells = ((p - origin) / recipe.cell_m for p in (drawing.start, drawing.goal))
+    # A lattice way is never shorter than the line; 1 - 1e-7 would be rounding.
+    return jnp.maximum(ratio, 1.0), line(*in_cells)

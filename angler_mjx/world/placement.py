@@ -1,0 +1,207 @@
+"""Where robots start and where they go: free, clear of each other, and reachable.
+
+Starts and goals are centres of cells. All of them lie in one connected region of cells that the
+widest robot of the fleet can pass, so every robot can reach its goal. Passable means: the sphere of
+the robot's radius about the cell's centre meets no occupied cell, no explicit static obstacle, not
+the floor and no face of the grid.
+"""
+
+import math
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from angler_kernels.caverns import largest_cavern
+from angler_kernels.clearance import capsules_obstacle
+
+from angler_mjx.world.obstacles import STATIC, Obstacles
+
+if TYPE_CHECKING:
+    from angler_mjx.world.config import WorldRecipe
+
+# Corner c is (bit 0 -> x, bit 1 -> y, bit 2 -> z). The first four are pairwise face diagonals and
+# go to the other four, so up to four robots share no corner at all.
+_CORNERS = (0b000, 0b011, 0b101, 0b110, 0b111, 0b100, 0b010, 0b001)
+_JITTER_CELLS = {"cross": 3.0, "parallel": 1.0}
+"""How much farther from its corner or lane a robot may stand than the nearest free cell."""
+
+
+def cell_centres(recipe: "WorldRecipe") -> jax.Array:
+    """Centres of all cells, [nx, ny, nz, 3] m, W."""
+    index = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in recipe.shape), indexing="ij"), axis=-1)
+    return jnp.array(recipe.origin_m, float) + recipe.cell_m * (index + 0.5)
+
+
+def cell_clearance(occupied: jax.Array, cell_m: float) -> jax.Array:
+    """Distance [nx, ny, nz] of each cell's centre to what is occupied or outside, m.
+
+    Exact up to 1.5 cells and never more: cells two away are at least that far. A neighbour through
+    a face, edge or corner is sqrt(1), sqrt(2), sqrt(3) half cells away.
+
+    Args:
+        occupied: bool [nx, ny, nz].
+        cell_m: edge of a cell.
+    """
+    solid = jnp.pad(occupied, 1, constant_values=True)
+    x, y, z = (_widen(solid, axis) for axis in range(3))
+    xy, yz, zx = _widen(x, 1), _widen(y, 2), _widen(z, 0)
+    near = (solid, x | y | z, xy | yz | zx, _widen(xy, 2))
+    clearance = jnp.full(solid.shape, 1.5 * cell_m, float)
+    for n_axis in (3, 2, 1, 0):
+        clearance = jnp.where(near[n_axis], 0.5 * math.sqrt(n_axis) * cell_m, clearance)
+    return clearance[1:-1, 1:-1, 1:-1]
+
+
+def obstacle_gap(obstacles: Obstacles, centres: jax.Array, only_static: bool) -> jax.Array:
+    """Distance [...] of points [..., 3] to the surfaces of obstacles at their start, m.
+
+    Args:
+        obstacles: of one world.
+        centres: [..., 3] m, W.
+        only_static: leave out those that move.
+    """
+
+    def gap(p: jax.Array) -> jax.Array:
+        point, zero = p[None], jnp.zeros(1, p.dtype)
+
+        def to_one(row: tuple[jax.Array, ...]) -> jax.Array:
+            return capsules_obstacle(point, point, zero, *row, kinds=obstacles.kinds)
+
+        rows = (obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
+        counts = obstacles.exists & ((obstacles.motion == STATIC) | (not only_static))
+        return jnp.min(jnp.where(counts, jax.vmap(to_one)(rows), jnp.inf))
+
+    return jax.vmap(gap)(centres.reshape(-1, 3)).reshape(centres.shape[:-1])
+
+
+def place(
+    recipe: "WorldRecipe",
+    centres: jax.Array,
+    clearance: jax.Array,
+    start_clearance: jax.Array,
+    radius_m: jax.Array,
+    key: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Starts and goals of a fleet in one world.
+
+    Robots are placed in order; each takes the best cell that is left. A goal is at least half the
+    grid's longest edge away from its start.
+
+    Args:
+        recipe: static.
+        centres: [nx, ny, nz, 3] centres of the cells, m, W.
+        clearance: [nx, ny, nz] from each centre to all that stands still, m.
+        start_clearance: [nx, ny, nz] from each centre to explicit obstacles that are there at the
+            start, moving ones too, m.
+        radius_m: [n_robot].
+        key: random key of this world's placement.
+
+    Returns:
+        start [n_robot, 3], goal [n_robot, 3] (m, W) and whether the world holds the fleet [].
+    """
+    n_robot = radius_m.shape[0]
+    open_cell = largest_cavern(clearance >= jnp.max(radius_m)).ravel()
+    if recipe.placement == "given":
+        return _given(recipe, clearance.ravel(), start_clearance.ravel(), open_cell, radius_m)
+    point = centres.reshape(-1, 3)
+    noise_key, mirror_key = jax.random.split(key)
+    # One field serves all robots: taking the least value left is drawing without putting back.
+    noise = jax.random.uniform(noise_key, (2, point.shape[0]), jnp.float32)
+    target = _targets(recipe, n_robot, mirror_key)
+    least_way = 0.5 * max(recipe.size_m)
+
+    def place_one(
+        placed: tuple[jax.Array, jax.Array], i: jax.Array
+    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
+        start, goal = placed
+        margin = radius_m + radius_m[i] + recipe.clearance_m
+        earlier = jnp.arange(n_robot) < i
+        at_start = open_cell & _apart(point, start, margin, earlier)
+        at_start &= start_clearance.ravel() >= radius_m[i] + recipe.clearance_m
+        score = _score(recipe, point, target, i, 0, noise)
+        from_cell = jnp.argmin(jnp.where(at_start, score, jnp.inf))
+        way = _length(point - point[from_cell])
+        at_goal = open_cell & _apart(point, goal, margin, earlier) & (way >= least_way)
+        score = _score(recipe, point, target, i, 1, noise)
+        to_cell = jnp.argmin(jnp.where(at_goal, score, jnp.inf))
+        placed = start.at[i].set(point[from_cell]), goal.at[i].set(point[to_cell])
+        return placed, at_start[from_cell] & at_goal[to_cell]
+
+    nowhere = jnp.zeros((n_robot, 3), point.dtype)
+    (start, goal), fits = jax.lax.scan(place_one, (nowhere, nowhere), jnp.arange(n_robot))
+    return start, goal, jnp.all(fits)
+
+
+def cell_of(recipe: "WorldRecipe", p: jax.Array) -> jax.Array:
+    """Index [..., 3] (int32) of the cell that holds a point [..., 3] m, W; the nearest if none."""
+    index = jnp.floor((p - jnp.array(recipe.origin_m, p.dtype)) / recipe.cell_m)
+    return jnp.clip(index.astype(jnp.int32), 0, jnp.array(recipe.shape) - 1)
+
+
+def _given(
+    recipe: "WorldRecipe",
+    clearance: jax.Array,
+    start_clearance: jax.Array,
+    open_cell: jax.Array,
+    radius_m: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The places of the file; they hold where the cells that they lie in would be taken."""
+    start, goal = jnp.array(recipe.start_m, float), jnp.array(recipe.goal_m, float)
+    _, ny, nz = recipe.shape
+    strides = jnp.array([ny * nz, nz, 1])
+    from_cell = jnp.sum(cell_of(recipe, start) * strides, axis=-1)
+    to_cell = jnp.sum(cell_of(recipe, goal) * strides, axis=-1)
+    fits = open_cell[from_cell] & open_cell[to_cell] & (start_clearance[from_cell] >= radius_m)
+    return start, goal, jnp.all(fits)
+
+
+def _targets(recipe: "WorldRecipe", n_robot: int, key: jax.Array) -> jax.Array:
+    """Point [2, n_robot, 3] that each robot's start and goal should be near to, m, W."""
+    lo, size = jnp.array(recipe.origin_m, float), jnp.array(recipe.size_m, float)
+    if recipe.placement == "parallel":
+        columns = min(n_robot, max(1, recipe.shape[1] // 2))
+        rows = -(-n_robot // columns)
+        lane = [((i % columns + 0.5) / columns, (i // columns + 0.5) / rows) for i in range(n_robot)]
+        y_z = jnp.array(lane, float)
+        ends = [jnp.concatenate([jnp.full((n_robot, 1), x), y_z], axis=1) for x in (0.0, 1.0)]
+        return lo + size * jnp.stack(ends)
+    corner = [_CORNERS[i % 8] for i in range(n_robot)]
+    bits = jnp.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in corner], bool)
+    # Every world has its own corners: the pattern is mirrored along each axis or not.
+    bits ^= jax.random.bernoulli(key, 0.5, (3,))
+    return lo + size * jnp.stack([bits, ~bits])
+
+
+def _score(
+    recipe: "WorldRecipe",
+    point: jax.Array,
+    target: jax.Array,
+    i: jax.Array,
+    end: int,
+    noise: jax.Array,
+) -> jax.Array:
+    """What robot i pays for each cell, [cells]; the cheapest is taken. End 0 is start, 1 goal."""
+    if recipe.placement == "random":
+        return noise[end]
+    jitter = _JITTER_CELLS[recipe.placement] * recipe.cell_m
+    return _length(point - target[end, i]) + jitter * noise[end]
+
+
+def _apart(point: jax.Array, placed: jax.Array, margin: jax.Array, counts: jax.Array) -> jax.Array:
+    """Whether each point [c, 3] keeps its margin [n] from the placed ones [n, 3] that count."""
+    squared = jnp.sum((point[:, None] - placed) ** 2, axis=-1)
+    return jnp.all((squared >= margin * margin) | ~counts, axis=1)
+
+
+def _length(v: jax.Array) -> jax.Array:
+    return jnp.sqrt(jnp.sum(v * v, axis=-1))
+
+
+def _widen(solid: jax.Array, axis: int) -> jax.Array:
+    """Each cell or one of its two neighbours along an axis; what lies beyond the array is free."""
+    n = solid.shape[axis]
+    pad = [(1, 1) if other == axis else (0, 0) for other in range(3)]
+    padded = jnp.pad(solid, pad)
+    before = jax.lax.slice_in_dim(padded, 0, n, axis=axis)
+    after = jax.lax.slice_in_dim(padded, 2, n + 2, axis=axis)
+    return before | solid | after

@@ -1,0 +1,52 @@
+"""The worlds that come with the package, as data: one TOML file each."""
+
+from functools import cache
+from importlib import resources
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.world.obstacles import ObstaclesConfig
+from angler_mjx.world.rules import Rule
+
+_FOLDER = "data"
+
+
+class Preset(FileModel):
+    """A complete world but for currents; density or fill for rules that start from random walls."""
+
+    description: str
+    source: str
+    """Where the numbers come from."""
+    shape: tuple[int, int, int]
+    cell_m: Annotated[float, Field(gt=0)]
+    depth_m: Annotated[float, Field(ge=0)] = 2.0
+    floor_depth_m: float | None = None
+    rule: Rule
+    density: float | None = None
+    fill: float | None = None
+    min_obstacles: int = 0
+    placement: Literal["cross", "parallel", "random"] = "cross"
+    obstacles: ObstaclesConfig = ObstaclesConfig()
+
+
+def available() -> tuple[str, ...]:
+    """Names of all presets, sorted."""
+    folder = resources.files("angler_mjx.world") / _FOLDER
+    names = (entry.name for entry in folder.iterdir())
+    return tuple(sorted(n.removesuffix(".toml") for n in names if n.endswith(".toml")))
+
+
+@cache
+def load(name: str) -> Preset:
+    """A preset by name.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name not in available():
+        raise ConfigError(f"preset = {name!r}: unknown; there are {', '.join(available())}")
+    with resources.as_file(resources.files("angler_mjx.world") / _FOLDER / f"{name}.toml") as path:
+        return parse(Preset, read_toml(path), source=f"preset {name}")

@@ -1,0 +1,95 @@
+"""The `angler` command as a person meets it: help at once, one message for a fault, exit code 2."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from angler_mjx.cli.main import COMMANDS, main
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "angler_mjx.cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def test_help_loads_no_jax():
+    script = (
+        "import sys\n"
+        "from angler_mjx.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "heavy = {'jax', 'mujoco', 'matplotlib', 'pyarrow', 'zarr'} & set(sys.modules)\n"
+        "sys.exit(str(heavy) if heavy else 0)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    with pytest.raises(SystemExit) as left:
+        main([*command.split(), "--help"])
+    assert left.value.code == 0
+    assert "usage: angler " + command in capsys.readouterr().out.replace("\n", " ")
+
+
+FAULTS = {
+    "unknown scenario": (["rollout", "no_such_scenario"], "no_such_scenario"),
+    "zero worlds": (["rollout", "reef_fleet", "--worlds", "0"], "worlds"),
+    "unknown vehicle": (["vehicle", "show", "bluerov9"], "bluerov9"),
+    "not a run folder": (["figures", "."], "not a run folder"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_fault_is_one_message_and_exit_code_2(fault, capsys):
+    arguments, word = FAULTS[fault]
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.count("angler:") == 1
+    assert word in shown.err
+
+
+def test_missing_gpu_is_said_without_a_traceback(tmp_path):
+    done = run("rollout", "open_water_current", "--device", "gpu", "--out", str(tmp_path / "run"))
+    if done.returncode == 0:
+        pytest.skip("this machine has a GPU")
+    assert done.returncode == 2
+    assert "--device gpu" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_place_is_refused(tmp_path):
+    wall = tmp_path / "wall"
+    wall.write_text("a file where a folder is wanted")
+    done = run("rollout", "open_water_current", "--worlds", "1", "--out", str(wall / "run"))
+    assert done.returncode == 2
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_json_holds_the_documented_keys(scenario_file_for_cli, tmp_path):
+    out = tmp_path / "run"
+    done = run("rollout", str(scenario_file_for_cli), "--out", str(out), "--json", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert sorted(summary) == sorted(
+        [
+            "scenario", "engine", "seed", "tile", "worlds", "worlds_done", "complete", "robots",
+            "outcomes", "planned_rate", "time_to_goal_s", "path_length_m", "energy_j",
+            "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
+        ]
+    )  # fmt: skip
+    assert summary == json.loads((out / "summary.json").read_text())

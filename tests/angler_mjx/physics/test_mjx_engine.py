@@ -1,0 +1,118 @@
+"""MJX with our terms against MuJoCo C with the same terms, and against Pinocchio."""
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from angler_mjx.physics import mjx_engine
+
+from . import plants as plant_module
+
+K = 25
+
+
+@pytest.fixture(scope="module")
+def kicked(plants):
+    """Random states of every plant, random wrenches, and what the engine makes of the states."""
+    n = len(plants)
+    states = plant_module.random_states(3, (n, K))
+    wrench = np.random.default_rng(4).normal(size=(n, K, 6)) * [50, 50, 50, 5, 5, 5]
+
+    def one(body, p, q, nu):
+        return mjx_engine.inertia_and_force(plants.engine, body, p, q, nu)
+
+    many = jax.jit(jax.vmap(jax.vmap(one, (None, 0, 0, 0))))
+    M_RB, force = (np.asarray(leaf) for leaf in many(plants.body, *states))
+    return states, wrench, M_RB, force
+
+
+def c_state(model, p, q, nu):
+    """A MuJoCo C state with the given pose and body velocity, forward computed."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.concatenate([p, q])
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, q)
+    data.qvel[:] = np.concatenate([R.reshape(3, 3) @ nu[:3], nu[3:]])
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def c_jacobian(model, data):
+    """J with nu = J qvel, and its rate, from MuJoCo's own world-frame Jacobians."""
+    R = data.xmat[1].reshape(3, 3)
+    turn = np.kron(np.eye(2), R.T)
+    J, rate = np.zeros((6, 6)), np.zeros((6, 6))
+    mujoco.mj_jacBody(model, data, J[:3], J[3:], 1)
+    mujoco.mj_jacDot(model, data, rate[:3], rate[3:], data.xpos[1], 1)
+    omega = R.T @ (J[3:] @ data.qvel)
+    S = np.array([[0, -omega[2], omega[1]], [omega[2], 0, -omega[0]], [-omega[1], omega[0], 0]])
+    return turn @ J, turn @ rate - np.kron(np.eye(2), S) @ turn @ J
+
+
+def test_fields_against_mujoco_c(plants, kicked):
+    (p, q, nu), wrench, M_RB, force = kicked
+    M_A = np.asarray(plants.params.M_A)
+    for i, model in enumerate(plants.models):
+        for k in range(K):
+            data = c_state(model, p[i, k], q[i, k], nu[i, k])
+            full = np.zeros((6, 6))
+            mujoco.mj_fullM(model, data, full)
+            J, J_dot = c_jacobian(model, data)
+            back = np.linalg.inv(J)
+            # The same sums in float64 in another order, on numbers up to 1e2.
+            near = {"rtol": 1e-11, "atol": 1e-11, "err_msg": plants.names[i]}
+            np.testing.assert_allclose(J @ data.qvel, nu[i, k], **near)
+            np.testing.assert_allclose(M_RB[i, k], back.T @ full @ back, **near)
+            bias = back.T @ (data.qfrc_bias - full @ back @ J_dot @ data.qvel)
+            np.testing.assert_allclose(force[i, k], -bias, **near)
+            # nu' = J v' + J' v: added mass joins as J^T M_A J on the left and J^T M_A J' v on the
+            # right of C's equation in its own coordinates.
+            total = full + J.T @ M_A[i] @ J
+            right = J.T @ (wrench[i, k] - M_A[i] @ J_dot @ data.qvel) - data.qfrc_bias
+            theirs = J @ np.linalg.solve(total, right) + J_dot @ data.qvel
+            ours = np.linalg.solve(M_RB[i, k] + M_A[i], force[i, k] + wrench[i, k])
+            np.testing.assert_allclose(ours, theirs, **near)
+
+
+def test_forward_dynamics_of_mujoco_c_with_a_wrench_from_outside(plants, kicked):
+    (p, q, nu), wrench, M_RB, force = kicked
+    for i, model in enumerate(plants.models):
+        data = c_state(model, p[i, 0], q[i, 0], nu[i, 0])
+        R = data.xmat[1].reshape(3, 3)
+        data.xfrc_applied[1] = np.concatenate([R @ wrench[i, 0, :3], R @ wrench[i, 0, 3:]])
+        mujoco.mj_forward(model, data)
+        J, J_dot = c_jacobian(model, data)
+        ours = np.linalg.solve(M_RB[i, 0], force[i, 0] + wrench[i, 0])
+        # float64 rounding on accelerations up to 1e2.
+        np.testing.assert_allclose(J @ data.qacc + J_dot @ data.qvel, ours, rtol=1e-11, atol=1e-11)
+
+
+def test_rigid_body_against_pinocchio(plants, kicked):
+    pinocchio = pytest.importorskip("pinocchio", reason="extra `plan` brings pinocchio")
+    (p, q, nu), wrench, M_RB, force = kicked
+    for i, (config, name) in enumerate(plants.configs):
+        body = config.find_set(name).rigid_body
+        model = pinocchio.Model()
+        joint = model.addJoint(0, pinocchio.JointModelFreeFlyer(), pinocchio.SE3.Identity(), "base")
+        inertia = pinocchio.Inertia(body.mass_kg, np.zeros(3), np.array(body.inertia_kgm2))
+        model.appendBodyToJoint(joint, inertia, pinocchio.SE3.Identity())
+        data = model.createData()
+        for k in range(K):
+            placed = np.concatenate([p[i, k], q[i, k, 1:], q[i, k, :1]])
+            # A free flyer's velocity is nu there too, so both are in F; float64 rounding.
+            upper = np.triu(pinocchio.crba(model, data, placed))
+            near = {"rtol": 1e-11, "atol": 1e-11, "err_msg": plants.names[i]}
+            np.testing.assert_allclose(M_RB[i, k], upper + np.triu(upper, 1).T, **near)
+            nu_dot = np.linalg.solve(M_RB[i, k], force[i, k] + wrench[i, k])
+            inverse = pinocchio.rnea(model, data, placed, nu[i, k], nu_dot)
+            np.testing.assert_allclose(inverse, wrench[i, k], rtol=1e-11, atol=1e-10)
+
+
+def test_only_single_free_bodies_are_taken():
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body()
+    body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE)
+    body.add_geom(size=[0.1, 0, 0])
+    with pytest.raises(ValueError, match="one free body"):
+        mjx_engine.build([spec.compile()])

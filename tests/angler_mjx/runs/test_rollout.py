@@ -1,0 +1,179 @@
+"""Whole runs: the same bytes for any chunking and after any interruption, and what they hold."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+import zarr
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs.folder import Run, partial_path
+from angler_mjx.runs.results import EPISODE_SCHEMA, OUTCOMES
+from angler_mjx.runs.rollout import Silent, resume, rollout
+from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim.state import Outcome
+
+
+@pytest.fixture(scope="module")
+def run(scenario, tmp_path_factory):
+    return rollout(scenario, out=tmp_path_factory.mktemp("runs") / "whole", chunk=2)
+
+
+def leaves(group, prefix=""):
+    """All arrays of a Zarr group by path, as raw bytes."""
+    return {
+        path: array[...].tobytes()
+        for path, array in group.members(max_depth=None)
+        if isinstance(array, zarr.Array)
+    }
+
+
+def assert_same(one, other):
+    assert one.episodes.equals(other.episodes)
+    first, second = leaves(one.trajectories), leaves(other.trajectories)
+    assert first.keys() == second.keys()
+    different = [name for name in first if first[name] != second[name]]
+    assert different == []
+
+
+def test_holds_one_row_per_robot_per_world(run, scenario):
+    assert run.episodes.schema.equals(EPISODE_SCHEMA)
+    assert run.episodes["world"].to_pylist() == [w for w in range(5) for _ in range(2)]
+    assert run.episodes["robot"].to_pylist() == [0, 1] * 5
+    assert set(run.episodes["outcome"].to_pylist()) <= set(OUTCOMES)
+    assert set(run.episodes["vehicle"].to_pylist()) == {"bluerov2_heavy", "bluerov2"}
+    assert run.summary["complete"]
+    assert run.summary["robots"] == 10
+    assert sum(row["count"] for row in run.summary["outcomes"].values()) == 10
+    assert run.scenario == scenario.model_copy(update={"tile": 2})
+    environment = json.loads((run.path / "environment.json").read_text())
+    assert environment["versions"]["mujoco"] == environment["versions"]["mujoco-mjx"]
+
+
+def test_rows_agree_with_the_trajectories(run):
+    flown = run.trajectories["p_m"][...]
+    outcome = run.trajectories["outcome"][...]
+    start = run.trajectories["environment/start_m"][...]
+    np.testing.assert_array_equal(flown[:, 0], start)
+    goal = run.trajectories["environment/goal_m"][...]
+    rows = run.episodes.to_pylist()
+    for row in rows:
+        world, robot = row["world"], row["robot"]
+        path = flown[world, :, robot]
+        path = path[np.isfinite(path[:, 0])]
+        straight = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        running = outcome[world, :, robot] == Outcome.RUNNING
+        if row["outcome"] == "timeout":
+            # Chords of 0.5 s are shorter than the way, by little at these speeds; the last half
+            # second is not among the samples.
+            assert straight <= row["path_length_m"] + 1e-3
+            assert row["path_length_m"] < straight + 0.6
+            assert running.all()
+        if row["outcome"] == "reached":
+            at = round(row["time_to_goal_s"] * 2)
+            assert running[:at].all()
+            near = np.linalg.norm(flown[world, min(at, 39), robot] - goal[world, robot])
+            assert near < 0.3 + 0.5
+
+
+def test_chunking_changes_no_byte(run, scenario, tmp_path):
+    assert_same(run, rollout(scenario, out=tmp_path / "chunk", chunk=100))
+
+
+def test_interrupted_and_resumed_is_the_same_run(run, scenario, tmp_path):
+    class Stop(Silent):
+        """Presses Ctrl-C in the middle of the second tile."""
+
+        done = 0.0
+
+        def advance(self, worlds, vehicle_steps):
+            self.done += worlds
+            if self.done > 2.5:
+                raise KeyboardInterrupt
+
+    out = tmp_path / "cut"
+    cut = rollout(scenario, out=out, chunk=100, progress=Stop())
+    assert not cut.summary["complete"]
+    assert cut.summary["worlds_done"] == 2
+    assert_same(run, resume(out))
+    with pytest.raises(ConfigError, match="complete"):
+        resume(out)
+
+
+def test_interrupted_at_once_leaves_nothing(scenario, tmp_path):
+    class Stop(Silent):
+        """Presses Ctrl-C in the first tile."""
+
+        def advance(self, worlds, vehicle_steps):
+            raise KeyboardInterrupt
+
+    with pytest.raises(RunError, match="interrupted"):
+        rollout(scenario, out=tmp_path / "none", progress=Stop())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_compiled_between_tiles(scenario):
+    simulator = Simulator(scenario)
+    simulator.compile()
+
+    def tile(first):
+        worlds = simulator.worlds(first)
+        return jax.block_until_ready(simulator.segment(worlds, simulator.reset(worlds)))
+
+    tile(0)
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **__: compiled.append(event) if "backend_compile" in event else None
+    )
+    tile(2)
+    tile(4)
+    assert compiled == []
+
+
+def test_a_world_is_the_same_wherever_its_tile_stands(scenario):
+    simulator = Simulator(scenario)
+    later = simulator.worlds(2)
+    alone = Simulator(scenario.model_copy(update={"worlds": 2})).worlds(2)
+    for one, other in zip(jax.tree.leaves(later), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+    other_seed = simulator.worlds(2, seed=4)
+    assert not np.array_equal(
+        np.asarray(later.environment.start_m), np.asarray(other_seed.environment.start_m)
+    )
+
+
+def test_a_world_that_diverges_is_marked_and_leaves_the_others_alone(scenario):
+    simulator = Simulator(scenario)
+    worlds = simulator.worlds(0)
+    state = simulator.reset(worlds)
+    poisoned = jax.tree.map(lambda leaf: leaf, state)
+    nu = np.asarray(state.vehicles.nu).copy()
+    nu[1, 0, 3] = np.nan
+    object.__setattr__(poisoned.vehicles, "nu", jax.numpy.asarray(nu))
+    good, _ = simulator.step(worlds, state)
+    bad, _ = simulator.step(worlds, poisoned)
+    np.testing.assert_array_equal(bad.tally.outcome, [[0, 0], [Outcome.DIVERGED, 0]])
+    for one, other in zip(jax.tree.leaves(good), jax.tree.leaves(bad), strict=True):
+        np.testing.assert_array_equal(np.asarray(one)[0], np.asarray(other)[0])
+    assert np.isfinite(np.asarray(bad.vehicles.p)).all()
+    assert np.isfinite(np.asarray(bad.vehicles.nu)).all()
+
+
+def test_an_existing_folder_is_refused_and_kept(scenario, tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "mine.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="exists"):
+        rollout(scenario, out=tmp_path / "here")
+    assert (tmp_path / "here" / "mine.txt").read_text() == "mine"
+    assert not partial_path(tmp_path / "here").exists()
+
+
+def test_a_run_without_trajectories(scenario, tmp_path):
+    quiet = scenario.model_copy(
+        update={"time": scenario.time.model_copy(update={"record_hz": 0.0}), "worlds": 2}
+    )
+    run = rollout(quiet, out=tmp_path / "quiet")
+    assert Run(run.path).summary["complete"]
+    with pytest.raises(ConfigError, match="no trajectories"):
+        _ = run.trajectories

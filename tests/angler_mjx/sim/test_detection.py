@@ -1,0 +1,154 @@
+"""Contact detection against scenes whose distances are known by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim.detection import detect
+from angler_mjx.sim.state import Touched
+from angler_mjx.vehicles import library, params
+from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.obstacles import BOX, DRIFT, SPHERE, STATIC, Obstacles, ObstacleState
+
+# Distances are sums and roots of numbers of some metres in float32: a few ulp of 16 m.
+TOLERANCE_M = 1e-5
+
+
+def obstacles(rows):
+    """Obstacles from (kind, size, motion) rows; what only matters to motion is left at zero."""
+    n = len(rows)
+    return Obstacles(
+        kind=jnp.array([row[0] for row in rows], jnp.int32),
+        size_m=jnp.array([row[1] for row in rows], float).reshape(n, 3),
+        motion=jnp.array([row[2] for row in rows], jnp.int32),
+        path=jnp.zeros((n, 8)),
+        p0=jnp.zeros((n, 3)),
+        q0=jnp.tile(jnp.array([1.0, 0, 0, 0]), (n, 1)),
+        nu0=jnp.zeros((n, 6)),
+        mass_kg=jnp.ones(n),
+        inertia_kgm2=jnp.ones((n, 3)),
+        volume_m3=jnp.ones(n),
+        M_A=jnp.zeros((n, 6)),
+        D_l=jnp.zeros((n, 6)),
+        D_q=jnp.zeros((n, 6)),
+        exists=jnp.ones(n, bool),
+        kinds=(SPHERE, BOX),
+        motions=(STATIC, DRIFT),
+    )
+
+
+def environment(occupied, rows, n_robot):
+    """A world of 8 x 8 x 8 cells of 1.5 m, x and y from -6 to 6, z from -14 to -2."""
+    cells = np.zeros((8, 8, 8), bool)
+    for cell in occupied:
+        cells[cell] = True
+    return Environment(
+        grid=Grid(
+            occupied=jnp.array(cells),
+            origin_m=jnp.array([-6.0, -6.0, -14.0]),
+            cell_m=jnp.array(1.5),
+        ),
+        floor_z_m=jnp.array(-14.0),
+        obstacles=obstacles(rows),
+        current=(),
+        start_m=jnp.zeros((n_robot, 3)),
+        start_yaw_rad=jnp.zeros(n_robot),
+        goal_m=jnp.zeros((n_robot, 3)),
+        density=jnp.array(0.0),
+        path_ratio=jnp.ones(n_robot),
+        line_free=jnp.ones(n_robot, bool),
+        redraws=jnp.array(0),
+        valid=jnp.array(True),
+    )
+
+
+@pytest.fixture(scope="module")
+def heavy():
+    return params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+
+
+def fleet_of(vehicle, places, velocities=None):
+    n = len(places)
+    vehicles = jax.tree.map(lambda leaf: jnp.stack([leaf] * n), vehicle)
+    nu = jnp.zeros((n, 6))
+    if velocities is not None:
+        nu = nu.at[:, :3].set(jnp.array(velocities))
+    state = VehicleState(
+        p=jnp.array(places, float),
+        q=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (n, 1)),
+        nu=nu,
+        nu_dot=jnp.zeros((n, 6)),
+        thrust=jnp.zeros((n, 8)),
+    )
+    return vehicles, state
+
+
+def still(p):
+    n = len(p)
+    return ObstacleState(
+        p=jnp.array(p, float).reshape(n, 3),
+        q=jnp.tile(jnp.array([1.0, 0, 0, 0]), (n, 1)),
+        nu=jnp.zeros((n, 6)),
+        nu_dot=jnp.zeros((n, 6)),
+    )
+
+
+def test_distance_ahead_of_the_bow_to_a_cell(heavy):
+    # Cell (5, 4, 4) spans x from 1.5 to 3, y from 0 to 1.5, z from -8 to -6.5; the hull reaches
+    # 0.2285 m ahead of base_link, whose x is that of the centre of mass.
+    world = environment([(5, 4, 4)], [], 1)
+    vehicles, state = fleet_of(heavy, [[0.5, 0.75, -7.25]])
+    contact = detect(world, vehicles, state, still([]))
+    assert contact.clearance_m[0] == pytest.approx(1.0 - 0.2285, abs=TOLERANCE_M)
+    assert contact.nearest[0] == Touched.CELL
+    assert contact.nearest_is_static[0]
+
+
+def test_distance_to_the_floor_counts_the_lowest_capsule(heavy):
+    # Capsules of radius 0.127 at base_link's height, 0.011 m below the centre of mass.
+    world = environment([], [], 1)
+    vehicles, state = fleet_of(heavy, [[0.0, 0.0, -13.5]])
+    contact = detect(world, vehicles, state, still([]))
+    assert contact.clearance_m[0] == pytest.approx(0.5 - 0.011 - 0.127, abs=TOLERANCE_M)
+    assert contact.nearest[0] == Touched.FLOOR
+
+
+def test_nearest_obstacle_and_whether_it_stands(heavy):
+    rows = [(SPHERE, (0.5, 0, 0), DRIFT), (BOX, (0.4, 0.4, 0.4), STATIC)]
+    world = environment([], rows, 2)
+    vehicles, state = fleet_of(heavy, [[-3.0, 0.0, -8.0], [3.0, 0.0, -8.0]], [[0.5, 0, 0]] * 2)
+    around = still([[-2.0, 0.0, -8.011], [4.0, 0.0, -8.011]])
+    around = ObstacleState(
+        p=around.p, q=around.q, nu=around.nu.at[0, 0].set(-0.25), nu_dot=around.nu_dot
+    )
+    contact = detect(world, vehicles, state, around)
+    # Along x, at the height of the capsules: gap between centres less the reach of both.
+    np.testing.assert_allclose(
+        contact.clearance_m, [1.0 - 0.2285 - 0.5, 1.0 - 0.2285 - 0.4], atol=TOLERANCE_M
+    )
+    np.testing.assert_array_equal(contact.nearest_index, [0, 1])
+    np.testing.assert_array_equal(contact.nearest_is_static, [False, True])
+    np.testing.assert_allclose(contact.closing_speed_mps, [0.75, 0.5], atol=1e-6)
+
+
+def test_hulls_side_by_side(heavy):
+    world = environment([], [], 3)
+    places = [[0.0, -1.5, -8.0], [0.0, 0.0, -8.0], [0.0, 1.0, -8.0]]
+    vehicles, state = fleet_of(heavy, places, [[0.3, 0, 0], [0, 0, 0], [0, 0.4, 0]])
+    contact = detect(world, vehicles, state, still([]))
+    # Half width 0.1605 + 0.127 on each side.
+    width = 2 * 0.2875
+    np.testing.assert_allclose(
+        contact.separation_m, [1.5 - width, 1.0 - width, 1.0 - width], atol=TOLERANCE_M
+    )
+    np.testing.assert_array_equal(contact.nearest, [Touched.ROBOT] * 3)
+    np.testing.assert_array_equal(contact.nearest_index, [1, 2, 1])
+    np.testing.assert_allclose(contact.closing_speed_mps, [0.3, 0.4, 0.4], atol=1e-6)
+
+
+def test_a_robot_alone_has_no_separation(heavy):
+    vehicles, state = fleet_of(heavy, [[0.0, 0.0, -8.0]])
+    contact = detect(environment([], [], 1), vehicles, state, still([]))
+    assert np.isinf(contact.separation_m[0])

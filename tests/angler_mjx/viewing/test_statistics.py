@@ -1,0 +1,96 @@
+"""Figures about all robots: bars, curves and intervals say what the table says."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from matplotlib.patches import Rectangle
+
+from angler_mjx.runs.results import OUTCOMES, wilson
+from angler_mjx.viewing import statistics, style
+
+KINDS = (("bluerov2", "blue_gazebo"), ("bluerov2_heavy", "wu2018"))
+
+
+def make_episodes(counts, separation=1.0):
+    """Robots by outcome, half of each kind, four a world."""
+    outcome = [name for name, count in counts.items() for _ in range(count)]
+    n = len(outcome)
+    arrived = np.array([name == "reached" for name in outcome])
+    return pa.table(
+        {
+            "world": np.arange(n) // 4,
+            "vehicle": [KINDS[i % 2][0] for i in range(n)],
+            "parameter_set": [KINDS[i % 2][1] for i in range(n)],
+            "outcome": outcome,
+            "time_to_goal_s": np.where(arrived, 40.0 + np.arange(n), np.nan).astype(np.float32),
+            "min_clearance_m": np.where(arrived, 0.3, 0.0).astype(np.float32),
+            "min_separation_m": np.full(n, separation, np.float32),
+        }
+    )
+
+
+COUNTS = {"reached": 12, "collision_static": 4, "collision_robot": 2, "timeout": 2}
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return make_episodes(COUNTS)
+
+
+def test_bars_are_the_rates_and_lines_their_intervals(episodes):
+    axes = statistics.outcomes(episodes, "name").axes[0]
+    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    for bar, line, outcome in zip(bars, axes.lines, OUTCOMES, strict=True):
+        count = COUNTS.get(outcome, 0)
+        assert bar.get_width() == pytest.approx(count / 20)
+        assert line.get_xdata() == pytest.approx(wilson(count, 20))
+
+
+def test_bars_of_a_kind_fill_the_whole(episodes):
+    axes = statistics.outcomes(episodes, "name").axes[1]
+    widths = np.array([patch.get_width() for patch in axes.patches]).reshape(2, len(OUTCOMES))
+    np.testing.assert_allclose(widths.sum(axis=1), 1.0)
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "bluerov2\nblue_gazebo (10)",
+        "bluerov2_heavy\nwu2018 (10)",
+    ]
+
+
+def test_arrival_curves_level_off_at_the_rate_of_arrival(episodes):
+    axes = statistics.times(episodes, "name", 120.0).axes[0]
+    for line in axes.lines:
+        share = line.get_ydata()
+        assert np.all(np.diff(share) >= 0)
+        assert share[-1] == pytest.approx(0.6)  # 6 of the 10 robots of each kind
+        assert line.get_xdata()[-1] == 120.0
+
+
+def test_histograms_hold_every_robot(episodes):
+    figure = statistics.distances(episodes, "name")
+    assert len(figure.axes) == 2
+    for axes in figure.axes:
+        bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+        assert sum(bar.get_height() for bar in bars) == 20
+
+
+def test_a_fleet_of_one_has_no_separation_to_show():
+    alone = make_episodes(COUNTS, separation=np.inf)
+    assert len(statistics.distances(alone, "name").axes) == 1
+
+
+@pytest.mark.parametrize("outcome", ["timeout", "collision_static"])
+def test_a_run_in_which_nobody_arrives_can_be_drawn(outcome, tmp_path):
+    episodes = make_episodes({outcome: 4})
+    for i, figure in enumerate(
+        (
+            statistics.outcomes(episodes, "name"),
+            statistics.distances(episodes, "name"),
+            statistics.times(episodes, "name", 120.0),
+        )
+    ):
+        assert style.save(figure, tmp_path / f"{i}.png").stat().st_size > 10_000
+
+
+def test_every_outcome_has_a_colour_and_words():
+    assert set(style.OUTCOMES) == set(style.OUTCOME_TEXT) == set(OUTCOMES)
+    assert len(set(style.OUTCOMES.values())) == len(OUTCOMES)
