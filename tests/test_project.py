@@ -97,8 +97,8 @@ def test_reef_fleet_is_the_demo():
     demo = load_scenario("reef_fleet")
     assert (demo.worlds, len(demo.members()), demo.time.horizon_s) == (256, 4, 120.0)
     assert len({entry.vehicle for entry in demo.fleet}) == 2
-    assert demo.obstacles.dynamic.count == 12
-    assert demo.obstacles.dynamic.radius_m == (0.4, 0.75)
+    assert demo.world.obstacles.dynamic.count == 12
+    assert demo.world.obstacles.dynamic.radius_m == (0.4, 0.75)
 
 
 def test_heterogeneous_holds_every_vehicle_with_every_set():

@@ -4,7 +4,8 @@ JAX is imported only by the commands that compute, so that `angler --help` answe
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import tyro
 
@@ -13,7 +14,7 @@ from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
 
-COMMANDS = {
+COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
     "scenarios": rollout.scenarios,
     "figures": rollout.figures,

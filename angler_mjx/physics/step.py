@@ -133,7 +133,7 @@ def step(
     thrust_command: jax.Array,
     current: Current,
     t: jax.Array,
-    dt: float,
+    dt: jax.Array | float,
     water: Water,
 ) -> VehicleState:
     """One physics step.

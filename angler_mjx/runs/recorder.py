@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 import zarr
+from zarr.codecs import BloscCodec
+
+from angler_mjx.world import store
+from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
 
@@ -60,10 +64,22 @@ class Recorder:
         return cls(zarr.open_group(path, mode="r+"), shape, tile=tile)
 
     @classmethod
-    def create(cls, path: Path, shape: Shape, *, tile: int, sample_dt_s: float) -> "Recorder":
-        """Make the group and its arrays; nothing is written yet but their descriptions."""
-        recorder = cls(zarr.open_group(path, mode="w-"), shape, tile=tile)
+    def create(
+        cls, path: Path, shape: Shape, environment: Environment, *, tile: int, sample_dt_s: float
+    ) -> "Recorder":
+        """Make the group and its arrays; nothing is written yet but their descriptions.
+
+        Args:
+            path: of the group.
+            shape: sizes of the run.
+            environment: shapes of a tile's environments.
+            tile: worlds of a tile.
+            sample_dt_s: time between samples.
+        """
+        group = zarr.open_group(path, mode="w-")
+        recorder = cls(group, shape, tile=tile)
         recorder._describe(sample_dt_s)
+        store.describe(group.create_group("environment"), environment, shape.worlds, tile)
         return recorder
 
     def _describe(self, sample_dt_s: float) -> None:
@@ -105,18 +121,23 @@ class Recorder:
             shards=(self._tile, *tail),
             dtype=dtype,
             fill_value=np.nan if floating else 0,
-            compressors=zarr.codecs.BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            compressors=BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
             attributes={"unit": unit, "description": text},
         )
 
-    def write(self, first_world: int, arrays: dict[str, np.ndarray]) -> None:
+    def write(
+        self, first_world: int, arrays: dict[str, np.ndarray], environment: Environment
+    ) -> None:
         """Write one tile.
 
         Args:
             first_world: index of its first world, a multiple of the tile.
             arrays: by name, worlds leading; rows past the last world of the run are dropped.
+            environment: of the tile's worlds.
         """
+        group: Any = self._group
+        store.write(group["environment"], first_world, environment)
         last = min(first_world + self._tile, self._shape.worlds)
         for name, values in arrays.items():
             if 0 not in values.shape[1:]:
-                self._group[name][first_world:last] = values[: last - first_world]
+                group[name][first_world:last] = values[: last - first_world]

@@ -22,6 +22,7 @@ from angler_mjx.runs.results import TileResult
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import CompileTime, Simulator
 from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.world.environment import Environment
 
 
 class Progress(Protocol):
@@ -63,7 +64,7 @@ class Tile:
     first: int
     episodes: pa.Table
     arrays: dict[str, np.ndarray]
-    vehicle_steps: int
+    environment: Environment
 
 
 @dataclass(kw_only=True)
@@ -155,7 +156,13 @@ class _Rollout:
             path = self._building / folder.TRAJECTORIES
             dt = 1.0 / self._scenario.time.record_hz
             self._recorder = (
-                Recorder.create(path, self._shape, tile=self._sim.tile, sample_dt_s=dt)
+                Recorder.create(
+                    path,
+                    self._shape,
+                    self._sim.world_shape().environment,
+                    tile=self._sim.tile,
+                    sample_dt_s=dt,
+                )
                 if new
                 else Recorder.reopen(path, self._shape, tile=self._sim.tile)
             )
@@ -206,7 +213,7 @@ class _Rollout:
             first=first,
             episodes=results.episode_table(result, sim.variants(), self._scenario.seed),
             arrays=_arrays(worlds, parts, self._shape.samples, kept) if parts else {},
-            vehicle_steps=steps,
+            environment=jax.device_get(worlds.environment),
         )
 
     def _flush(self, waiting: list[Tile]) -> None:
@@ -214,7 +221,7 @@ class _Rollout:
         for tile in waiting:
             try:
                 if self._recorder is not None:
-                    self._recorder.write(tile.first, tile.arrays)
+                    self._recorder.write(tile.first, tile.arrays, tile.environment)
                 folder.write_part(self._building, tile.first, tile.episodes)
             except OSError as error:
                 raise RunError(

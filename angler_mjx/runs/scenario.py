@@ -15,8 +15,6 @@ from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles import library
 from angler_mjx.world.config import WorldConfig
 
-SCHEMA_VERSION = 1
-
 
 class FleetEntry(FileModel):
     """One or more robots of a kind."""
@@ -144,7 +142,7 @@ class PlannerConfig(FileModel):
 class Scenario(FileModel):
     """A whole scenario file."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1] = 1
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     description: str = ""
     engine: Literal["mjx"] = "mjx"
@@ -203,7 +201,9 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
         )
     data = read_toml(path)
     for key, value in overrides.items():
-        known_table = data.get(key)
-        merge = isinstance(value, dict) and isinstance(known_table, dict)
-        data[key] = {**known_table, **value} if merge else value
+        before = data.get(key)
+        if isinstance(value, dict) and isinstance(before, dict):
+            data[key] = {**before, **value}
+        else:
+            data[key] = value
     return parse(Scenario, data, source=str(path))

@@ -31,6 +31,9 @@ def default_tile(worlds: int) -> int:
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
 
 
+type _Step = Callable[..., tuple[WorldState, Sample]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class CompileTime:
     """Seconds from Python to machine code, by function."""
@@ -82,13 +85,17 @@ class Simulator:
             horizon_s=timing.horizon_s, margin_m=scenario.planner.margin_m
         )
         self._one_world = partial(_one_world, scenario, resolve(scenario.world), self._plan)
-        self._prepare = jax.jit(self._prepare_tile)
-        self._reset = jax.jit(jax.vmap(partial(episode.reset, self.spec), (None, 0)))
-        self._step = jax.jit(jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0)))
-        self._step_pwm = jax.jit(
+        self._prepare: Callable[..., World] = jax.jit(self._prepare_tile)
+        self._reset: Callable[..., WorldState] = jax.jit(
+            jax.vmap(partial(episode.reset, self.spec), (None, 0))
+        )
+        self._step: _Step = jax.jit(
+            jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0))
+        )
+        self._step_pwm: _Step = jax.jit(
             jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0, 0))
         )
-        self._segment = jax.jit(
+        self._segment: _Step = jax.jit(
             jax.vmap(
                 partial(
                     episode.segment,

@@ -54,11 +54,11 @@ def world_map(run: Run, world: int, word: str = "") -> Path:
     """
     one = scene.read(run, world)
     density = float(one.environment.density)
+    rock = f"{100 * density:.1f} % of the cells are rock" if density > 0 else "no rock"
     figure = maps.draw(
         one,
         title=f"World {world}{word}: {maps.describe(one)}",
-        subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; "
-        f"{100 * density:.1f} % of the cells are rock",
+        subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; {rock}",
     )
     return style.save(figure, run.path / FOLDER / f"map_world_{world}.png")
 

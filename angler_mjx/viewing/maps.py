@@ -36,7 +36,7 @@ def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
     size = high - low
     with style.styled():
         listed = min(len(scene.robots), _LISTED + 1)
-        panel = min(5.1 * float(max(size[1], size[2]) / size[0]), 9.0)
+        panel = min(4.8 * float(max(size[1], size[2]) / size[0]), 9.0)
         figure = style.new_figure(11.6, panel + 1.6 + 0.21 * max(listed, 4), headline_in=0.6)
         style.headline(figure, title, subtitle)
         above, south = figure.subplots(1, 2)
@@ -207,7 +207,7 @@ def _obstacles(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
 def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) -> None:
     a, b = plane
     color = style.robot_color(robot.index)
-    flown = robot.p_m[scene.time_s <= robot.end_time_s + 1e-6]
+    flown = scene.way_taken(robot)
     axes.plot(
         robot.plan_m[:, a],
         robot.plan_m[:, b],
@@ -218,7 +218,9 @@ def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) 
         zorder=4,
     )
     axes.plot(flown[:, a], flown[:, b], color=color, linewidth=2.0, zorder=5, path_effects=_HALO)
-    axes.plot(*robot.start_m[[a, b]], "o", ms=12, color=color, mec=style.PAPER, mew=1.0, zorder=6)
+    # Stars are larger than discs and lie below: crossing fleets start where others go.
+    axes.plot(*robot.goal_m[[a, b]], "*", ms=21, color=color, mec=style.PAPER, mew=0.8, zorder=6)
+    axes.plot(*robot.start_m[[a, b]], "o", ms=12, color=color, mec=style.PAPER, mew=1.0, zorder=7)
     axes.text(
         robot.start_m[a],
         robot.start_m[b],
@@ -228,17 +230,18 @@ def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) 
         fontweight="bold",
         ha="center",
         va="center_baseline",
-        zorder=7,
+        zorder=8,
         in_layout=False,
     )
-    axes.plot(*robot.goal_m[[a, b]], "*", ms=15, color=color, mec=style.PAPER, mew=1.0, zorder=6)
     if not robot.arrived:
         _cross(axes, robot, plane)
 
 
 def _cross(axes: Axes, robot: RobotTrack, plane: tuple[int, int]) -> None:
     x, y = (float(robot.failure_m[axis]) for axis in plane)
-    axes.plot(x, y, "X", ms=11, color=style.INK, mec=style.PAPER, mew=1.2, zorder=8)
+    if not (np.isfinite(x) and np.isfinite(y)):  # diverged
+        return
+    axes.plot(x, y, "X", ms=11, color=style.INK, mec=style.PAPER, mew=1.2, zorder=9)
     left, right = axes.get_xlim()
     far = x > left + 0.75 * (right - left)
     axes.annotate(
@@ -250,7 +253,7 @@ def _cross(axes: Axes, robot: RobotTrack, plane: tuple[int, int]) -> None:
         fontsize=8.5,
         fontweight="bold",
         path_effects=_HALO,
-        zorder=9,
+        zorder=10,
         in_layout=False,
     )
 
@@ -262,7 +265,8 @@ def _cause(robot: RobotTrack) -> str:
             robot.outcome, robot.outcome
         )
     kind, _, index = robot.failure_pair.partition(":")
-    return {"cell": "rock"}.get(kind, f"{kind} {index}".strip())
+    # Obstacles have no numbers on the map; robots have.
+    return {"cell": "rock", "robot": f"robot {index}"}.get(kind, kind)
 
 
 def _robot_handles(scene: Scene) -> list[Line2D]:

@@ -122,7 +122,7 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
         view = rrb.Spatial3DView(
             origin=f"/{root}",
             contents=[f"/{root}/space/**"],
-            name="Reef",
+            name="World",
             background=[16, 38, 54],
             line_grid=False,
             eye_controls=rrb.EyeControls3D(
@@ -134,7 +134,16 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
         )
         side = rrb.Vertical(
             rrb.TextDocumentView(origin=f"/{root}/fleet", name="Fleet"),
-            rrb.TimeSeriesView(origin=f"/{root}/distance_to_goal_m", name="Distance to goal, m"),
+            rrb.TimeSeriesView(
+                origin=f"/{root}/distance_to_goal_m",
+                name="Distance to goal, m",
+                axis_x=rrb.TimeAxis(
+                    view_range=rrb.TimeRange(
+                        start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
+                        end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
+                    )
+                ),
+            ),
             rrb.TextLogView(
                 origin=f"/{root}/events",
                 name="Events",

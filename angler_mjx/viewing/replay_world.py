@@ -213,7 +213,7 @@ def _trail(
     recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str, color: _Rgba
 ) -> None:
     """The way taken so far: a line that grows about once a second."""
-    flown = robot.p_m[scene.time_s <= robot.end_time_s + 1e-6]
+    flown = scene.way_taken(robot)
     count = len(flown)
     step = max(1, round(1.0 / max(float(scene.time_s[1]), 1e-3))) if len(scene.time_s) > 1 else 1
     # n updates of a line of T points hold n T / 2 points; a large fleet gets fewer updates.

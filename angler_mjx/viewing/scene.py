@@ -69,6 +69,12 @@ class Scene:
         low = np.asarray(grid.origin_m)
         return low, low + float(grid.cell_m) * np.asarray(grid.occupied.shape)
 
+    def way_taken(self, robot: RobotTrack) -> np.ndarray:
+        """Positions [n, 3] of a robot until its end; a diverged one's last are left out."""
+        until_end = self.time_s <= robot.end_time_s + 1e-6
+        way: np.ndarray = robot.p_m[until_end & np.isfinite(robot.p_m).all(axis=1)]
+        return way
+
     def current_at(self, points_m: np.ndarray, time_s: float) -> np.ndarray:
         """Water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
         field = jax.vmap(currents.velocity, (None, 0, None))

@@ -187,10 +187,10 @@ def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
     Args:
         episodes: rows of the run.
         name: of the scenario, for the title.
-        horizon_s: end of the time axis, s.
+        horizon_s: end of the run, s.
     """
     with style.styled():
-        figure = style.new_figure(9.6, 4.9, headline_in=0.65)
+        figure = style.new_figure(9.6, 4.6 + 0.11 * len(kinds(episodes)), headline_in=0.65)
         axes = figure.subplots()
         groups = kinds(episodes)
         for i, kind in enumerate(groups):
@@ -216,14 +216,22 @@ def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
             f"{name}: {what}",
             "a curve levels off at the share of its robots that ever arrive",
         )
-        axes.set_xlim(0.0, horizon_s)
+        axes.set_xlim(*_window(every, horizon_s))
         axes.set_ylim(0.0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axes.set_xlabel("time since the start, s")
         axes.set_ylabel("robots at their goal")
         axes.grid()
-        axes.legend(loc="upper left", title="vehicle, parameter set", alignment="left")
+        figure.legend(loc="outside lower left", ncols=2, handlelength=2.4)
     return figure
+
+
+def _window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
+    """Part of the time axis in which robots arrive, with some room; all of it if none does."""
+    if arrival.size == 0:
+        return 0.0, horizon_s
+    first, last = 0.9 * float(arrival.min()), 1.1 * float(arrival.max())
+    return 10.0 * np.floor(first / 10.0), min(horizon_s, 10.0 * np.ceil(last / 10.0))
 
 
 def _arrival_label(kind: tuple[str, str], arrival: np.ndarray) -> str:

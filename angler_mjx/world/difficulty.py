@@ -11,43 +11,51 @@ import jax
 import jax.numpy as jnp
 
 
-def shortest_way(passable: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """Length [] of the shortest way between two cells, in cell edges; inf where there is none.
+def shortest_ways(passable: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:
+    """Length [n] of the shortest way between pairs of cells, in cell edges; inf where none is.
 
-    Bellman-Ford relaxation of all cells at once, until no cell nearer to the goal than the start
+    Bellman-Ford relaxation of all cells at once, until no cell nearer to a goal than its start
     changes. The grid is padded by a blocked cell on all sides and then flattened, so that every
     neighbour is one slice of a flat array; that is what makes it fast on CPU and GPU.
 
     Args:
         passable: bool [nx, ny, nz].
-        start: int [3] cell.
-        goal: int [3] cell.
+        start: int [n, 3] cells.
+        goal: int [n, 3] cells.
     """
-    free = jnp.pad(passable, 1)
-    strides = (free.shape[1] * free.shape[2], free.shape[2], 1)
-    moves = _moves(free.ravel(), strides)
-    border, n = sum(strides), free.size
-    from_index, to_index = (
-        sum((cell[a] + 1) * strides[a] for a in range(3)) for cell in (start, goal)
-    )
-    way = jnp.full(n, jnp.inf).at[to_index].set(jnp.where(free.ravel()[to_index], 0.0, jnp.inf))
+    padded = jnp.pad(passable, 1)
+    strides = (padded.shape[1] * padded.shape[2], padded.shape[2], 1)
+    free = padded.ravel()
+    costs = _block_costs(free, strides)
+    border, last = sum(strides), free.size - sum(strides)
+    flat = jnp.array(strides)
+    pair = jnp.arange(start.shape[0])
+    from_index, to_index = (jnp.sum((cell + 1) * flat, axis=1) for cell in (start, goal))
+    at_goal = jnp.where(free[to_index], 0.0, jnp.inf)
+    way = jnp.full((start.shape[0], free.size), jnp.inf).at[pair, to_index].set(at_goal)
 
     def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         way, _ = carry
-        old = new = way[border : n - border]
-        for offset, cost in moves:
-            new = jnp.minimum(new, way[border + offset : n - border + offset] + cost)
-        unsettled = jnp.any((new < old) & (new < way[from_index]))
-        return jnp.pad(new, border, constant_values=jnp.inf), unsettled
+        old = new = way[:, border:last]
+        for axes, cost in costs.items():
+            for side in itertools.product((0, 1), repeat=len(axes)):
+                # The cell stands at corner `side` of the block whose lowest cell is at `lowest`.
+                lowest = -sum(s * strides[a] for s, a in zip(side, axes, strict=True))
+                move = sum((1 - 2 * s) * strides[a] for s, a in zip(side, axes, strict=True))
+                step = cost[border + lowest : last + lowest]
+                new = jnp.minimum(new, way[:, border + move : last + move] + step)
+        unsettled = jnp.any((new < old) & (new < way[pair, from_index][:, None]))
+        return jnp.pad(new, ((0, 0), (border, border)), constant_values=jnp.inf), unsettled
 
     way, _ = jax.lax.while_loop(lambda carry: carry[1], relax, (way, jnp.array(True)))
-    return way[from_index]
+    return way[pair, from_index]
 
 
-def _moves(free: jax.Array, strides: tuple[int, int, int]) -> list[tuple[int, jax.Array]]:
-    """The 26 moves: flat offset and cost (inf where blocked) for all cells but the border."""
-    border, n = sum(strides), free.shape[0]
-    costs: dict[tuple[int, ...], jax.Array] = {}
+def _block_costs(
+    free: jax.Array, strides: tuple[int, int, int]
+) -> dict[tuple[int, ...], jax.Array]:
+    """Cost of a move along some axes within the block whose lowest cell this is; inf if blocked."""
+    costs = {}
     for n_axis in (1, 2, 3):
         for axes in itertools.combinations(range(3), n_axis):
             block = free
@@ -55,14 +63,7 @@ def _moves(free: jax.Array, strides: tuple[int, int, int]) -> list[tuple[int, ja
                 # What is rolled over the end comes from the padding, which is never free.
                 block = block & jnp.roll(block, -strides[axis])
             costs[axes] = jnp.where(block, math.sqrt(n_axis), jnp.inf)
-    moves = []
-    for axes, cost in costs.items():
-        for side in itertools.product((0, 1), repeat=len(axes)):
-            # The cell stands at corner `side` of the block whose lowest cell is at `lowest`.
-            lowest = -sum(s * strides[a] for s, a in zip(side, axes, strict=True))
-            offset = sum((1 - 2 * s) * strides[a] for s, a in zip(side, axes, strict=True))
-            moves.append((offset, cost[border + lowest : n - border + lowest]))
-    return moves
+    return costs
 
 
 def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:

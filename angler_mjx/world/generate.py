@@ -14,7 +14,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
-from angler_mjx.world.difficulty import line_is_free, shortest_way
+from angler_mjx.world.difficulty import line_is_free, shortest_ways
 from angler_mjx.world.environment import Environment, Grid
 from angler_mjx.world.obstacle_explicit import explicit_rows
 from angler_mjx.world.placement import cell_centres, cell_clearance, cell_of, obstacle_gap, place
@@ -219,11 +219,7 @@ def _difficulty(
 ) -> tuple[jax.Array, jax.Array]:
     """Path ratio and whether the straight line is free, [n_robot] each."""
     from_cell, to_cell = cell_of(recipe, drawing.start), cell_of(recipe, drawing.goal)
-
-    def way(radius: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
-        return shortest_way(drawing.clearance >= radius, a, b)
-
-    length = jax.vmap(way)(radius_m, from_cell, to_cell)
+    length = shortest_ways(drawing.clearance >= jnp.max(radius_m), from_cell, to_cell)
     straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=1).astype(length.dtype))
     ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
     origin = jnp.array(recipe.origin_m, float)

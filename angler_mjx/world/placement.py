@@ -102,33 +102,34 @@ def place(
     n_robot = radius_m.shape[0]
     open_cell = largest_cavern(clearance >= jnp.max(radius_m)).ravel()
     if recipe.placement == "given":
-        return _given(recipe, clearance.ravel(), start_clearance.ravel(), open_cell, radius_m)
-    point = centres.reshape(-1, 3)
+        return _given(recipe, open_cell, start_clearance.ravel(), radius_m)
+    point = centres.reshape(-1, 3).T
     noise_key, mirror_key = jax.random.split(key)
     # One field serves all robots: taking the least value left is drawing without putting back.
-    noise = jax.random.uniform(noise_key, (2, point.shape[0]), jnp.float32)
-    target = _targets(recipe, n_robot, mirror_key)
+    noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
+    start_target, goal_target = _targets(recipe, n_robot, mirror_key)
     least_way = 0.5 * max(recipe.size_m)
 
     def place_one(
-        placed: tuple[jax.Array, jax.Array], i: jax.Array
-    ) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-        start, goal = placed
-        margin = radius_m + radius_m[i] + recipe.clearance_m
-        earlier = jnp.arange(n_robot) < i
-        at_start = open_cell & _apart(point, start, margin, earlier)
-        at_start &= start_clearance.ravel() >= radius_m[i] + recipe.clearance_m
-        score = _score(recipe, point, target, i, 0, noise)
-        from_cell = jnp.argmin(jnp.where(at_start, score, jnp.inf))
-        way = _length(point - point[from_cell])
-        at_goal = open_cell & _apart(point, goal, margin, earlier) & (way >= least_way)
-        score = _score(recipe, point, target, i, 1, noise)
-        to_cell = jnp.argmin(jnp.where(at_goal, score, jnp.inf))
-        placed = start.at[i].set(point[from_cell]), goal.at[i].set(point[to_cell])
-        return placed, at_start[from_cell] & at_goal[to_cell]
+        gaps: tuple[jax.Array, jax.Array], robot: tuple[jax.Array, jax.Array, jax.Array]
+    ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
+        start_gap, goal_gap = gaps
+        radius, near_start, near_goal = robot
+        margin = radius + recipe.clearance_m
+        free = open_cell & (start_gap >= margin)
+        from_cell = jnp.argmin(jnp.where(free, _score(recipe, point, near_start, noise[0]), jnp.inf))
+        fits, start = free[from_cell], point[:, from_cell]
+        way = _distance(point, start)
+        free = open_cell & (goal_gap >= margin) & (way >= least_way)
+        to_cell = jnp.argmin(jnp.where(free, _score(recipe, point, near_goal, noise[1]), jnp.inf))
+        fits, goal = fits & free[to_cell], point[:, to_cell]
+        start_gap = jnp.minimum(start_gap, way - radius)
+        goal_gap = jnp.minimum(goal_gap, _distance(point, goal) - radius)
+        return (start_gap, goal_gap), (start, goal, fits)
 
-    nowhere = jnp.zeros((n_robot, 3), point.dtype)
-    (start, goal), fits = jax.lax.scan(place_one, (nowhere, nowhere), jnp.arange(n_robot))
+    # Distance of each cell's centre to everything that a start, or a goal, must keep clear of.
+    gaps = start_clearance.ravel(), jnp.full(point.shape[1], jnp.inf)
+    _, (start, goal, fits) = jax.lax.scan(place_one, gaps, (radius_m, start_target, goal_target))
     return start, goal, jnp.all(fits)
 
 
@@ -139,11 +140,7 @@ def cell_of(recipe: "WorldRecipe", p: jax.Array) -> jax.Array:
 
 
 def _given(
-    recipe: "WorldRecipe",
-    clearance: jax.Array,
-    start_clearance: jax.Array,
-    open_cell: jax.Array,
-    radius_m: jax.Array,
+    recipe: "WorldRecipe", open_cell: jax.Array, start_clearance: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The places of the file; they hold where the cells that they lie in would be taken."""
     start, goal = jnp.array(recipe.start_m, float), jnp.array(recipe.goal_m, float)
@@ -155,46 +152,39 @@ def _given(
     return start, goal, jnp.all(fits)
 
 
-def _targets(recipe: "WorldRecipe", n_robot: int, key: jax.Array) -> jax.Array:
-    """Point [2, n_robot, 3] that each robot's start and goal should be near to, m, W."""
+def _targets(
+    recipe: "WorldRecipe", n_robot: int, key: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W."""
     lo, size = jnp.array(recipe.origin_m, float), jnp.array(recipe.size_m, float)
     if recipe.placement == "parallel":
         columns = min(n_robot, max(1, recipe.shape[1] // 2))
         rows = -(-n_robot // columns)
         lane = [((i % columns + 0.5) / columns, (i // columns + 0.5) / rows) for i in range(n_robot)]
         y_z = jnp.array(lane, float)
-        ends = [jnp.concatenate([jnp.full((n_robot, 1), x), y_z], axis=1) for x in (0.0, 1.0)]
-        return lo + size * jnp.stack(ends)
+        first = jnp.pad(y_z, ((0, 0), (1, 0)))
+        return lo + size * first, lo + size * first.at[:, 0].set(1.0)
     corner = [_CORNERS[i % 8] for i in range(n_robot)]
     bits = jnp.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in corner], bool)
     # Every world has its own corners: the pattern is mirrored along each axis or not.
     bits ^= jax.random.bernoulli(key, 0.5, (3,))
-    return lo + size * jnp.stack([bits, ~bits])
+    return lo + size * bits, lo + size * ~bits
 
 
 def _score(
-    recipe: "WorldRecipe",
-    point: jax.Array,
-    target: jax.Array,
-    i: jax.Array,
-    end: int,
-    noise: jax.Array,
+    recipe: "WorldRecipe", point: jax.Array, target: jax.Array, noise: jax.Array
 ) -> jax.Array:
-    """What robot i pays for each cell, [cells]; the cheapest is taken. End 0 is start, 1 goal."""
+    """What a robot pays for each cell, [cells]; the cheapest is taken."""
     if recipe.placement == "random":
-        return noise[end]
+        return noise
     jitter = _JITTER_CELLS[recipe.placement] * recipe.cell_m
-    return _length(point - target[end, i]) + jitter * noise[end]
+    return _distance(point, target) + jitter * noise
 
 
-def _apart(point: jax.Array, placed: jax.Array, margin: jax.Array, counts: jax.Array) -> jax.Array:
-    """Whether each point [c, 3] keeps its margin [n] from the placed ones [n, 3] that count."""
-    squared = jnp.sum((point[:, None] - placed) ** 2, axis=-1)
-    return jnp.all((squared >= margin * margin) | ~counts, axis=1)
-
-
-def _length(v: jax.Array) -> jax.Array:
-    return jnp.sqrt(jnp.sum(v * v, axis=-1))
+def _distance(point: jax.Array, to: jax.Array) -> jax.Array:
+    """Distances [cells] of points [3, cells] to one [3]."""
+    x, y, z = (point[axis] - to[axis] for axis in range(3))
+    return jnp.sqrt(x * x + y * y + z * z)
 
 
 def _widen(solid: jax.Array, axis: int) -> jax.Array:

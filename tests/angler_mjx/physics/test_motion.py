@@ -1,4 +1,4 @@
-"""Motion with a known outcome: terminal speeds, decays, drift with a current, orbits in a vortex."""
+"""Motion with a known outcome: terminal speed, decay, drift with a current, orbit in a vortex."""
 
 from dataclasses import replace
 from functools import partial
@@ -20,6 +20,7 @@ DT, HOLD_S = 0.01, 0.1
 # Drag of a sphere of 0.1 m radius, along each body axis, and a vortex with 0.25 m/s at its edge.
 DRAG, CIRCULATION = 0.5 * 1000 * 0.47 * 0.0337, 2.5
 LEVEL = [1.0, 0, 0, 0]
+REST = [0.0] * 6
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def inertia(plants, axis):
     return np.asarray(plants.params.inertia_kgm2)[:, axis - 3, axis - 3] + added
 
 
-def fly(plants, vehicles, *, nu=np.zeros(6), q=LEVEL, thrust=0.0, current=None):
+def fly(plants, vehicles, *, nu=REST, q=LEVEL, thrust=0.0, current=None):
     """[n, 100] states every 0.1 s for 10 s."""
     n = len(plants)
     state = plant_module.start(
@@ -150,7 +151,7 @@ def orbit(pressure, vehicle, engine, body, current, radius, seconds):
         M, force, slope = physics.smooth_force(
             engine, body, vehicle, state, current, jnp.zeros(()), WATER
         )
-        v_c, Dv_c = physics.currents.evaluate(current, state.p, jnp.zeros(()))
+        _, Dv_c = physics.currents.evaluate(current, state.p, jnp.zeros(()))
         force = force.at[:3].add(-(1 - pressure) * vehicle.mass_kg * Dv_c)
         nu, before = rigid_body.advance_damped_velocity(
             state.nu, M, slope, force, state.force_before, jnp.zeros(6), DT

@@ -1,9 +1,19 @@
 """A small run made by hand: what the pictures are drawn from, without simulating anything."""
 
+import json
+import math
+
+import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from angler_mjx.runs.folder import Run
+from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.runs.results import EPISODE_SCHEMA
+from angler_mjx.runs.scenario import load_scenario
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.currents import Uniform, Vortices
 from angler_mjx.world.environment import Environment, Grid
@@ -124,3 +134,95 @@ def make_scene(seed=0):
 @pytest.fixture(scope="session")
 def scene():
     return make_scene()
+
+
+ROWS = 4
+"""Padding of plans: the last way-point again."""
+
+
+def make_run(path, scenes, worlds):
+    """Write a run folder that holds ``scenes`` as its worlds."""
+    first = scenes[0]
+    path.mkdir()
+    config = load_scenario("reef_fleet", worlds=worlds).model_dump(mode="json")
+    (path / "config.json").write_text(json.dumps(config))
+    (path / "summary.json").write_text("{}")
+    environment = jax.tree.map(
+        lambda *leaves: np.stack(leaves), *(scene.environment for scene in scenes)
+    )
+    shape = Shape(
+        worlds=worlds,
+        samples=first.time_s.size,
+        robots=len(first.robots),
+        thrusters=8,
+        obstacles=first.obstacle_p_m.shape[1],
+        plan_points=ROWS,
+    )
+    recorder = Recorder.create(
+        path / "trajectories.zarr", shape, environment, tile=worlds, sample_dt_s=0.2
+    )
+    recorder.write(0, _arrays(scenes), environment)
+    pq.write_table(
+        pa.concat_tables([_episodes(i, scene) for i, scene in enumerate(scenes)]),
+        path / "episodes.parquet",
+    )
+    return Run(path)
+
+
+def _arrays(scenes):
+    def stacked(name):
+        rows = [[getattr(robot, name) for robot in scene.robots] for scene in scenes]
+        return np.swapaxes(np.array(rows), 1, 2)
+
+    plans = [[robot.plan_m for robot in scene.robots] for scene in scenes]
+    padded = [[np.r_[plan, plan[-1:]] for plan in fleet] for fleet in plans]
+    times = np.broadcast_to([0.0, 30.0, 60.0, 60.0], (len(scenes), len(plans[0]), ROWS))
+    return {
+        **{name: stacked(name) for name in ("p_m", "q", "current_mps")},
+        "obstacle_p_m": np.array([scene.obstacle_p_m for scene in scenes]),
+        "obstacle_q": np.array([scene.obstacle_q for scene in scenes]),
+        "plan_m": np.array(padded),
+        "plan_time_s": times,
+    }
+
+
+def _episodes(world, scene):
+    rows = []
+    for robot in scene.robots:
+        arrived = robot.outcome == "reached"
+        end = robot.end_time_s
+        place = dict(zip("xyz", robot.failure_m.tolist(), strict=True))
+        rows.append(
+            {
+                "world": world,
+                "robot": robot.index,
+                "seed": 7,
+                "vehicle": robot.vehicle,
+                "parameter_set": robot.parameter_set,
+                "planned": True,
+                "outcome": robot.outcome,
+                "time_to_goal_s": end if arrived else math.nan,
+                "path_length_m": 30.0,
+                "energy_j": 1000.0,
+                "min_clearance_m": 0.4 if arrived else 0.0,
+                "min_separation_m": 1.0,
+                "failure_time_s": math.nan if arrived else end,
+                **{f"failure_{axis}_m": value for axis, value in place.items()},
+                "failure_pair": robot.failure_pair,
+                "impact_speed_mps": math.nan,
+                "redraws": 0,
+            }
+        )
+    return pa.Table.from_pylist(rows, schema=EPISODE_SCHEMA)
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory):
+    """A run folder of two worlds."""
+    return make_run(tmp_path_factory.mktemp("runs") / "run", [make_scene(0), make_scene(1)], 2)
+
+
+@pytest.fixture(scope="session")
+def scene_maker():
+    """Makes the scene of a seed again."""
+    return make_scene

@@ -22,7 +22,7 @@ def _texts(axes):
 def test_each_failure_has_a_cross_where_it_happened_with_its_cause(figure, scene):
     for axes, plane in zip(figure.axes, ((0, 1), (0, 2)), strict=True):
         shown = _texts(axes)
-        for robot, cause in zip(scene.robots[1:], ("rock", "obstacle 3", "time out"), strict=True):
+        for robot, cause in zip(scene.robots[1:], ("rock", "obstacle", "time out"), strict=True):
             place = shown[f"{robot.index}: {cause}"].xy
             np.testing.assert_allclose(place, robot.failure_m[list(plane)])
         assert not [text for text in shown if text.startswith("0: ")]

@@ -1,0 +1,80 @@
+"""`angler env`: generate environments into a file, and look at one of them."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.errors import ConfigError
+
+
+def make(
+    out: Path,
+    preset: str = "reef",
+    count: int = 100,
+    seed: int = 0,
+    density: float | None = None,
+    robots: int = 4,
+    radius_m: float = 0.4,
+    placement: Literal["cross", "parallel", "random"] | None = None,
+    tile: Annotated[int, tyro.conf.arg(help_behavior_hint="(default: 256)")] = 256,
+) -> None:
+    """Generate environments and write them to a Zarr file.
+
+    Args:
+        out: File to make, for example envs.zarr.
+        preset: Kind of world: angler2024, sparse, reef, dense, corridor, open, angler_nine_boxes.
+        count: Number of worlds.
+        seed: World i of a seed is the same whatever the count.
+        density: Share of cells that are occupied; the preset's if left out.
+        robots: Number of robots that get a start and a goal.
+        radius_m: Radius of their bounding sphere.
+        placement: Where they start and go; the preset's if left out.
+        tile: Worlds generated at once.
+    """
+    for name, number in (("count", count), ("robots", robots), ("tile", tile)):
+        if number < 1:
+            raise ConfigError(f"--{name} {number}: must be at least 1")
+    import numpy as np
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.files import parse
+    from angler_mjx.world import store
+    from angler_mjx.world.config import WorldConfig
+
+    given: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
+    data = {key: value for key, value in given.items() if value is not None}
+    config = parse(WorldConfig, data, source="angler env make")
+    columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("worlds", total=count)
+        radii = np.full(robots, radius_m)
+        invalid = store.make(
+            out, config, radii, seed, count, tile, lambda done: bar.update(task, completed=done)
+        )
+    if invalid:
+        print(f"{invalid} of {count} worlds cannot hold the fleet; they are marked valid = False")
+    print(out)
+
+
+def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Path) -> None:
+    """Draw one environment of a file.
+
+    Args:
+        file: Made by `angler env make`.
+        index: Which world.
+        out: Picture to write, for example env.png.
+    """
+    from angler_mjx.viewing import environment, style
+    from angler_mjx.world import store
+
+    group = store.open_file(file)
+    count = group["valid"].shape[0]  # type: ignore[union-attr]
+    if not 0 <= index < count:
+        raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
+    about: Any = group.attrs
+    name = about["world_config"]["preset"]
+    picture = environment.draw(store.read(group, index), title=f"{name}, world {index}")
+    style.save(picture, out)
+    print(out)

@@ -1,0 +1,208 @@
+"""Environments on disk: arrays of a Zarr v3 group, worlds leading, one chunk per tile.
+
+The names of the arrays are those of the fields of `Environment`, with "/" between levels
+(``grid/occupied``, ``current/0/core_m``). What is not an array (which kinds of current there are)
+stands in the group's attributes, so that a group can be read without the config that made it.
+"""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import zarr
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.world import currents
+from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.generate import generate_batch, require_valid
+from angler_mjx.world.obstacles import Obstacles
+
+SCHEMA_VERSION = 1
+
+_UNITS = {
+    "_m": "m",
+    "_mps": "m/s",
+    "_rad": "rad",
+    "_s": "s",
+    "_kg": "kg",
+    "_kgm2": "kg m^2",
+    "_m3": "m^3",
+    "_m2ps": "m^2/s",
+    "nu0": "m/s, rad/s",
+    "p0": "m",
+    "M_A": "kg, kg m^2",
+    "D_l": "N s/m, N m s",
+    "D_q": "N s^2/m^2, N m s^2",
+    "path": "m/s, m, rad/s or rad by motion and column",
+}
+"""Unit by the end of an array's name; everything else has none."""
+
+
+def describe(group: zarr.Group, environment: Environment, count: int, tile: int) -> None:
+    """Make the arrays of a group; nothing is written into them yet.
+
+    Args:
+        group: empty.
+        environment: a batch as it will be written, or its shapes (`jax.eval_shape`).
+        count: number of worlds of the whole group.
+        tile: worlds of one chunk.
+    """
+    group.attrs.update(
+        {
+            "schema": "angler_mjx environment",
+            "schema_version": SCHEMA_VERSION,
+            "world_frame": "x east, y north, z up; metres; water surface at z = 0",
+            "cells": "cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]",
+            "quaternion": "wxyz, body to world",
+            "current": [type(component).__name__ for component in environment.current],
+            "obstacle_kinds": list(environment.obstacles.kinds),
+            "obstacle_motions": list(environment.obstacles.motions),
+        }
+    )
+    for name, leaf in _leaves(environment).items():
+        tail = leaf.shape[1:]
+        group.create_array(
+            name,
+            shape=(count, *tail),
+            chunks=(min(tile, count), *tail),
+            dtype=np.dtype(leaf.dtype),
+            compressors=zarr.codecs.BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            attributes={"unit": _unit(name)},
+        )
+
+
+def write(group: zarr.Group, first: int, environment: Environment) -> None:
+    """Write a batch; worlds past the end of the group are dropped.
+
+    Args:
+        group: described before.
+        first: index of the batch's first world in the group.
+        environment: batch of worlds.
+    """
+    for name, leaf in _leaves(environment).items():
+        array: Any = group[name]
+        last = min(first + leaf.shape[0], array.shape[0])
+        array[first:last] = np.asarray(leaf)[: last - first]
+
+
+def read(group: zarr.Group, index: int | slice) -> Environment:
+    """One world of a group, or a batch of them; leaves are host arrays.
+
+    Args:
+        group: written before.
+        index: of one world, or a slice of worlds.
+    """
+    attributes: Any = group.attrs
+
+    def part(kind: type, prefix: str, **static: Any) -> Any:
+        names = [f.name for f in fields(kind) if f.name not in static]
+        return kind(**{name: group[prefix + name][index] for name in names}, **static)  # type: ignore[index]
+
+    kinds = [getattr(currents, name) for name in attributes["current"]]
+    environment: Environment = part(
+        Environment,
+        "",
+        grid=part(Grid, "grid/"),
+        obstacles=part(
+            Obstacles,
+            "obstacles/",
+            kinds=tuple(attributes["obstacle_kinds"]),
+            motions=tuple(attributes["obstacle_motions"]),
+        ),
+        current=tuple(part(kind, f"current/{i}/") for i, kind in enumerate(kinds)),
+    )
+    return environment
+
+
+def make(
+    path: Path,
+    config: WorldConfig,
+    radius_m: np.ndarray,
+    seed: int,
+    count: int,
+    tile: int = 256,
+    advance: Callable[[int], None] = lambda done: None,
+) -> int:
+    """Generate worlds and write them to a new file; all of it or nothing.
+
+    Args:
+        path: of the Zarr group to make.
+        config: what to generate.
+        radius_m: [n_robot] radius of each robot.
+        seed: of the first world's key and all others'.
+        count: number of worlds.
+        tile: worlds generated at once.
+        advance: called with the number of worlds done after each tile.
+
+    Returns:
+        How many worlds cannot hold the fleet; they are stored with ``valid`` False.
+
+    Raises:
+        ConfigError: the path exists, or the config cannot be used with this fleet.
+        RunError: the path cannot be written.
+    """
+    if path.exists():
+        raise ConfigError(f"{path}: exists already; take another name or remove it")
+    tile = min(tile, count)
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    invalid = 0
+    try:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.parent.mkdir(parents=True, exist_ok=True)
+        group = zarr.open_group(unfinished, mode="w-")
+        for first in range(0, count, tile):
+            batch = generate_batch(config, radius_m, seed, first, tile)
+            if first == 0:
+                describe(group, batch, count, tile)
+                group.attrs["world_config"] = config.model_dump(mode="json")
+                group.attrs["world_recipe"] = resolve(config).model_dump(mode="json")
+                group.attrs["radius_m"] = np.asarray(radius_m).tolist()
+                group.attrs["seed"] = seed
+                require_valid(batch)
+            write(group, first, batch)
+            done = min(tile, count - first)
+            invalid += int(np.sum(~np.asarray(batch.valid)[:done]))
+            advance(first + done)
+        unfinished.rename(path)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return invalid
+
+
+def open_file(path: Path) -> zarr.Group:
+    """A file that `make` wrote.
+
+    Raises:
+        ConfigError: there is none, or it is something else.
+    """
+    try:
+        group = zarr.open_group(path, mode="r")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no environments can be read there ({error})") from error
+    version = group.attrs.get("schema_version")
+    if group.attrs.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
+        raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
+    return group
+
+
+def _leaves(environment: Environment) -> dict[str, Any]:
+    """Arrays by name."""
+    found = jax.tree_util.tree_flatten_with_path(environment)[0]
+    return {"/".join(_word(step) for step in path): leaf for path, leaf in found}
+
+
+def _word(step: Any) -> str:
+    return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)
+
+
+def _unit(name: str) -> str:
+    last = name.rsplit("/", 1)[-1]
+    ends = [end for end in _UNITS if last.endswith(end)]
+    return _UNITS[max(ends, key=len)] if ends else "1"
