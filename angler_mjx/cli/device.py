@@ -22,12 +22,13 @@ def choose(device: Device | None) -> None:
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(base / "angler-mjx" / "xla"))
-    if device is not None:
-        jax.config.update("jax_platforms", {"cpu": "cpu", "gpu": "cuda"}[device])
-    try:
-        jax.devices()
-    except RuntimeError as error:
-        raise ConfigError(
-            f"--device {device}: JAX finds no such device here; use --device cpu, or install the "
-            "gpu extra on a machine with an NVIDIA driver"
-        ) from error
+    if device == "cpu":
+        jax.config.update("jax_platforms", "cpu")
+    if device == "gpu":
+        try:
+            jax.devices("gpu")
+        except RuntimeError as error:
+            raise ConfigError(
+                "--device gpu: JAX finds no such device here; use --device cpu, or install the "
+                "gpu extra on a machine with an NVIDIA driver"
+            ) from error

@@ -14,18 +14,31 @@ from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
 
+GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "env": {"make": env.make, "show": env.show},
+    "vehicle": {"list": vehicle.list_, "show": vehicle.show, "export": vehicle.export},
+}
+"""Commands of two words."""
+
+
+def _env() -> None:
+    """Generate environments into a file, and look at one of them."""
+
+
+def _vehicle() -> None:
+    """List vehicles, show what one can do, export its MuJoCo model."""
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
     "scenarios": rollout.scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
-    "env make": env.make,
-    "env show": env.show,
-    "vehicle list": vehicle.list_,
-    "vehicle show": vehicle.show,
-    "vehicle export": vehicle.export,
+    "env": _env,
+    "vehicle": _vehicle,
     "bench": bench.bench,
 }
+"""Commands of one word; the groups stand here for the help text alone."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -34,12 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
     be used, with 130 when it was interrupted.
     """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    prog, commands = "angler", COMMANDS
+    if given and given[0] in GROUPS:
+        prog, commands = f"angler {given[0]}", GROUPS[given.pop(0)]
     try:
         tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
-            prog="angler",
+            commands,
+            prog=prog,
             description="Underwater multi-robot simulation in batches, on JAX and MJX.",
-            args=arguments,
+            args=given,
             config=(tyro.conf.OmitArgPrefixes,),
         )
     except AnglerError as error:

@@ -8,6 +8,8 @@ A free joint's velocity in MuJoCo is the linear velocity in the world and the an
 the body; ours is ``nu``, both in the body. The conversion happens here, once.
 """
 
+import contextlib
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -15,7 +17,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
-from mujoco import mjx
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing; we never use it
+    from mujoco import mjx
 
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times

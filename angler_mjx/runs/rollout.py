@@ -83,6 +83,7 @@ def rollout(
     out: Path | str,
     chunk: int | None = None,
     progress: Progress | None = None,
+    simulator: Simulator | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
@@ -92,6 +93,7 @@ def rollout(
         chunk: worlds whose trajectories are held in memory before they are written; sized from
             free memory if left out. Changes no byte of the results.
         progress: what to tell while running.
+        simulator: of the same scenario, to use what it has compiled already.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -104,7 +106,9 @@ def rollout(
     place = Path(out)
     if place.exists():
         raise ConfigError(f"--out {place}: exists; give another folder or remove it")
-    simulator = Simulator(scenario)
+    simulator = simulator or Simulator(scenario)
+    if simulator.scenario != scenario:
+        raise ConfigError("simulator: was made for another scenario")
     resolved = scenario.model_copy(update={"tile": simulator.tile})
     if scenario.time.record_hz > 0:
         folder.require_space(place, scenario.worlds * _shape(simulator).bytes_per_world())
@@ -120,13 +124,19 @@ def rollout(
 
 
 def resume(
-    out: Path | str, *, chunk: int | None = None, progress: Progress | None = None
+    out: Path | str,
+    *,
+    chunk: int | None = None,
+    progress: Progress | None = None,
+    simulator: Simulator | None = None,
 ) -> folder.Run:
     """Go on with an interrupted run; arguments and errors as in `rollout`."""
     place = Path(out)
     building = folder.reopen(place)
     scenario = folder.read_scenario(building)
-    simulator = Simulator(scenario)
+    simulator = simulator or Simulator(scenario)
+    if simulator.scenario.model_copy(update={"tile": simulator.tile}) != scenario:
+        raise ConfigError("simulator: was made for another scenario")
     return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=False)
 
 

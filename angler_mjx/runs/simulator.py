@@ -85,6 +85,7 @@ class Simulator:
             horizon_s=timing.horizon_s, margin_m=scenario.planner.margin_m
         )
         self._one_world = partial(_one_world, scenario, resolve(scenario.world), self._plan)
+        self._compiled = False
         self._prepare: Callable[..., World] = jax.jit(self._prepare_tile)
         self._reset: Callable[..., WorldState] = jax.jit(
             jax.vmap(partial(episode.reset, self.spec), (None, 0))
@@ -172,7 +173,13 @@ class Simulator:
         return self._segment(self.fleet.engine, worlds, state)
 
     def compile(self) -> CompileTime:
-        """Compile for this tile ahead of time; later calls use the compiled functions."""
+        """Compile for this tile ahead of time; later calls use the compiled functions.
+
+        Returns:
+            What it took; zeros if it was done before.
+        """
+        if self._compiled:
+            return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
         engine, number = self.fleet.engine, jnp.uint32(0)
         self._prepare, prepare_s = _compiled(self._prepare, self.fleet, number, number)
         worlds = self.world_shape()
@@ -181,6 +188,7 @@ class Simulator:
             jax.vmap(partial(episode.reset, self.spec), (None, 0)), engine, worlds
         )
         self._segment, segment_s = _compiled(self._segment, engine, worlds, state)
+        self._compiled = True
         return CompileTime(prepare_s=prepare_s, reset_s=reset_s, segment_s=segment_s)
 
     def _prepare_tile(self, kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:

@@ -28,7 +28,7 @@ class Contact:
     separation_m: jax.Array
     """[R] to the nearest other hull; inf in a fleet of one."""
     nearest: jax.Array
-    """int32 [R] a `Touched`: what is nearest of all; CELL where nothing is within the exact radius."""
+    """int32 [R] a `Touched`: what is nearest; CELL where nothing is within the exact radius."""
     nearest_index: jax.Array
     """int32 [R] which obstacle or robot; -1 otherwise."""
     nearest_is_static: jax.Array
@@ -51,9 +51,9 @@ def detect(
         state: [R] leads.
         obstacles: now.
     """
-    place = jax.vmap(lambda p, q, c: p + quaternion.rotate(q, c), (None, None, 0))
-    a = jax.vmap(place)(state.p, state.q, vehicles.capsule_a_m)
-    b = jax.vmap(place)(state.p, state.q, vehicles.capsule_b_m)
+    place = jax.vmap(jax.vmap(_place, (None, None, 0)))
+    a = place(state.p, state.q, vehicles.capsule_a_m)
+    b = place(state.p, state.q, vehicles.capsule_b_m)
     r = vehicles.capsule_r_m
     v = jax.vmap(quaternion.rotate)(state.q, state.nu[:, :3])
     grid = environment.grid
@@ -85,6 +85,11 @@ def detect(
         nearest_is_static=(nearest != Touched.ROBOT) & ((nearest != Touched.OBSTACLE) | stands),
         closing_speed_mps=jnp.sqrt(jnp.sum((v - other_v) ** 2, axis=1)),
     )
+
+
+def _place(p: jax.Array, q: jax.Array, point: jax.Array) -> jax.Array:
+    """Point [3] of a body at p [3], q [4], in W."""
+    return p + quaternion.rotate(q, point)
 
 
 def _nearest_obstacle(

@@ -9,8 +9,11 @@ from matplotlib.colors import LightSource, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
-from mpl_toolkits.mplot3d import Axes3D
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
+from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
+    Line3DCollection,
+    Poly3DCollection,
+)
 
 from angler_mjx.viewing import style
 from angler_mjx.viewing.outlines import outline, rotation
@@ -172,10 +175,8 @@ def _map(axes: Axes, environment: Environment, low: np.ndarray, high: np.ndarray
     )
     given = environment.obstacles
     there = np.flatnonzero(np.asarray(given.exists))
-    shapes = [
-        Polygon(outline(int(given.kind[i]), given.size_m[i], given.p0[i], given.q0[i], (0, 1)))
-        for i in there
-    ]
+    size, p0, q0 = np.asarray(given.size_m), np.asarray(given.p0), np.asarray(given.q0)
+    shapes = [Polygon(outline(int(given.kind[i]), size[i], p0[i], q0[i], (0, 1))) for i in there]
     tints = [_obstacle_color(environment, int(i)) for i in there]
     axes.add_collection(PatchCollection(shapes, facecolors=tints, alpha=0.7, zorder=3))
     for i, (start, goal) in enumerate(zip(environment.start_m, environment.goal_m, strict=True)):

@@ -6,10 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon, Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
-from angler_mjx.viewing import style
+from angler_mjx.viewing import legends, style
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.environment import Grid
@@ -17,9 +16,6 @@ from angler_mjx.world.obstacles import STATIC
 
 _ABOVE, _SOUTH = (0, 1), (0, 2)
 """World axes of the two pictures: x and y, x and z."""
-
-_LISTED = 12
-"""Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
 
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 
@@ -35,7 +31,7 @@ def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
     low, high = scene.bounds_m
     size = high - low
     with style.styled():
-        listed = min(len(scene.robots), _LISTED + 1)
+        listed = min(len(scene.robots), legends.LISTED + 1)
         panel = min(4.8 * float(max(size[1], size[2]) / size[0]), 9.0)
         figure = style.new_figure(11.6, panel + 1.6 + 0.21 * max(listed, 4), headline_in=0.6)
         style.headline(figure, title, subtitle)
@@ -51,9 +47,9 @@ def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
                 _track(axes, scene, robot, plane)
         above.set(title="From above", xlabel="east, m", ylabel="north, m")
         south.set(title="From the south", xlabel="east, m", ylabel="height, m (0: surface)")
-        figure.legend(handles=_robot_handles(scene), loc="outside lower left", handlelength=2.2)
+        figure.legend(handles=legends.robots(scene), loc="outside lower left", handlelength=2.2)
         figure.legend(
-            handles=_other_handles(scene),
+            handles=legends.signs(scene),
             loc="outside lower right",
             ncols=2,
             handlelength=2.2,
@@ -234,20 +230,25 @@ def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) 
         in_layout=False,
     )
     if not robot.arrived:
-        _cross(axes, robot, plane)
+        _cross(axes, scene, robot, plane)
 
 
-def _cross(axes: Axes, robot: RobotTrack, plane: tuple[int, int]) -> None:
+def _cross(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) -> None:
     x, y = (float(robot.failure_m[axis]) for axis in plane)
     if not (np.isfinite(x) and np.isfinite(y)):  # diverged
         return
     axes.plot(x, y, "X", ms=11, color=style.INK, mec=style.PAPER, mew=1.2, zorder=9)
     left, right = axes.get_xlim()
     far = x > left + 0.75 * (right - left)
+    # Two robots that met fail at one place: their labels stand below each other.
+    above = sum(
+        bool(np.linalg.norm((other.failure_m - robot.failure_m)[list(plane)]) < 1.5)
+        for other in scene.robots[: robot.index]
+    )
     axes.annotate(
         f"{robot.index}: {_cause(robot)}",
         (x, y),
-        xytext=(-9 if far else 9, 5),
+        xytext=(-9 if far else 9, 5 - 17 * above),
         textcoords="offset points",
         ha="right" if far else "left",
         fontsize=8.5,
@@ -267,52 +268,3 @@ def _cause(robot: RobotTrack) -> str:
     kind, _, index = robot.failure_pair.partition(":")
     # Obstacles have no numbers on the map; robots have.
     return {"cell": "rock", "robot": f"robot {index}"}.get(kind, kind)
-
-
-def _robot_handles(scene: Scene) -> list[Line2D]:
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=style.robot_color(robot.index),
-            linewidth=2.4,
-            label=f"{robot.index}  {robot.vehicle}, {robot.parameter_set}: "
-            f"{style.OUTCOME_TEXT[robot.outcome]} after {robot.end_time_s:.0f} s",
-        )
-        for robot in scene.robots[:_LISTED]
-    ]
-    left_out = len(scene.robots) - _LISTED
-    if left_out > 0:
-        handles.append(Line2D([], [], color="none", label=f"... and {left_out} more"))
-    return handles
-
-
-def _other_handles(scene: Scene) -> list[Line2D | Patch]:
-    """What the other signs mean, of those that occur."""
-    given = scene.environment.obstacles
-    there = np.asarray(given.exists)
-    still = np.asarray(given.motion) == STATIC
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=style.QUIET, linestyle=(0, (3, 2)), label="planned way"),
-        Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
-        Line2D(
-            [], [], color=style.QUIET, marker="*", ms=11, linestyle="", label="goal (disc: start)"
-        ),
-    ]
-    if any(not robot.arrived for robot in scene.robots):
-        handles.append(
-            Line2D([], [], color=style.INK, marker="X", ms=8, linestyle="", label="failure")
-        )
-    if np.asarray(scene.environment.grid.occupied).any():
-        handles.append(Patch(color=style.ROCK(0.75), label="rock; lighter is higher"))
-    if np.any(there & ~still):
-        handles.append(
-            Patch(
-                color=style.OBSTACLE_DYNAMIC,
-                alpha=0.6,
-                label="moving obstacle at the start; dotted: its way",
-            )
-        )
-    if np.any(there & still):
-        handles.append(Patch(color=style.OBSTACLE_STATIC, label="still obstacle"))
-    return handles

@@ -1,7 +1,9 @@
 """Replays in the Rerun viewer: a file of some worlds of a run, or the viewer opened on one."""
 
 import os
+import shutil
 import sys
+import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -77,7 +79,16 @@ def show(run: Run, world: int) -> None:
         )
     scenes = [scene.read(run, world)]
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
-    recording.spawn(default_blueprint=_blueprint(scenes))
+    # The viewer's command lies beside this Python, which need not be on the PATH.
+    scripts = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
+    try:
+        rr.spawn(
+            executable_path=shutil.which("rerun", path=scripts),
+            recording=recording,
+            default_blueprint=_blueprint(scenes),
+        )
+    except RuntimeError as error:
+        raise UnsupportedError(f"the Rerun viewer cannot be started: {error}") from error
     _log(recording, scenes)
     recording.flush()
 
@@ -111,52 +122,10 @@ def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.Scene]) -> None
 
 
 def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
-    """Each world in a tab: the 3-D view, the fleet's table, distance to goal, and events."""
+    """One tab a world; the run plays at once and again when it is over."""
     import rerun.blueprint as rrb
 
-    tabs = []
-    for one in scenes:
-        root = _root(one.world)
-        low, high = one.bounds_m
-        middle, size = 0.5 * (low + high), float(max(high - low))
-        view = rrb.Spatial3DView(
-            origin=f"/{root}",
-            contents=[f"/{root}/space/**"],
-            name="World",
-            background=[16, 38, 54],
-            line_grid=False,
-            eye_controls=rrb.EyeControls3D(
-                kind=rrb.Eye3DKind.Orbital,
-                position=middle + size * np.array([0.95, -1.35, 0.75]),
-                look_target=middle - size * np.array([0.0, 0.0, 0.08]),
-                eye_up=[0.0, 0.0, 1.0],
-            ),
-        )
-        side = rrb.Vertical(
-            rrb.TextDocumentView(origin=f"/{root}/fleet", name="Fleet"),
-            rrb.TimeSeriesView(
-                origin=f"/{root}/distance_to_goal_m",
-                name="Distance to goal, m",
-                axis_x=rrb.TimeAxis(
-                    view_range=rrb.TimeRange(
-                        start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
-                        end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
-                    )
-                ),
-            ),
-            rrb.TextLogView(
-                origin=f"/{root}/events",
-                name="Events",
-                columns=rrb.TextLogColumns(
-                    timeline_columns=["time"], text_log_columns=["LogLevel", "Body"]
-                ),
-            ),
-            row_shares=[3, 3, 2],
-        )
-        arrived = maps.describe(one).split(",")[0]
-        tabs.append(
-            rrb.Horizontal(view, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")
-        )
+    tabs = [_tab(one) for one in scenes]
     return rrb.Blueprint(
         rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0],
         rrb.TimePanel(
@@ -170,3 +139,42 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
         rrb.SelectionPanel(state="hidden"),
         auto_views=False,
     )
+
+
+def _tab(one: scene.Scene) -> "rrb.Horizontal":
+    """The world in space; beside it the fleet's table, distances to goal, and events."""
+    import rerun.blueprint as rrb
+
+    root = f"/{_root(one.world)}"
+    low, high = one.bounds_m
+    middle, size = 0.5 * (low + high), float(max(high - low))
+    space = rrb.Spatial3DView(
+        origin=root,
+        contents=[f"{root}/space/**"],
+        name="World",
+        background=[16, 38, 54],
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=middle + size * np.array([0.95, -1.35, 0.75]),
+            look_target=middle - size * np.array([0.0, 0.0, 0.08]),
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+    )
+    whole = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
+        end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
+    )
+    columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+    side = rrb.Vertical(
+        rrb.TextDocumentView(origin=f"{root}/fleet", name="Fleet"),
+        rrb.TimeSeriesView(
+            origin=f"{root}/distance_to_goal_m",
+            name="Distance to goal, m",
+            axis_x=rrb.TimeAxis(view_range=whole),
+        ),
+        rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
+        row_shares=[3, 3, 2],
+    )
+    arrived = maps.describe(one).split(",")[0]
+    return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")

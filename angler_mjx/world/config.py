@@ -24,7 +24,7 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class WorldConfig(FileModel):
-    """The world of a scenario: a preset, and what differs from it. What is left out is the preset's."""
+    """The world of a scenario: a preset and what differs from it; the rest is the preset's."""
 
     preset: str = "reef"
     density: Share | None = None

@@ -83,10 +83,9 @@ def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.
         still = along == 0
         safe = jnp.where(still, 1.0, along)
         t0, t1 = (lower - start[axis]) / safe, (lower + 1 - start[axis]) / safe
-        inside = (start[axis] > lower) & (start[axis] < lower + 1)
-        t0 = jnp.where(still, jnp.where(inside, -jnp.inf, jnp.inf), t0)
-        t1 = jnp.where(still, jnp.where(inside, jnp.inf, -jnp.inf), t1)
-        enter = jnp.maximum(enter, jnp.minimum(t0, t1))
-        leave = jnp.minimum(leave, jnp.maximum(t0, t1))
+        beside = still & ((start[axis] <= lower) | (start[axis] >= lower + 1))
+        first = jnp.where(still, -jnp.inf, jnp.minimum(t0, t1))
+        enter = jnp.maximum(enter, jnp.where(beside, jnp.inf, first))
+        leave = jnp.minimum(leave, jnp.where(still, jnp.inf, jnp.maximum(t0, t1)))
     # Rounding of t is below 1e-6; a shorter stay in a cell is a touch.
     return ~jnp.any(occupied & (leave - enter > 1e-5))

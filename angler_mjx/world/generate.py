@@ -17,7 +17,14 @@ from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
 from angler_mjx.world.difficulty import line_is_free, shortest_ways
 from angler_mjx.world.environment import Environment, Grid
 from angler_mjx.world.obstacle_explicit import explicit_rows
-from angler_mjx.world.placement import cell_centres, cell_clearance, cell_of, obstacle_gap, place
+from angler_mjx.world.placement import (
+    cell_centres,
+    cell_clearance,
+    cell_of,
+    check_given,
+    obstacle_gap,
+    place,
+)
 from angler_mjx.world.rules import draw_cells
 
 
@@ -39,7 +46,7 @@ def generate(
     radius_m: jax.Array,
     key: jax.Array,
     horizon_s: float = 120.0,
-    water_density_kgm3: float = 1000.0,
+    water_density_kgm3: jax.Array | float = 1000.0,
 ) -> Environment:
     """One world for one fleet.
 
@@ -71,7 +78,13 @@ def generate(
         grid=grid,
         floor_z_m=jnp.array(recipe.floor_z_m, float),
         obstacles=obstacles.draw(
-            recipe.obstacles, obstacles_key, grid, lo, hi, keep_out, keep_out_radius,
+            recipe.obstacles,
+            obstacles_key,
+            grid,
+            lo,
+            hi,
+            keep_out,
+            keep_out_radius,
             water_density_kgm3,
         ),
         current=currents.draw(recipe.currents, current_key, lo, hi, horizon_s),
@@ -117,9 +130,34 @@ def generate_batch(
     radius = np.asarray(radius_m)
     if not 0 <= seed < 2**32:
         raise ConfigError(f"seed = {seed}: must lie between 0 and 2^32 - 1")
-    _check_fleet(recipe, radius)
+    check_fleet(recipe, radius)
     radii = jnp.broadcast_to(jnp.asarray(radius, float), (count, radius.shape[-1]))
-    return _batch(recipe, radii, seed, first_index, horizon_s, water_density_kgm3)
+    batch: Environment = _batch(recipe, radii, seed, first_index, horizon_s, water_density_kgm3)
+    return batch
+
+
+def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
+    """Refuse a fleet that no drawing of the recipe can hold, before anything is compiled.
+
+    Args:
+        recipe: of the world.
+        radius_m: [..., n_robot] radius of each robot's bounding sphere.
+
+    Raises:
+        ConfigError: no robot, one too wide for the cells, or given places that are not free.
+    """
+    radius = np.asarray(radius_m)
+    n_robot = radius.shape[-1]
+    if n_robot < 1:
+        raise ConfigError("the fleet has no robot")
+    widest = float(radius.max())
+    if not float(radius.min()) > 0 or widest >= 1.5 * recipe.cell_m:
+        raise ConfigError(
+            f"robot radius {widest:.3g} m: must be above 0 and below 1.5 cells, and a cell "
+            f"(cell_m) is {recipe.cell_m} m"
+        )
+    if recipe.placement == "given":
+        check_given(recipe, radius.reshape(-1, n_robot).max(axis=0))
 
 
 def require_valid(environment: Environment, first_index: int = 0) -> None:
@@ -155,22 +193,6 @@ def _batch(
         return generate(recipe, radius, key, horizon_s, water_density_kgm3)
 
     return jax.vmap(one)(index, radius_m)
-
-
-def _check_fleet(recipe: WorldRecipe, radius: np.ndarray) -> None:
-    n_robot = radius.shape[-1]
-    if n_robot < 1:
-        raise ConfigError("the fleet has no robot")
-    widest = float(radius.max())
-    if not float(radius.min()) > 0 or widest >= 1.5 * recipe.cell_m:
-        raise ConfigError(
-            f"robot radius {widest:.3g} m: must be above 0 and below 1.5 cells, and a cell "
-            f"(cell_m) is {recipe.cell_m} m"
-        )
-    if recipe.placement == "given" and n_robot != len(recipe.start_m):
-        raise ConfigError(
-            f"start_m and goal_m have {len(recipe.start_m)} places, the fleet has {n_robot} robots"
-        )
 
 
 def _draw(

@@ -7,17 +7,18 @@ the floor and no face of the grid.
 """
 
 import math
-from typing import TYPE_CHECKING
+from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
-
+from angler_mjx.errors import ConfigError
+from angler_mjx.world.config import WorldRecipe
+from angler_mjx.world.obstacle_explicit import explicit_rows
 from angler_mjx.world.obstacles import STATIC, Obstacles
-
-if TYPE_CHECKING:
-    from angler_mjx.world.config import WorldRecipe
 
 # Corner c is (bit 0 -> x, bit 1 -> y, bit 2 -> z). The first four are pairwise face diagonals and
 # go to the other four, so up to four robots share no corner at all.
@@ -26,7 +27,7 @@ _JITTER_CELLS = {"cross": 3.0, "parallel": 1.0}
 """How much farther from its corner or lane a robot may stand than the nearest free cell."""
 
 
-def cell_centres(recipe: "WorldRecipe") -> jax.Array:
+def cell_centres(recipe: WorldRecipe) -> jax.Array:
     """Centres of all cells, [nx, ny, nz, 3] m, W."""
     index = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in recipe.shape), indexing="ij"), axis=-1)
     return jnp.array(recipe.origin_m, float) + recipe.cell_m * (index + 0.5)
@@ -52,30 +53,66 @@ def cell_clearance(occupied: jax.Array, cell_m: float) -> jax.Array:
     return clearance[1:-1, 1:-1, 1:-1]
 
 
-def obstacle_gap(obstacles: Obstacles, centres: jax.Array, only_static: bool) -> jax.Array:
-    """Distance [...] of points [..., 3] to the surfaces of obstacles at their start, m.
+def obstacle_gap(obstacles: Obstacles, points: jax.Array, only_static: bool) -> jax.Array:
+    """Distance [...] of points [..., 3] to the nearest obstacle's surface at its start, m.
 
     Args:
         obstacles: of one world.
-        centres: [..., 3] m, W.
+        points: [..., 3] m, W.
         only_static: leave out those that move.
     """
+    gaps = jax.vmap(partial(_gaps, obstacles))(points.reshape(-1, 3))
+    counts = obstacles.exists & ((obstacles.motion == STATIC) | (not only_static))
+    return jnp.min(jnp.where(counts, gaps, jnp.inf), axis=1).reshape(points.shape[:-1])
 
-    def gap(p: jax.Array) -> jax.Array:
-        point, zero = p[None], jnp.zeros(1, p.dtype)
 
-        def to_one(row: tuple[jax.Array, ...]) -> jax.Array:
-            return capsules_obstacle(point, point, zero, *row, kinds=obstacles.kinds)
+def _gaps(obstacles: Obstacles, p: jax.Array) -> jax.Array:
+    """Distance [n] of a point to each obstacle's surface at its start, m."""
+    point, zero = p[None], jnp.zeros(1, p.dtype)
+    to_one = partial(capsules_obstacle, point, point, zero, kinds=obstacles.kinds)
+    return jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
 
-        rows = (obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m)
-        counts = obstacles.exists & ((obstacles.motion == STATIC) | (not only_static))
-        return jnp.min(jnp.where(counts, jax.vmap(to_one)(rows), jnp.inf))
 
-    return jax.vmap(gap)(centres.reshape(-1, 3)).reshape(centres.shape[:-1])
+def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
+    """Refuse starts and goals of a file that lie outside the grid or touch an explicit obstacle.
+
+    Args:
+        recipe: with placement "given".
+        radius_m: [n_robot].
+
+    Raises:
+        ConfigError: naming every such place.
+    """
+    if len(radius_m) != len(recipe.start_m):
+        raise ConfigError(
+            f"start_m and goal_m have {len(recipe.start_m)} places, the fleet has "
+            f"{len(radius_m)} robots"
+        )
+    low = np.array(recipe.origin_m)
+    high = low + recipe.size_m
+    low[2] = max(low[2], recipe.floor_z_m)
+    explicit = recipe.obstacles.explicit
+    faults = []
+    for key, places in (("start_m", recipe.start_m), ("goal_m", recipe.goal_m)):
+        for i, place_m in enumerate(places):
+            if np.any(place_m < low) or np.any(place_m > high):
+                faults.append(f"{key}[{i}] = {place_m}: outside {low.tolist()} to {high.tolist()}")
+            if not explicit:
+                continue
+            rows = explicit_rows(explicit, 1000.0)  # The water's density changes no shape.
+            counts = (np.asarray(rows.motion) == STATIC) | (key == "start_m")
+            gaps = np.asarray(_gaps(rows, jnp.array(place_m, float)))
+            faults += [
+                f"{key}[{i}] = {place_m}: {gaps[j]:.2f} m from obstacles.explicit[{j}]; "
+                f"the robot's radius is {radius_m[i]:.2f} m"
+                for j in np.flatnonzero(counts & (gaps < radius_m[i]))
+            ]
+    if faults:
+        raise ConfigError("\n  ".join(["places that are not free", *faults]))
 
 
 def place(
-    recipe: "WorldRecipe",
+    recipe: WorldRecipe,
     centres: jax.Array,
     clearance: jax.Array,
     start_clearance: jax.Array,
@@ -117,11 +154,14 @@ def place(
         radius, near_start, near_goal = robot
         margin = radius + recipe.clearance_m
         free = open_cell & (start_gap >= margin)
-        from_cell = jnp.argmin(jnp.where(free, _score(recipe, point, near_start, noise[0]), jnp.inf))
+        from_cell = jnp.argmin(
+            jnp.where(free, _score(recipe, point, near_start, noise[0]), jnp.inf)
+        )
         fits, start = free[from_cell], point[:, from_cell]
         way = _distance(point, start)
         free = open_cell & (goal_gap >= margin) & (way >= least_way)
-        to_cell = jnp.argmin(jnp.where(free, _score(recipe, point, near_goal, noise[1]), jnp.inf))
+        price = _score(recipe, point, near_goal, noise[1])
+        to_cell = jnp.argmin(jnp.where(free, price, jnp.inf))
         fits, goal = fits & free[to_cell], point[:, to_cell]
         start_gap = jnp.minimum(start_gap, way - radius)
         goal_gap = jnp.minimum(goal_gap, _distance(point, goal) - radius)
@@ -133,14 +173,14 @@ def place(
     return start, goal, jnp.all(fits)
 
 
-def cell_of(recipe: "WorldRecipe", p: jax.Array) -> jax.Array:
+def cell_of(recipe: WorldRecipe, p: jax.Array) -> jax.Array:
     """Index [..., 3] (int32) of the cell that holds a point [..., 3] m, W; the nearest if none."""
     index = jnp.floor((p - jnp.array(recipe.origin_m, p.dtype)) / recipe.cell_m)
     return jnp.clip(index.astype(jnp.int32), 0, jnp.array(recipe.shape) - 1)
 
 
 def _given(
-    recipe: "WorldRecipe", open_cell: jax.Array, start_clearance: jax.Array, radius_m: jax.Array
+    recipe: WorldRecipe, open_cell: jax.Array, start_clearance: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The places of the file; they hold where the cells that they lie in would be taken."""
     start, goal = jnp.array(recipe.start_m, float), jnp.array(recipe.goal_m, float)
@@ -152,15 +192,15 @@ def _given(
     return start, goal, jnp.all(fits)
 
 
-def _targets(
-    recipe: "WorldRecipe", n_robot: int, key: jax.Array
-) -> tuple[jax.Array, jax.Array]:
+def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W."""
     lo, size = jnp.array(recipe.origin_m, float), jnp.array(recipe.size_m, float)
     if recipe.placement == "parallel":
         columns = min(n_robot, max(1, recipe.shape[1] // 2))
         rows = -(-n_robot // columns)
-        lane = [((i % columns + 0.5) / columns, (i // columns + 0.5) / rows) for i in range(n_robot)]
+        lane = [
+            ((i % columns + 0.5) / columns, (i // columns + 0.5) / rows) for i in range(n_robot)
+        ]
         y_z = jnp.array(lane, float)
         first = jnp.pad(y_z, ((0, 0), (1, 0)))
         return lo + size * first, lo + size * first.at[:, 0].set(1.0)
@@ -171,9 +211,7 @@ def _targets(
     return lo + size * bits, lo + size * ~bits
 
 
-def _score(
-    recipe: "WorldRecipe", point: jax.Array, target: jax.Array, noise: jax.Array
-) -> jax.Array:
+def _score(recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array) -> jax.Array:
     """What a robot pays for each cell, [cells]; the cheapest is taken."""
     if recipe.placement == "random":
         return noise

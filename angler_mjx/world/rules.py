@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
-from angler_kernels.caverns import largest_cavern
-from angler_kernels.cellular_automaton import step
 from pydantic import Field
 
+from angler_kernels.caverns import largest_cavern
+from angler_kernels.cellular_automaton import step
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 
@@ -59,7 +59,10 @@ type Rule = Annotated[AutomatonRule | WallsRule | OpenRule, Field(discriminator=
 
 
 def draw_cells(
-    rule: AutomatonRule | WallsRule | OpenRule, shape: Shape, fill: float | jax.Array, key: jax.Array
+    rule: AutomatonRule | WallsRule | OpenRule,
+    shape: Shape,
+    fill: float | jax.Array,
+    key: jax.Array,
 ) -> jax.Array:
     """Occupied cells, bool [nx, ny, nz], of one world.
 
@@ -71,7 +74,7 @@ def draw_cells(
     """
     match rule:
         case AutomatonRule():
-            wall = jax.random.uniform(key, shape) < fill
+            wall = jax.random.uniform(key, shape, jnp.float32) < fill
             for _ in range(rule.steps):
                 wall = step(wall, rule.die_below, rule.born_above)
             return ~largest_cavern(~wall)

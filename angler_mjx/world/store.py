@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 import zarr
+from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.world import currents
@@ -71,7 +72,7 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             shape=(count, *tail),
             chunks=(min(tile, count), *tail),
             dtype=np.dtype(leaf.dtype),
-            compressors=zarr.codecs.BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            compressors=BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
             attributes={"unit": _unit(name)},
         )
 

@@ -9,10 +9,8 @@ rotor lag, in a uniform current with one vortex, under random thruster commands 
 writes the table between the two marker lines of that file.
 """
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +21,10 @@ import tyro
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from angler_kernels import quaternion, rigid_body, spd_solve, thruster
+from angler_experiments import schemes
+from angler_experiments.driving import CASES, HOLD_S, Case, draw_commands
+from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
-from angler_mjx.control import allocation
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine, step
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
@@ -43,28 +42,8 @@ VARIANTS = (
     ("bluerov2", "blue_gazebo"),
 )
 STEPS_MS = (40, 20, 10, 5)
-HOLD_S = 0.2
 BATTERY_V = 16.0
 MARKERS = ("<!-- convergence:begin -->", "<!-- convergence:end -->")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """How roughly the vehicles are driven."""
-
-    name: str
-    speed_mps: float
-    """Amplitude of surge, sway and heave: the force that drag exerts at this speed."""
-    moment_nm: tuple[float, float, float]
-    """Amplitude of the moments about x, y, z."""
-    memory: float
-    """Correlation of a command with the one 0.2 s before."""
-
-
-CASES = (
-    Case(name="moderate", speed_mps=0.45, moment_nm=(0.3, 0.3, 1.0), memory=0.95),
-    Case(name="violent", speed_mps=1.2, moment_nm=(5.0, 5.0, 6.0), memory=0.0),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,22 +90,6 @@ def set_up() -> Setup:
     )
 
 
-def draw_commands(case: Case, vehicles: VehicleParams, n: int, seed: int) -> Array:
-    """Thrusts [n_variant, n, n_thruster] N that settle random wrenches, held for 0.2 s each."""
-    rng = np.random.default_rng(seed)
-    noise = rng.uniform(-1.0, 1.0, (n, 6)) * math.sqrt(3.0)
-    for k in range(1, n):
-        noise[k] = case.memory * noise[k - 1] + math.sqrt(1 - case.memory**2) * noise[k]
-    D_l, D_q = np.asarray(vehicles.D_l)[:, :3], np.asarray(vehicles.D_q)[:, :3]
-    force = (D_l + D_q * case.speed_mps) * case.speed_mps
-    amplitude = np.concatenate([force, np.tile(case.moment_nm, (len(force), 1))], axis=1)
-    inverse = np.asarray(allocation.build(vehicles).B_inverse)
-    thrust = np.einsum("vti,vi,ki->vkt", inverse, amplitude / 2, noise)
-    ends = np.asarray(vehicles.thrust_n)[:, None, [0, -1]]
-    clipped: Array = np.clip(thrust, ends[..., :1], ends[..., 1:])
-    return clipped
-
-
 def first_state(n_thruster: int) -> VehicleState:
     """A vehicle at rest in the middle of the water column."""
     return VehicleState(
@@ -138,131 +101,7 @@ def first_state(n_thruster: int) -> VehicleState:
     )
 
 
-type Scheme = Callable[..., VehicleState]
-"""(engine, body, params, state, thrust_command, current, t, dt, water) -> state, as `step.step`."""
-
-
-def _accelerate(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    state: VehicleState,
-    thrust: jax.Array,
-    current: Current,
-    t: jax.Array,
-    water: Water,
-) -> jax.Array:
-    """nu' [6] under given thrusts."""
-    M, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
-    total = force + rigid_body.matrix_times(vehicle.B, thrust)
-    return spd_solve.solve(M, total[:, None])[:, 0]
-
-
-def _euler_world(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    state: VehicleState,
-    command: jax.Array,
-    current: Current,
-    t: jax.Array,
-    dt: jax.Array,
-    water: Water,
-) -> VehicleState:
-    """Semi-implicit Euler on the velocity in the world, as MuJoCo's default integrator."""
-    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
-    a = _accelerate(engine, body, vehicle, state, mean, current, t, water)
-    v, omega = state.nu[:3], state.nu[3:]
-    v_world = quaternion.rotate(state.q, v + dt * (a[:3] + jnp.cross(omega, v)))
-    omega = omega + dt * a[3:]
-    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * omega)))
-    nu = jnp.concatenate([quaternion.rotate_inverse(q, v_world), omega])
-    return replace(state, p=state.p + dt * v_world, q=q, nu=nu, thrust=thrust)
-
-
-def _euler_body(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    state: VehicleState,
-    command: jax.Array,
-    current: Current,
-    t: jax.Array,
-    dt: jax.Array,
-    water: Water,
-) -> VehicleState:
-    """Semi-implicit Euler on the velocity in the body."""
-    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
-    nu = state.nu + dt * _accelerate(engine, body, vehicle, state, mean, current, t, water)
-    p = state.p + dt * quaternion.rotate(state.q, nu[:3])
-    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * nu[3:])))
-    return replace(state, p=p, q=q, nu=nu, thrust=thrust)
-
-
-def _explicit(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    state: VehicleState,
-    command: jax.Array,
-    current: Current,
-    t: jax.Array,
-    dt: jax.Array,
-    water: Water,
-) -> VehicleState:
-    """Ours with the damping left explicit: two-step Adams-Bashforth for all smooth forces."""
-    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
-    M, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
-    nu, before = rigid_body.advance_damped_velocity(
-        state.nu,
-        M,
-        jnp.zeros_like(force),
-        force,
-        state.force_before,
-        rigid_body.matrix_times(vehicle.B, mean),
-        dt,
-    )
-    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
-    return VehicleState(p=p, q=q, nu=nu, force_before=before, thrust=thrust)
-
-
-def _heun(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    state: VehicleState,
-    command: jax.Array,
-    current: Current,
-    t: jax.Array,
-    dt: jax.Array,
-    water: Water,
-) -> VehicleState:
-    """Heun's method with ours's pose step: two evaluations of the forces a step."""
-    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
-    a = _accelerate(engine, body, vehicle, state, mean, current, t, water)
-    guess = state.nu + dt * a
-    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, guess, dt)
-    ahead = replace(state, p=p, q=q, nu=guess)
-    b = _accelerate(engine, body, vehicle, ahead, mean, current, t + dt, water)
-    nu = state.nu + 0.5 * dt * (a + b)
-    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
-    return replace(state, p=p, q=q, nu=nu, thrust=thrust)
-
-
-def _unit(q: jax.Array) -> jax.Array:
-    return q / jnp.sqrt(jnp.sum(q * q))
-
-
-SCHEMES: dict[str, Scheme] = {
-    "Euler, world velocity": _euler_world,
-    "Euler, body velocity": _euler_body,
-    "explicit AB2": _explicit,
-    "ours": step.step,
-    "Heun (two evaluations)": _heun,
-}
-
-
-def simulate(setup: Setup, scheme: Scheme, commands: Array, step_ms: int) -> Array:
+def simulate(setup: Setup, scheme: schemes.Scheme, commands: Array, step_ms: int) -> Array:
     """Positions [n_variant, n_command, 3] after each command."""
     steps = round(HOLD_S * 1e3 / step_ms)
     dt = HOLD_S / steps
@@ -302,51 +141,44 @@ def simulate(setup: Setup, scheme: Scheme, commands: Array, step_ms: int) -> Arr
     return np.asarray(jax.jit(jax.vmap(one))(setup.body, setup.vehicles, jnp.asarray(commands)))
 
 
-@partial(jax.jit, static_argnames="n_thruster")
-def _rate(
-    engine: MjxEngine,
-    body: BodyInertia,
-    vehicle: VehicleParams,
-    current: Current,
-    y: jax.Array,
-    command: jax.Array,
-    n_thruster: int,
-) -> jax.Array:
-    """d/dt of [p, q, nu, thrusts]."""
-    state = replace(first_state(n_thruster), p=y[:3], q=y[3:7], nu=y[7:13], thrust=y[13:])
-    a = _accelerate(engine, body, vehicle, state, state.thrust, current, jnp.zeros(()), Water())
-    spin = jnp.concatenate([jnp.zeros(1), state.nu[3:]])
-    return jnp.concatenate(
-        [
-            quaternion.rotate(state.q, state.nu[:3]),
-            0.5 * quaternion.multiply(state.q, spin),
-            a,
-            (command - state.thrust) / vehicle.tau_s,
-        ]
-    )
+def reference(setup: Setup, commands: Array) -> Array:
+    """States [n_variant, n_command, 13 + n_thruster] by DOP853, after each command."""
+    n, n_thruster = len(commands), commands.shape[-1]
+    start = first_state(n_thruster)
 
+    def one(body: BodyInertia, vehicle: VehicleParams, y: jax.Array, f: jax.Array) -> jax.Array:
+        state = replace(start, p=y[:3], q=y[3:7], nu=y[7:13], thrust=y[13:])
+        zero = jnp.zeros(())
+        a = schemes.accelerate(
+            setup.engine, body, vehicle, state, state.thrust, setup.current, zero, Water()
+        )
+        spin = jnp.concatenate([jnp.zeros(1), state.nu[3:]])
+        turn = 0.5 * quaternion.multiply(state.q, spin)
+        lag = (f - state.thrust) / vehicle.tau_s
+        return jnp.concatenate([quaternion.rotate(state.q, state.nu[:3]), turn, a, lag])
 
-def reference(setup: Setup, index: int, commands: Array) -> Array:
-    """States [n_command, 13 + n_thruster] of one variant by DOP853, after each command."""
-    body, vehicle = (
-        jax.tree.map(lambda leaf: leaf[index], tree) for tree in (setup.body, setup.vehicles)
-    )
-    n = commands.shape[-1]
-    start = first_state(n)
-    y = np.concatenate([start.p, start.q, start.nu, start.thrust])
+    # The setup is closed over, not passed: its hundreds of leaves would be counted at every call.
+    @jax.jit
+    def rate(y: jax.Array, command: jax.Array) -> jax.Array:
+        rows = jax.vmap(one)(setup.body, setup.vehicles, y.reshape(n, -1), command)
+        return jnp.ravel(rows)
+
+    y = np.tile(np.concatenate([start.p, start.q, start.nu, start.thrust]), n)
     states = []
-    for command in commands:
-
-        def rate(_: float, y: Array, command: Array = command) -> Array:
-            return np.asarray(
-                _rate(setup.engine, body, vehicle, setup.current, y, command, n_thruster=n)
-            )
-
-        solved: Any = solve_ivp(rate, (0, HOLD_S), y, "DOP853", rtol=1e-10, atol=1e-12)
-        y = solved.y[:, -1]
-        y[3:7] /= np.linalg.norm(y[3:7])
-        states.append(y)
-    return np.array(states)
+    for command in commands.swapaxes(0, 1):
+        solved: Any = solve_ivp(
+            lambda _, y, command=command: np.asarray(rate(y, command)),
+            (0, HOLD_S),
+            y,
+            "DOP853",
+            rtol=1e-10,
+            atol=1e-12,
+        )
+        rows = solved.y[:, -1].reshape(n, -1)
+        rows[:, 3:7] /= np.linalg.norm(rows[:, 3:7], axis=1, keepdims=True)
+        y = rows.ravel()
+        states.append(rows)
+    return np.stack(states, axis=1)
 
 
 def study(
@@ -372,7 +204,7 @@ def _study_case(
     setup: Setup, case: Case, n_command: int, seed: int, steps_ms: Sequence[int]
 ) -> list[Row]:
     commands = draw_commands(case, setup.vehicles, n_command, seed)
-    truth = np.array([reference(setup, i, commands[i]) for i in range(len(VARIANTS))])
+    truth = reference(setup, commands)
     speed = np.linalg.norm(truth[:, :, 7:10], axis=2).max(axis=1)
     level = 1 - 2 * (truth[:, :, 4] ** 2 + truth[:, :, 5] ** 2)
     tilt = np.degrees(np.arccos(np.clip(level, -1, 1))).max(axis=1)
@@ -382,7 +214,7 @@ def _study_case(
             name: np.linalg.norm(
                 simulate(setup, scheme, commands, step_ms) - truth[:, :, :3], axis=2
             ).max(axis=1)
-            for name, scheme in SCHEMES.items()
+            for name, scheme in schemes.SCHEMES.items()
         }
         rows += [
             Row(
@@ -401,13 +233,13 @@ def _study_case(
 
 def to_markdown(rows: Sequence[Row]) -> str:
     """The table as a person reads it: greatest position error in cm."""
-    schemes = list(rows[0].error_cm)
-    head = ["case", "vehicle, set", "step, ms", *schemes]
+    names = list(rows[0].error_cm)
+    head = ["case", "vehicle, set", "step, ms", *names]
     lines = [" | ".join(head), " | ".join(["---"] * 2 + ["---:"] * (len(head) - 2))]
     for row in rows:
         case = f"{row.case} (to {row.greatest_speed_mps:.1f} m/s, {row.greatest_tilt_deg:.0f}°)"
         cells = [case, f"{row.vehicle}, {row.parameter_set}", str(row.step_ms)]
-        cells += [_centimetres(row.error_cm[scheme]) for scheme in schemes]
+        cells += [_centimetres(row.error_cm[scheme]) for scheme in names]
         lines.append(" | ".join(cells))
     return "\n".join(f"| {line} |" for line in lines)
 

@@ -117,8 +117,11 @@ def water_of(M_A, q, nu, v_c, Dv_c, *, z=-9.0, gravity=0.0):
 
 def test_a_steady_uniform_current_changes_nothing_but_the_frame(rng):
     """Seen by someone who drifts along, motion in a uniform current is motion in still water."""
-    M_A, q, nu, v_c = spd(rng, 6), random_quaternions(rng), rng.normal(size=(N, 6)), rng.normal(
-        size=(N, 3)
+    M_A, q, nu, v_c = (
+        spd(rng, 6),
+        random_quaternions(rng),
+        rng.normal(size=(N, 6)),
+        rng.normal(size=(N, 3)),
     )
     mass, inertia = 12.0, np.diag([0.2, 0.3, 0.4])
     body_v_c = np.einsum("nji,nj->ni", matrices(q), v_c)
@@ -216,7 +219,7 @@ def test_pose_step_follows_the_helix(rng):
     along = np.sum(axis * v, axis=1, keepdims=True) * axis
     way = along + np.sin(angle) / angle * (v - along) + (1 - np.cos(angle)) / angle * across
     exact = R0.apply(way)
-    p, q = run(0.1)
+    _, q = run(0.1)
     np.testing.assert_allclose(matrices(q), (R0 * turn).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-15)
     coarse, fine = (np.abs(run(dt)[0] - exact).max() for dt in (0.1, 0.05))

@@ -6,7 +6,9 @@ import sys
 
 import pytest
 
-from angler_mjx.cli.main import COMMANDS, main
+from angler_mjx.cli.main import COMMANDS, GROUPS, main
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.folder import Run
 
 
 def run(*arguments):
@@ -33,7 +35,12 @@ def test_help_loads_no_jax():
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+WORDS = [name for name in COMMANDS if name not in GROUPS] + [
+    f"{group} {name}" for group, commands in GROUPS.items() for name in commands
+]
+
+
+@pytest.mark.parametrize("command", WORDS)
 def test_every_command_explains_itself(command, capsys):
     with pytest.raises(SystemExit) as left:
         main([*command.split(), "--help"])
@@ -80,9 +87,26 @@ def test_unwritable_place_is_refused(tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_json_holds_the_documented_keys(scenario_file_for_cli, tmp_path):
-    out = tmp_path / "run"
-    done = run("rollout", str(scenario_file_for_cli), "--out", str(out), "--json", "--no-figures")
+SMALL = """
+schema_version = 1
+name = "tiny"
+worlds = 1
+
+[time]
+horizon_s = 5.0
+
+[world]
+preset = "open"
+
+[[fleet]]
+vehicle = "bluerov2"
+"""
+
+
+def test_json_holds_the_documented_keys(tmp_path):
+    scenario, out = tmp_path / "tiny.toml", tmp_path / "run"
+    scenario.write_text(SMALL)
+    done = run("rollout", str(scenario), "--out", str(out), "--record-hz", "0", "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert sorted(summary) == sorted(
@@ -93,3 +117,5 @@ def test_json_holds_the_documented_keys(scenario_file_for_cli, tmp_path):
         ]
     )  # fmt: skip
     assert summary == json.loads((out / "summary.json").read_text())
+    with pytest.raises(ConfigError, match="stored no trajectories"):
+        _ = Run(out).trajectories

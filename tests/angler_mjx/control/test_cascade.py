@@ -149,11 +149,9 @@ def test_a_moving_target_is_followed(fly, robots):
     speed = float(np.min(params.cruise_speed_mps))
     time = np.array([0.0, 5.0 / speed, 10.0 / speed])
     turn = DEEP + np.array([[0.0, 0, 0], [5.0, 0, 0], [5.0, 5.0, 0]])
-    one = Trajectory(
-        time_s=jnp.asarray(time), position_m=jnp.asarray(turn), found=jnp.array(True)
-    )
+    one = Trajectory(time_s=jnp.asarray(time), position_m=jnp.asarray(turn), found=jnp.array(True))
     paths = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), one)
-    p, q, _, _ = fly(paths, jnp.zeros(2), jnp.array([[0.0, 0, 0], [0.0, 0.2, 0]]))
+    p, _, _, _ = fly(paths, jnp.zeros(2), jnp.array([[0.0, 0, 0], [0.0, 0.2, 0]]))
     # Distance to the path, which is two edges of a square; corner cutting is the most of it.
     local = p - DEEP
     first = np.hypot(np.clip(local[..., 0] - 5, 0, None), local[..., 1])

@@ -33,7 +33,10 @@ def test_overrides_replace_keys_and_merge_tables(scenario_file):
 
 FAULTS = {
     "unknown key": ('nmae = "x"', ["nmae", "unknown key"]),
-    "wrong unit": ("[world.obstacles.dynamic]\nradius_cm = [40.0, 75.0]", ["radius_cm", "unknown key"]),
+    "wrong unit": (
+        "[world.obstacles.dynamic]\nradius_cm = [40.0, 75.0]",
+        ["radius_cm", "unknown key"],
+    ),
     "zero worlds": ("worlds = 0", ["worlds", "0", "greater than or equal to 1"]),
     "NaN": ("goal_tolerance_m = nan", ["goal_tolerance_m", "nan"]),
     "unknown vehicle": ('[[fleet]]\nvehicle = "bluerov9"', ["fleet", "bluerov9", "bluerov2_heavy"]),

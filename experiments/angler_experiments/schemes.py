@@ -1,0 +1,141 @@
+"""Ways to take one step of a vehicle, to compare with the simulator's own.
+
+Each has the arguments of `angler_mjx.physics.step.step` and steps the same equations; what differs
+is the formula alone. Rotor lag is exact in all of them.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion, rigid_body, spd_solve, thruster
+from angler_mjx.physics import step
+from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.physics.step import VehicleState, Water
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.world.currents import Current
+
+type Scheme = Callable[..., VehicleState]
+"""(engine, body, params, state, thrust_command, current, t, dt, water) -> state, as `step.step`."""
+
+
+def accelerate(
+    engine: MjxEngine,
+    body: BodyInertia,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    thrust: jax.Array,
+    current: Current,
+    t: jax.Array,
+    water: Water,
+) -> jax.Array:
+    """Acceleration nu' [6] under given thrusts."""
+    inertia, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
+    total = force + rigid_body.matrix_times(vehicle.B, thrust)
+    return spd_solve.solve(inertia, total[:, None])[:, 0]
+
+
+def _euler_world(
+    engine: MjxEngine,
+    body: BodyInertia,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    command: jax.Array,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array,
+    water: Water,
+) -> VehicleState:
+    """Semi-implicit Euler on the velocity in the world, as MuJoCo's default integrator."""
+    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
+    a = accelerate(engine, body, vehicle, state, mean, current, t, water)
+    v, omega = state.nu[:3], state.nu[3:]
+    v_world = quaternion.rotate(state.q, v + dt * (a[:3] + jnp.cross(omega, v)))
+    omega = omega + dt * a[3:]
+    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * omega)))
+    nu = jnp.concatenate([quaternion.rotate_inverse(q, v_world), omega])
+    return replace(state, p=state.p + dt * v_world, q=q, nu=nu, thrust=thrust)
+
+
+def _euler_body(
+    engine: MjxEngine,
+    body: BodyInertia,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    command: jax.Array,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array,
+    water: Water,
+) -> VehicleState:
+    """Semi-implicit Euler on the velocity in the body."""
+    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
+    nu = state.nu + dt * accelerate(engine, body, vehicle, state, mean, current, t, water)
+    p = state.p + dt * quaternion.rotate(state.q, nu[:3])
+    q = _unit(quaternion.multiply(state.q, quaternion.exp(dt * nu[3:])))
+    return replace(state, p=p, q=q, nu=nu, thrust=thrust)
+
+
+def _explicit(
+    engine: MjxEngine,
+    body: BodyInertia,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    command: jax.Array,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array,
+    water: Water,
+) -> VehicleState:
+    """Ours with the damping left explicit: two-step Adams-Bashforth for all smooth forces."""
+    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
+    inertia, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
+    nu, before = rigid_body.advance_damped_velocity(
+        state.nu,
+        inertia,
+        jnp.zeros_like(force),
+        force,
+        state.force_before,
+        rigid_body.matrix_times(vehicle.B, mean),
+        dt,
+    )
+    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
+    return VehicleState(p=p, q=q, nu=nu, force_before=before, thrust=thrust)
+
+
+def _heun(
+    engine: MjxEngine,
+    body: BodyInertia,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    command: jax.Array,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array,
+    water: Water,
+) -> VehicleState:
+    """Heun's method with our pose step: two evaluations of the forces a step."""
+    thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
+    a = accelerate(engine, body, vehicle, state, mean, current, t, water)
+    guess = state.nu + dt * a
+    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, guess, dt)
+    ahead = replace(state, p=p, q=q, nu=guess)
+    b = accelerate(engine, body, vehicle, ahead, mean, current, t + dt, water)
+    nu = state.nu + 0.5 * dt * (a + b)
+    p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
+    return replace(state, p=p, q=q, nu=nu, thrust=thrust)
+
+
+def _unit(q: jax.Array) -> jax.Array:
+    return q / jnp.sqrt(jnp.sum(q * q))
+
+
+SCHEMES: dict[str, Scheme] = {
+    "Euler, world velocity": _euler_world,
+    "Euler, body velocity": _euler_body,
+    "explicit AB2": _explicit,
+    "ours": step.step,
+    "Heun (two evaluations)": _heun,
+}

@@ -1,0 +1,139 @@
+"""Whole worlds: complete, the same in any batch, drawn again where they cannot hold the fleet."""
+
+import jax
+import numpy as np
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import parse
+from angler_mjx.world.config import WorldConfig
+from angler_mjx.world.generate import generate_batch, require_valid
+
+RADIUS = np.array([0.4, 0.3, 0.4])
+COUNT = 12
+CURRENTS = [
+    {"type": "gauss_markov", "max_speed_mps": 0.3},
+    {"type": "vortices", "count": 2, "peak_speed_mps": [0.1, 0.3]},
+]
+
+
+def config(**data):
+    return parse(WorldConfig, data, source="test")
+
+
+FULL = config(
+    preset="reef",
+    shape=[10, 12, 8],
+    density=0.1,
+    currents=CURRENTS,
+    obstacles={
+        "dynamic": {"count": 5},
+        "explicit": [{"type": "box", "size_m": [2, 2, 8], "position_m": [0, 0, -8]}],
+    },
+)
+
+
+@pytest.fixture(scope="module")
+def worlds():
+    return jax.tree.map(np.asarray, generate_batch(FULL, RADIUS, 7, 0, COUNT))
+
+
+def test_worlds_are_complete(worlds):
+    assert worlds.valid.all()
+    assert worlds.grid.occupied.shape == (COUNT, 10, 12, 8)
+    np.testing.assert_allclose(worlds.density, worlds.grid.occupied.mean(axis=(1, 2, 3)), rtol=1e-6)
+    assert [type(part).__name__ for part in worlds.current] == ["GaussMarkov", "Vortices"]
+    to_goal = worlds.goal_m - worlds.start_m
+    heading = np.stack([np.cos(worlds.start_yaw_rad), np.sin(worlds.start_yaw_rad)], axis=-1)
+    # float32 rounding of an angle and of a length of 20 m.
+    np.testing.assert_allclose(
+        np.sum(heading * to_goal[..., :2], axis=-1),
+        np.linalg.norm(to_goal[..., :2], axis=-1),
+        rtol=1e-5,
+    )
+
+
+def test_drifting_obstacles_keep_clear_of_starts_and_goals(worlds):
+    drawn = slice(1, None)  # the first row is the explicit box
+    assert worlds.obstacles.exists[:, drawn].any()
+    centre = worlds.obstacles.p0[:, drawn]
+    radius = np.where(
+        worlds.obstacles.kind[:, drawn] == 0,
+        worlds.obstacles.size_m[:, drawn, 0],
+        np.linalg.norm(worlds.obstacles.size_m[:, drawn], axis=-1),
+    )
+    for places in (worlds.start_m, worlds.goal_m):
+        gap = np.linalg.norm(centre[:, :, None] - places[:, None], axis=-1) - radius[..., None]
+        # 0.3 m is the default clearance; float32 at 10 m.
+        there = np.broadcast_to(worlds.obstacles.exists[:, drawn, None], gap.shape)
+        assert np.all(gap[there] >= np.broadcast_to(RADIUS + 0.3, gap.shape)[there] - 1e-5)
+
+
+def test_difficulty_is_that_of_an_independent_search(worlds, dijkstra):
+    origin, cell = worlds.grid.origin_m[0], worlds.grid.cell_m[0]
+    index = np.stack(np.meshgrid(*map(np.arange, (10, 12, 8)), indexing="ij"), axis=-1)
+    centre = origin + cell * (index + 0.5)
+    outside = np.maximum(np.abs(centre - [0, 0, -8]) - [1, 1, 4], 0)
+    beside_box = np.linalg.norm(outside, axis=-1) < RADIUS.max()
+    for world in range(4):
+        passable = ~worlds.grid.occupied[world] & ~beside_box
+        for robot in range(len(RADIUS)):
+            cells = [
+                tuple(np.floor((place[world, robot] - origin) / cell).astype(int))
+                for place in (worlds.start_m, worlds.goal_m)
+            ]
+            assert passable[cells[0]]
+            straight = np.linalg.norm(np.subtract(*cells))
+            expected = max(dijkstra(passable, cells[1])[cells[0]] / straight, 1.0)
+            # Sums of some 20 float32 terms.
+            assert worlds.path_ratio[world, robot] == pytest.approx(expected, rel=3e-6)
+
+
+def test_a_world_is_the_same_wherever_its_batch_begins(worlds):
+    later = generate_batch(FULL, RADIUS, 7, 5, COUNT)
+    for here, there in zip(jax.tree.leaves(worlds), jax.tree.leaves(later), strict=True):
+        np.testing.assert_array_equal(here[5:], np.asarray(there)[: COUNT - 5])
+
+
+def test_another_seed_gives_other_worlds(worlds):
+    other = generate_batch(FULL, RADIUS, 8, 0, COUNT)
+    assert (np.asarray(other.grid.occupied) != worlds.grid.occupied).any(axis=(1, 2, 3)).all()
+
+
+def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit():
+    picky = config(preset="sparse", shape=[8, 8, 6], fill=0.1, min_obstacles=26, redraw_limit=2)
+    worlds = jax.tree.map(np.asarray, generate_batch(picky, np.array([0.4]), 1, 0, 64))
+    count = worlds.grid.occupied.sum(axis=(1, 2, 3))
+    assert 0 < worlds.valid.sum() < 64
+    assert set(worlds.redraws) == {0, 1, 2}
+    np.testing.assert_array_equal(worlds.valid, count >= 26)
+    assert np.all(worlds.redraws[~worlds.valid] == 2)
+
+
+def test_a_fleet_too_large_for_the_world_is_refused():
+    crowded = config(preset="open", shape=[3, 3, 3], redraw_limit=1)
+    batch = generate_batch(crowded, np.full(20, 0.7), 1, 0, 2)
+    assert not np.asarray(batch.valid).any()
+    with pytest.raises(ConfigError, match="fleet of 20 robots"):
+        require_valid(batch)
+
+
+def test_the_nine_boxes_of_the_paper():
+    worlds = generate_batch(config(preset="angler_nine_boxes"), np.full(2, 0.4), 0, 0, 1)
+    boxes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], worlds.obstacles)
+    assert bool(worlds.valid[0])
+    assert float(worlds.floor_z_m[0]) == -10.0
+    assert not np.asarray(worlds.grid.occupied).any()
+    drifting = boxes.motion == 1
+    assert drifting.sum() == 6
+    assert sorted(boxes.mass_kg[drifting]) == [965, 965, 968, 969, 970, 971]
+    # True inertia of a cube, m a^2 / 6; the original has 0.16666 kg m^2. float32 rounding.
+    np.testing.assert_allclose(
+        boxes.inertia_kgm2[drifting], boxes.mass_kg[drifting, None] / 6 * np.ones(3), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32])
+def test_seeds_outside_32_bits_are_refused(seed):
+    with pytest.raises(ConfigError, match="seed"):
+        generate_batch(FULL, RADIUS, seed, 0, 1)

@@ -1,0 +1,135 @@
+"""Starts and goals: clear of rock, of each other and of obstacles, and where they should be."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import parse
+from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.generate import check_fleet
+from angler_mjx.world.placement import cell_centres, cell_clearance, place
+
+SHAPE, CELL, N_WORLD = (12, 14, 10), 1.5, 24
+# One robot is wider than a cell: cells beside rock are closed to it.
+RADIUS = np.array([0.4, 0.3, 0.9, 0.4, 0.4])
+CLEARANCE = 0.3
+ROUNDING = 1e-5  # float32 at 20 m
+
+
+@pytest.fixture(scope="module")
+def occupied():
+    rng = np.random.default_rng(4)
+    return rng.random((N_WORLD, *SHAPE)) < 0.05
+
+
+def fleet(occupied, placement):
+    recipe = resolve(WorldConfig(shape=SHAPE, fill=0.05, placement=placement))
+    centres = cell_centres(recipe)
+
+    def one(cells, key):
+        clearance = cell_clearance(cells, CELL)
+        far = jnp.full(SHAPE, jnp.inf)
+        return place(recipe, centres, clearance, far, jnp.array(RADIUS), key)
+
+    keys = jax.random.split(jax.random.key(1), N_WORLD)
+    start, goal, fits = jax.jit(jax.vmap(one))(occupied, keys)
+    assert np.all(fits)
+    return recipe, np.asarray(start), np.asarray(goal)
+
+
+def gap_to_rock(recipe, occupied, points):
+    """Distance of points to all occupied cells of one world."""
+    low = np.array(recipe.origin_m) + CELL * np.argwhere(occupied)
+    outside = np.maximum(low - points[:, None], points[:, None] - (low + CELL))
+    return np.linalg.norm(np.maximum(outside, 0), axis=-1).min(axis=1)
+
+
+@pytest.mark.parametrize("placement", ["cross", "parallel", "random"])
+def test_places_are_clear_and_far_apart(occupied, placement):
+    recipe, start, goal = fleet(occupied, placement)
+    apart = RADIUS[:, None] + RADIUS + CLEARANCE
+    for places in (start, goal):
+        for world in range(N_WORLD):
+            gap = gap_to_rock(recipe, occupied[world], places[world])
+            assert np.all(gap >= RADIUS - ROUNDING)
+            between = np.linalg.norm(places[world][:, None] - places[world], axis=-1)
+            others = ~np.eye(len(RADIUS), dtype=bool)
+            assert np.all(between[others] >= apart[others] - ROUNDING)
+    way = np.linalg.norm(goal - start, axis=-1)
+    assert np.all(way >= 0.5 * max(recipe.size_m) - ROUNDING)
+    side = np.array(recipe.size_m)
+    if placement == "cross":
+        corner = side / 2 - np.abs(start - (np.array(recipe.origin_m) + side / 2))
+        # Near the corner: jitter of 3 cells and a few cells of rock.
+        assert np.all(np.linalg.norm(corner, axis=-1) < 6 * CELL)
+        # Four robots start in four corners and go to the other four.
+        octant = np.sign(
+            np.concatenate([start[:, :4], goal[:, :4]], axis=1)
+            - (np.array(recipe.origin_m) + side / 2)
+        )
+        assert all(len({tuple(o) for o in world}) == 8 for world in octant)
+    if placement == "parallel":
+        assert np.all(start[..., 0] < -side[0] / 4)
+        assert np.all(goal[..., 0] > side[0] / 4)
+
+
+def test_worlds_differ_in_where_robots_start(occupied):
+    _, start, _ = fleet(occupied, "cross")
+    assert len({tuple(np.sign(world[0])) for world in start}) > 2
+
+
+def test_clearance_of_cells_is_exact_up_to_one_and_a_half_cells():
+    rng = np.random.default_rng(0)
+    solid = rng.random((6, 5, 7)) < 0.1
+    found = np.asarray(cell_clearance(jnp.array(solid), 2.0))
+    around = np.argwhere(np.pad(solid, 2, constant_values=True)) - 2.0
+    for index in np.ndindex(solid.shape):
+        outside = np.maximum(np.abs(around - index) - 0.5, 0)
+        expected = min(2.0 * np.linalg.norm(outside, axis=1).min(), 3.0)
+        # Round-off of one float32 square root.
+        assert found[index] == pytest.approx(expected, rel=1e-6)
+
+
+def given(**changes):
+    data = {
+        "preset": "open",
+        "placement": "given",
+        "start_m": [[-8.0, 0.0, -10.0], [-8.0, 5.0, -10.0]],
+        "goal_m": [[8.0, 0.0, -10.0], [8.0, 5.0, -10.0]],
+        "obstacles": {
+            "explicit": [
+                {"type": "sphere", "radius_m": 1.0, "position_m": [0.0, 0.0, -10.0]},
+                {
+                    "type": "box",
+                    "size_m": [1.0, 1.0, 1.0],
+                    "position_m": [8.0, 5.0, -10.0],
+                    "motion": {"type": "drift"},
+                },
+            ]
+        },
+    }
+    return resolve(parse(WorldConfig, {**data, **changes}, source="test"))
+
+
+def test_given_places_may_lie_where_a_drifting_obstacle_starts_only_for_goals():
+    check_fleet(given(), np.array([0.4, 0.4]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "radius", "words"),
+    [
+        ({"start_m": [[0.5, 0.5, -10.0], [-8, 5, -10]]}, [0.4, 0.4], ("start_m[0]", "explicit[0]")),
+        ({"start_m": [[-8, 0, -10.0], [8, 5, -9.2]]}, [0.4, 0.4], ("start_m[1]", "explicit[1]")),
+        ({"goal_m": [[8.0, 0, -1.0], [8, 5, -10]]}, [0.4, 0.4], ("goal_m[0]", "outside")),
+        ({}, [0.4], ("2 places", "1 robots")),
+        ({}, [0.4, 3.0], ("radius 3",)),
+        ({}, [0.4, 0.0], ("radius",)),
+    ],
+)
+def test_fleets_that_cannot_stand_are_refused(changes, radius, words):
+    with pytest.raises(ConfigError) as caught:
+        check_fleet(given(**changes), np.array(radius))
+    for word in words:
+        assert word in str(caught.value)
