@@ -2,13 +2,12 @@
 
 In this order, at time t with pose (p, q), velocity nu, thrusts f, and a command held over the step:
 
-1. flow and its material derivative at p; wrench of the water and slope J of its damping at
-   (p, q, nu);
+1. flow and its material derivative at p; wrench of the water at (p, q, nu), and nu_r;
 2. rotor lag, exact: thrusts at t + dt and their mean over the step;
 3. inertia and force of the dry vehicle at (p, q, nu); M = M_RB + M_A, F = all smooth forces;
-4. (M + dt/2 J) d = dt (3/2 F - 1/2 G + B f_mean), nu(t+dt) = nu + d, all in the body frame; then
-   G = F - J d for the next step: two-step Adams-Bashforth, with damping by the linearised
-   trapezoidal rule;
+4. (M + dt/2 J) d = dt (3/2 F - 1/2 G + B f_mean), nu(t+dt) = nu + d, all in the body frame, J the
+   slope of the damping; then G = F with the damping at nu_r + d, for the next step: two-step
+   Adams-Bashforth, with damping by the linearised trapezoidal rule;
 5. pose by the mean of nu(t) and nu(t+dt): q(t+dt) = q exp(dt omega_mean), p(t+dt) = p + dt R(q at
    mid-step) v_mean.
 
@@ -50,7 +49,7 @@ class VehicleState:
     nu: jax.Array
     """[6] velocity over ground, in F."""
     force_before: jax.Array
-    """[6] smooth forces of the step before, brought to the present velocity, in F; see `step`."""
+    """[6] smooth forces of the step before, with the damping of the present velocity, in F."""
     thrust: jax.Array
     """[n_thruster] N, behind the rotor's lag."""
 
@@ -67,8 +66,7 @@ def smooth_force(
     """Everything that moves one vehicle but its thrusters, at time t [].
 
     Returns:
-        M [6, 6] with added mass, F [6] and the slope [6] of its damping, in F: without thrusters
-        M nu' = F.
+        M [6, 6] with added mass, F [6] and nu_r [6], in F: without thrusters M nu' = F.
     """
     with jax.named_scope("water"):
         v_c, Dv_c = currents.evaluate(current, state.p, t)
@@ -89,10 +87,9 @@ def smooth_force(
         )
         v_r = state.nu[:3] - quaternion.rotate_inverse(state.q, v_c)
         nu_r = jnp.concatenate([v_r, state.nu[3:]])
-        slope = rigid_body.damping_slope(params.D_l, params.D_q, nu_r)
     with jax.named_scope("multibody"):
         M_RB, dry = mjx_engine.inertia_and_force(engine, body, state.p, state.q, state.nu)
-    return M_RB + params.M_A, dry + wrench, slope
+    return M_RB + params.M_A, dry + wrench, nu_r
 
 
 def reset(
@@ -152,13 +149,21 @@ def step(
     Returns:
         The state at t + dt.
     """
-    M, force, slope = smooth_force(engine, body, params, state, current, t, water)
+    M, force, nu_r = smooth_force(engine, body, params, state, current, t, water)
     with jax.named_scope("thrusters"):
         thrust, mean_thrust = thruster.rotor_lag(state.thrust, thrust_command, params.tau_s, dt)
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
     with jax.named_scope("integrate"):
         nu, force_before = rigid_body.advance_damped_velocity(
-            state.nu, M, slope, force, state.force_before, thrust_wrench, dt
+            state.nu,
+            nu_r,
+            M,
+            params.D_l,
+            params.D_q,
+            force,
+            state.force_before,
+            thrust_wrench,
+            dt,
         )
         p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
     return VehicleState(p=p, q=q, nu=nu, force_before=force_before, thrust=thrust)

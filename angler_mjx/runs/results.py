@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from angler_mjx.sim.state import Outcome, Touched
 
@@ -178,8 +179,8 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     by_vehicle = {}
     for vehicle, parameter_set in kinds:
         chosen = episodes.filter(
-            (pa.compute.field("vehicle") == vehicle)
-            & (pa.compute.field("parameter_set") == parameter_set)
+            (pc.field("vehicle") == vehicle)
+            & (pc.field("parameter_set") == parameter_set)
         )
         reached = rates(chosen)["reached"]
         by_vehicle[f"{vehicle}/{parameter_set}"] = {"robots": chosen.num_rows, "reached": reached}

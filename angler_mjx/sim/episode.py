@@ -4,6 +4,8 @@ Robots whose episode is over stay where they are: failed ones stand still as obs
 keep station under their own control. Both are still seen by the others.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -154,14 +156,19 @@ def segment(
     Returns:
         The state at the end, and samples with a leading axis [n_sample].
     """
+    # One control step stands in the program, not one for recorded and one for other steps: it is
+    # most of what there is to compile.
+    shapes = jax.eval_shape(lambda s: control_step(spec, engine, world, s)[1], state)
+    nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def between(state: WorldState, _: None) -> tuple[WorldState, None]:
-        return control_step(spec, engine, world, state)[0], None
+    def one(carry: tuple[WorldState, Sample], i: jax.Array) -> tuple[Any, None]:
+        state, kept = carry
+        state, sample = control_step(spec, engine, world, state)
+        kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
+        return (state, kept), None
 
     def recorded(state: WorldState, _: None) -> tuple[WorldState, Sample]:
-        state, sample = control_step(spec, engine, world, state)
-        state, _ = jax.lax.scan(between, state, length=steps_per_sample - 1)
-        return state, sample
+        return jax.lax.scan(one, (state, nothing), jnp.arange(steps_per_sample))[0]
 
     return jax.lax.scan(recorded, state, length=n_sample)
 

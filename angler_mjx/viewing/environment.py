@@ -9,6 +9,7 @@ from matplotlib.colors import LightSource, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D  # type: ignore[import-untyped]
 from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
     Line3DCollection,
@@ -66,19 +67,24 @@ def _facts(environment: Environment) -> str:
 
 
 def _perspective(axes: Axes3D, environment: Environment, low: np.ndarray, high: np.ndarray) -> None:
-    floor = float(environment.floor_z_m)
-    bottom = np.array([low[2], floor]).max()
+    # A floor far below would squeeze everything else; it is left out.
+    floor, size = float(environment.floor_z_m), high - low
+    shown = floor > low[2] - max(size)
+    bottom = floor if shown else float(low[2])
+    size[2] = high[2] - bottom
     axes.view_init(elev=24, azim=-58)
     axes.set_proj_type("persp", focal_length=0.9)
-    axes.set_box_aspect(high - low, zoom=1.12)
+    axes.set_box_aspect(size, zoom=1.12)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(bottom, high[2]))
     axes.set(xlabel="east, m", ylabel="north, m", zlabel="height, m")
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+    for axis, edge in zip((axes.xaxis, axes.yaxis, axes.zaxis), size, strict=True):
+        axis.set_major_locator(MaxNLocator(max(2, round(6 * edge / max(size)))))
         axis.set_pane_color(style.WATER)
         axis._axinfo["grid"].update(color="#dbe6ec", linewidth=0.6)
-    ground = [[(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]]
-    sand = np.array([[(x, y, bottom) for x, y in corner] for corner in ground])
-    axes.add_collection3d(Poly3DCollection(sand, facecolors=_FLOOR, alpha=0.55, zorder=0))
+    if shown:
+        corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+        sand = [[(*corner, bottom) for corner in corners]]
+        axes.add_collection3d(Poly3DCollection(sand, facecolors=_FLOOR, alpha=0.55, zorder=0))
     faces, colors = _rock_faces(environment.grid, Normalize(low[2], high[2]))
     for i in np.flatnonzero(np.asarray(environment.obstacles.exists)):
         more, tint = _obstacle_faces(environment, int(i))

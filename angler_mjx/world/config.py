@@ -7,7 +7,7 @@ recipe is what `generate` reads as a static argument.
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
@@ -18,7 +18,7 @@ from angler_mjx.world.rules import AutomatonRule, Rule, WallsRule
 
 type Vector = tuple[float, float, float]
 type Placement = Literal["cross", "parallel", "random", "given"]
-Cells = Annotated[int, Field(ge=3, le=128)]
+Cells = Annotated[int, Field(ge=2, le=128)]
 Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
@@ -51,6 +51,12 @@ class WorldConfig(FileModel):
     goal_m: tuple[Vector, ...] = ()
     currents: tuple[CurrentConfig, ...] = ()
     obstacles: ObstaclesConfig | None = None
+
+    @field_validator("preset")
+    @classmethod
+    def _exists(cls, name: str) -> str:
+        presets.load(name)
+        return name
 
     @model_validator(mode="after")
     def _has_a_meaning(self) -> Self:

@@ -47,6 +47,6 @@ def load(name: str) -> Preset:
         ConfigError: there is none of that name.
     """
     if name not in available():
-        raise ConfigError(f"preset = {name!r}: unknown; there are {', '.join(available())}")
+        raise ConfigError(f"{name!r} is no preset; there are {', '.join(available())}")
     with resources.as_file(resources.files("angler_mjx.world") / _FOLDER / f"{name}.toml") as path:
         return parse(Preset, read_toml(path), source=f"preset {name}")

@@ -9,7 +9,7 @@ rotor lag, in a uniform current with one vortex, under random thruster commands 
 writes the table between the two marker lines of that file.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -70,9 +70,9 @@ class Row:
     """By scheme; NaN where it blew up."""
 
 
-def set_up() -> Setup:
+def set_up(variants: Sequence[tuple[str, str]]) -> Setup:
     """Compile the vehicles and the current in JAX's present float type."""
-    configs = [(library.load(vehicle), chosen) for vehicle, chosen in VARIANTS]
+    configs = [(library.load(vehicle), chosen) for vehicle, chosen in variants]
     engine, body = mjx_engine.build(
         [mjcf.to_spec(config, chosen, shapes=False).compile() for config, chosen in configs]
     )
@@ -101,44 +101,40 @@ def first_state(n_thruster: int) -> VehicleState:
     )
 
 
-def simulate(setup: Setup, scheme: schemes.Scheme, commands: Array, step_ms: int) -> Array:
-    """Positions [n_variant, n_command, 3] after each command."""
-    steps = round(HOLD_S * 1e3 / step_ms)
-    dt = HOLD_S / steps
+def simulator(setup: Setup, scheme: schemes.Scheme) -> Callable[[Array, int], Array]:
+    """A function (commands, step_ms) -> positions [n_variant, n_command, 3] after each command."""
 
-    def one(body: BodyInertia, vehicle: VehicleParams, commands: jax.Array) -> jax.Array:
-        state = step.start_multistep(
-            setup.engine,
-            body,
-            vehicle,
-            first_state(commands.shape[-1]),
-            setup.current,
-            jnp.zeros(()),
-            Water(),
-        )
+    def one(
+        body: BodyInertia,
+        vehicle: VehicleParams,
+        commands: jax.Array,
+        dt: jax.Array,
+        steps: jax.Array,
+    ) -> jax.Array:
+        # The current is steady: any time will do.
+        zero, water = jnp.zeros(()), Water()
+        state = first_state(commands.shape[-1])
+        state = step.start_multistep(setup.engine, body, vehicle, state, setup.current, zero, water)
 
         def hold(state: VehicleState, command: jax.Array) -> tuple[VehicleState, jax.Array]:
-            def once(state: VehicleState, _: None) -> tuple[VehicleState, None]:
-                # The current is steady: any time will do.
-                state = scheme(
-                    setup.engine,
-                    body,
-                    vehicle,
-                    state,
-                    command,
-                    setup.current,
-                    jnp.zeros(()),
-                    dt,
-                    Water(),
+            def once(_: jax.Array, state: VehicleState) -> VehicleState:
+                return scheme(
+                    setup.engine, body, vehicle, state, command, setup.current, zero, dt, water
                 )
-                return state, None
 
-            state, _ = jax.lax.scan(once, state, length=steps)
+            # A traced number of steps: one compilation a scheme, whatever the step.
+            state = jax.lax.fori_loop(0, steps, once, state)
             return state, state.p
 
         return jax.lax.scan(hold, state, commands)[1]
 
-    return np.asarray(jax.jit(jax.vmap(one))(setup.body, setup.vehicles, jnp.asarray(commands)))
+    many = jax.jit(jax.vmap(one, (0, 0, 0, None, None)))
+
+    def run(commands: Array, step_ms: int) -> Array:
+        steps = round(HOLD_S * 1e3 / step_ms)
+        return np.asarray(many(setup.body, setup.vehicles, commands, HOLD_S / steps, steps))
+
+    return run
 
 
 def reference(setup: Setup, commands: Array) -> Array:
@@ -182,7 +178,10 @@ def reference(setup: Setup, commands: Array) -> Array:
 
 
 def study(
-    seconds: float = 60.0, cases: Sequence[Case] = CASES, steps_ms: Sequence[int] = STEPS_MS
+    seconds: float = 60.0,
+    cases: Sequence[Case] = CASES,
+    steps_ms: Sequence[int] = STEPS_MS,
+    variants: Sequence[tuple[str, str]] = VARIANTS,
 ) -> list[Row]:
     """Run all schemes against the reference, in float64.
 
@@ -190,45 +189,48 @@ def study(
         seconds: length of each run.
         cases: how roughly to drive.
         steps_ms: divisors of 200.
+        variants: vehicles and their parameter sets.
+
+    Returns:
+        Rows by case, vehicle and step.
     """
-    with jax.enable_x64(True):
-        setup = set_up()
-        return [
-            row
-            for seed, case in enumerate(cases)
-            for row in _study_case(setup, case, round(seconds / HOLD_S), seed, steps_ms)
-        ]
-
-
-def _study_case(
-    setup: Setup, case: Case, n_command: int, seed: int, steps_ms: Sequence[int]
-) -> list[Row]:
-    commands = draw_commands(case, setup.vehicles, n_command, seed)
-    truth = reference(setup, commands)
-    speed = np.linalg.norm(truth[:, :, 7:10], axis=2).max(axis=1)
-    level = 1 - 2 * (truth[:, :, 4] ** 2 + truth[:, :, 5] ** 2)
-    tilt = np.degrees(np.arccos(np.clip(level, -1, 1))).max(axis=1)
+    n_command = round(seconds / HOLD_S)
     rows = []
-    for step_ms in steps_ms:
-        error = {
-            name: np.linalg.norm(
-                simulate(setup, scheme, commands, step_ms) - truth[:, :, :3], axis=2
-            ).max(axis=1)
-            for name, scheme in schemes.SCHEMES.items()
-        }
-        rows += [
-            Row(
-                case=case.name,
-                vehicle=vehicle,
-                parameter_set=chosen,
-                greatest_speed_mps=float(speed[i]),
-                greatest_tilt_deg=float(tilt[i]),
-                step_ms=step_ms,
-                error_cm={name: 100 * float(value[i]) for name, value in error.items()},
-            )
-            for i, (vehicle, chosen) in enumerate(VARIANTS)
-        ]
-    return sorted(rows, key=lambda row: VARIANTS.index((row.vehicle, row.parameter_set)))
+    with jax.enable_x64(True):
+        setup = set_up(variants)
+        runs = {name: simulator(setup, scheme) for name, scheme in schemes.SCHEMES.items()}
+        for seed, case in enumerate(cases):
+            commands = draw_commands(case, setup.vehicles, n_command, seed)
+            truth = reference(setup, commands)
+            error = {
+                (name, step_ms): _greatest_distance(run(commands, step_ms), truth)
+                for name, run in runs.items()
+                for step_ms in steps_ms
+            }
+            rows += [
+                Row(
+                    case=case.name,
+                    vehicle=vehicle,
+                    parameter_set=chosen,
+                    greatest_speed_mps=float(np.linalg.norm(truth[i, :, 7:10], axis=1).max()),
+                    greatest_tilt_deg=_greatest_tilt_deg(truth[i, :, 3:7]),
+                    step_ms=step_ms,
+                    error_cm={name: 100 * float(error[name, step_ms][i]) for name in runs},
+                )
+                for i, (vehicle, chosen) in enumerate(variants)
+                for step_ms in steps_ms
+            ]
+    return rows
+
+
+def _greatest_distance(positions: Array, truth: Array) -> Array:
+    distance: Array = np.linalg.norm(positions - truth[:, :, :3], axis=2).max(axis=1)
+    return distance
+
+
+def _greatest_tilt_deg(q: Array) -> float:
+    up = 1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2)
+    return float(np.degrees(np.arccos(np.clip(up, -1, 1))).max())
 
 
 def to_markdown(rows: Sequence[Row]) -> str:

@@ -92,17 +92,11 @@ def _explicit(
     """Ours with the damping left explicit: two-step Adams-Bashforth for all smooth forces."""
     thrust, mean = thruster.rotor_lag(state.thrust, command, vehicle.tau_s, dt)
     inertia, force, _ = step.smooth_force(engine, body, vehicle, state, current, t, water)
-    nu, before = rigid_body.advance_damped_velocity(
-        state.nu,
-        inertia,
-        jnp.zeros_like(force),
-        force,
-        state.force_before,
-        rigid_body.matrix_times(vehicle.B, mean),
-        dt,
-    )
+    a, before = (spd_solve.solve(inertia, x[:, None])[:, 0] for x in (force, state.force_before))
+    driven = spd_solve.solve(inertia, rigid_body.matrix_times(vehicle.B, mean)[:, None])[:, 0]
+    nu = rigid_body.advance_velocity(state.nu, a, before, dt) + dt * driven
     p, q = rigid_body.advance_pose(state.p, state.q, state.nu, nu, dt)
-    return VehicleState(p=p, q=q, nu=nu, force_before=before, thrust=thrust)
+    return VehicleState(p=p, q=q, nu=nu, force_before=force, thrust=thrust)
 
 
 def _heun(

@@ -171,30 +171,44 @@ def test_explicit_velocity_step_is_exact_for_a_linear_acceleration():
 
 def test_damped_velocity_step(rng):
     M, nu, f, b = spd(rng, 6)[0], *rng.normal(size=(3, 6))
-    slope, dt = rng.uniform(0, 5, 6), 0.05
+    D_l, dt, none = rng.uniform(0, 5, 6), 0.05, np.zeros(6)
     # Without damping it is the explicit formula.
     g = rng.normal(size=6)
-    free, memory = rigid_body.advance_damped_velocity(nu, M, 0 * slope, f, g, b, dt)
+    step = rigid_body.advance_damped_velocity
+    free, memory = step(nu, nu, M, none, none, f, g, b, dt)
     a, before, held = (np.linalg.solve(M, x) for x in (f, g, b))
     explicit = rigid_body.advance_velocity(nu, a, before, dt) + dt * held
     np.testing.assert_allclose(free, explicit, rtol=1e-10)
     np.testing.assert_array_equal(memory, f)
     # With linear damping alone it is the trapezoidal rule, at the first step and at every later.
-    f = -slope * nu
-    first, memory = rigid_body.advance_damped_velocity(nu, M, slope, f, f, b, dt)
-    J = np.diag(slope)
+    f = -D_l * nu
+    first, memory = step(nu, nu, M, D_l, none, f, f, b, dt)
+    J = np.diag(D_l)
     rule = np.linalg.solve(M + dt / 2 * J, (M - dt / 2 * J) @ nu + dt * b)
     np.testing.assert_allclose(first, rule, rtol=1e-10)
-    np.testing.assert_allclose(memory, -slope * first, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(memory, -D_l * first, rtol=1e-10, atol=1e-12)
 
 
-def test_damped_velocity_step_never_grows():
-    one = jnp.ones(6)
-    nu, memory = one, -1e6 * one
+def test_quadratic_damping_is_exact_at_any_step():
+    nu, D_q, m = jnp.linspace(1.0, 20.0, 6), jnp.linspace(0.1, 100.0, 6), 2.0
+    memory = -D_q * nu * nu
+    start, dt = nu, 0.5
+    for k in range(1, 30):
+        force = -D_q * nu * nu
+        nu, memory = rigid_body.advance_damped_velocity(
+            nu, nu, m * jnp.eye(6), 0 * D_q, D_q, force, memory, 0 * nu, dt
+        )
+        # 1 / nu grows by D_q t / m; rounding, magnified by dt J / M, 1e3 at most.
+        np.testing.assert_allclose(1 / nu, 1 / start + D_q * k * dt / m, rtol=1e-9)
+
+
+def test_linear_damping_never_grows():
+    nu, D_l = jnp.ones(6), 1e6 * jnp.ones(6)
+    memory = -D_l * nu
     for _ in range(50):
         # A million times beyond what an explicit step can take.
         nu, memory = rigid_body.advance_damped_velocity(
-            nu, jnp.eye(6), 1e6 * one, -1e6 * nu, memory, 0 * one, 1.0
+            nu, nu, jnp.eye(6), D_l, 0 * D_l, -D_l * nu, memory, 0 * nu, 1.0
         )
         assert np.all(np.abs(nu) <= 1 + 1e-9)  # Rounding of 1e6.
 

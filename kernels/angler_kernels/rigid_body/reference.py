@@ -142,8 +142,10 @@ def advance_velocity(
 
 def advance_damped_velocity(
     nu: jax.Array,
+    nu_r: jax.Array,
     M: jax.Array,
-    slope: jax.Array,
+    D_l: jax.Array,
+    D_q: jax.Array,
     force: jax.Array,
     force_before: jax.Array,
     mean_thrust: jax.Array,
@@ -151,17 +153,21 @@ def advance_damped_velocity(
 ) -> tuple[jax.Array, jax.Array]:
     """One step of velocity, second order, stable for any strength of damping.
 
-    (M + dt/2 J) d = dt (f + 1/2 (f - g) + b),  nu(t + dt) = nu + d,  g(t + dt) = f - J d.
+    (M + dt/2 J) d = dt (f + 1/2 (f - g) + b),  nu(t + dt) = nu + d,
+    g(t + dt) = f - D(nu_r + d) (nu_r + d) + D(nu_r) nu_r.
 
-    Damping is taken by the trapezoidal rule, linearised in the velocity with slope J; what else
-    changes the smooth force f is extrapolated by the two-step Adams-Bashforth formula. g is the
-    force of the step before, brought to the velocity that it led to: without other changes g = f.
-    With J = 0 this is `advance_velocity`, which is unstable where dt J / M > 1.
+    Damping is taken by the trapezoidal rule, linearised in the velocity with its slope J (exact for
+    quadratic damping of one axis); what else changes the smooth force f is extrapolated by the
+    two-step Adams-Bashforth formula. g is the force of the step before with the damping of the
+    velocity that it led to: without other changes g = f. Without damping this is
+    `advance_velocity`, which is unstable where dt J / M > 1.
 
     Args:
         nu: [6] velocity.
+        nu_r: [6] velocity relative to the water.
         M: [6, 6] inertia with added mass.
-        slope: [6] diagonal of J, `damping_slope`.
+        D_l: [6] linear damping, >= 0.
+        D_q: [6] quadratic damping, >= 0.
         force: [6] f, all smooth forces, damping included.
         force_before: [6] g of the step before; f itself before the first step.
         mean_thrust: [6] b, the mean over the step of forces known in advance.
@@ -170,10 +176,12 @@ def advance_damped_velocity(
     Returns:
         nu [6] at the end of the step, and g [6] for the next.
     """
+    slope = damping_slope(D_l, D_q, nu_r)
     implicit = M + 0.5 * dt * slope[:, None] * jnp.eye(slope.shape[0], dtype=slope.dtype)
     impulse = dt * (1.5 * force - 0.5 * force_before + mean_thrust)
     change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
-    return nu + change, force - slope * change
+    damping_change = damping_wrench(D_l, D_q, nu_r + change) - damping_wrench(D_l, D_q, nu_r)
+    return nu + change, force + damping_change
 
 
 def advance_pose(

@@ -14,7 +14,7 @@ UNIFORM_ENU = np.array([0.15, 0.1, -0.02])
 CENTRE_ENU = np.array([1.0, 0.5])
 # Greatest speed 0.5 m/s at 1.3 m from the axis.
 CIRCULATION, CORE = 5.2, 1.2
-HOLD_S, N_COMMAND = 0.5, 10
+HOLD_S, N_COMMAND = 0.5, 8
 
 
 @pytest.fixture(scope="module")

@@ -38,7 +38,7 @@ def test_the_papers_generator_is_a_preset():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        ({"preset": "reeef"}, ("preset = 'reeef'", "reef")),
+        ({"preset": "reeef"}, ("preset = 'reeef'", "no preset")),
         ({"density": 0.9}, ("density = 0.9", "reaches")),
         ({"density": 0.0}, ("density = 0.0", "reaches")),
         ({"density": 0.1, "fill": 0.1}, ("density = 0.1", "fill = 0.1")),
