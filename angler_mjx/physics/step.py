@@ -5,9 +5,9 @@ In this order, at time t with pose (p, q), velocity nu, thrusts f, and a command
 1. flow and its material derivative at p; wrench of the water at (p, q, nu), and nu_r;
 2. rotor lag, exact: thrusts at t + dt and their mean over the step;
 3. inertia and force of the dry vehicle at (p, q, nu); M = M_RB + M_A, F = all smooth forces;
-4. (M + dt/2 J) d = dt (3/2 F - 1/2 G + B f_mean), nu(t+dt) = nu + d, all in the body frame, J the
-   slope of the damping; then G = F with the damping at nu_r + d, for the next step: two-step
-   Adams-Bashforth, with damping by the linearised trapezoidal rule;
+4. M d = dt (3/2 F - 1/2 G + 1/2 h(d) + B f_mean), nu(t+dt) = nu + d, all in the body frame, with
+   h(d) the change of damping from nu_r to nu_r + d, by two iterations of Newton's method; then
+   G = F + h(d) for the next step: two-step Adams-Bashforth, with damping by the trapezoidal rule;
 5. pose by the mean of nu(t) and nu(t+dt): q(t+dt) = q exp(dt omega_mean), p(t+dt) = p + dt R(q at
    mid-step) v_mean.
 

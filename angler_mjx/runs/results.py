@@ -179,8 +179,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     by_vehicle = {}
     for vehicle, parameter_set in kinds:
         chosen = episodes.filter(
-            (pc.field("vehicle") == vehicle)
-            & (pc.field("parameter_set") == parameter_set)
+            (pc.field("vehicle") == vehicle) & (pc.field("parameter_set") == parameter_set)
         )
         reached = rates(chosen)["reached"]
         by_vehicle[f"{vehicle}/{parameter_set}"] = {"robots": chosen.num_rows, "reached": reached}

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.planning import grid as grid_planner
@@ -81,10 +82,12 @@ class Simulator:
             if timing.steps_per_sample
             else 1
         )
+        recipe = resolve(scenario.world)
+        generate.check_fleet(recipe, np.asarray(fleet.radius_bound(self.fleet)))
         self._plan = grid_planner.GridPlannerConfig(
             horizon_s=timing.horizon_s, margin_m=scenario.planner.margin_m
         )
-        self._one_world = partial(_one_world, scenario, resolve(scenario.world), self._plan)
+        self._one_world = partial(_one_world, scenario, recipe, self._plan)
         self._compiled = False
         self._prepare: Callable[..., World] = jax.jit(self._prepare_tile)
         self._reset: Callable[..., WorldState] = jax.jit(

@@ -109,6 +109,12 @@ def resolve(config: WorldConfig) -> WorldRecipe:
     rule = config.rule or preset.rule
     if isinstance(rule, WallsRule):
         rule.check(shape)
+    obstacles = config.obstacles or preset.obstacles
+    if obstacles.dynamic.count > 0 and obstacles.dynamic.radius_m[1] >= cell:
+        raise ConfigError(
+            f"obstacles.dynamic.radius_m = {obstacles.dynamic.radius_m}: drifting obstacles must be "
+            f"smaller in radius than a cell (cell_m = {cell})"
+        )
     placement = config.placement or preset.placement
     _check_given(config, placement)
     return WorldRecipe(
@@ -127,7 +133,7 @@ def resolve(config: WorldConfig) -> WorldRecipe:
         start_m=config.start_m,
         goal_m=config.goal_m,
         currents=config.currents,
-        obstacles=config.obstacles or preset.obstacles,
+        obstacles=obstacles,
     )
 
 

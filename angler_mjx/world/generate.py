@@ -212,7 +212,9 @@ def _draw(
         cells_key, places_key = jax.random.split(jax.random.fold_in(key, redraws))
         occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_key)
         clearance = jnp.minimum(cell_clearance(occupied, recipe.cell_m), ground)
-        start, goal, fits = place(recipe, centres, clearance, start_gap, radius_m, places_key)
+        start, goal, fits = place(
+            recipe, centres, ~occupied, clearance, start_gap, radius_m, places_key
+        )
         return _Drawing(
             occupied=occupied,
             clearance=clearance,

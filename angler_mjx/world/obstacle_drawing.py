@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
+from angler_mjx.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.world import obstacle_bodies as bodies
 from angler_mjx.world.obstacle_config import DynamicConfig, ObstaclesConfig
 from angler_mjx.world.obstacle_explicit import explicit_rows
@@ -35,7 +36,7 @@ def draw(
     keep_out_m: jax.Array,
     keep_out_radius_m: jax.Array | float,
     water_density: jax.Array | float,
-    gravity: jax.Array | float = 9.80665,
+    gravity: jax.Array | float = GRAVITY_MPS2,
 ) -> Obstacles:
     """Obstacles of one world: the explicit ones first, then the drawn ones; at least one row.
 

@@ -114,6 +114,7 @@ def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
 def place(
     recipe: WorldRecipe,
     centres: jax.Array,
+    cavern: jax.Array,
     clearance: jax.Array,
     start_clearance: jax.Array,
     radius_m: jax.Array,
@@ -127,6 +128,7 @@ def place(
     Args:
         recipe: static.
         centres: [nx, ny, nz, 3] centres of the cells, m, W.
+        cavern: bool [nx, ny, nz] free cells, all connected.
         clearance: [nx, ny, nz] from each centre to all that stands still, m.
         start_clearance: [nx, ny, nz] from each centre to explicit obstacles that are there at the
             start, moving ones too, m.
@@ -137,7 +139,7 @@ def place(
         start [n_robot, 3], goal [n_robot, 3] (m, W) and whether the world holds the fleet [].
     """
     n_robot = radius_m.shape[0]
-    open_cell = largest_cavern(clearance >= jnp.max(radius_m)).ravel()
+    open_cell = _open_cells(cavern, clearance >= jnp.max(radius_m)).ravel()
     if recipe.placement == "given":
         return _given(recipe, open_cell, start_clearance.ravel(), radius_m)
     point = centres.reshape(-1, 3).T
@@ -179,6 +181,17 @@ def cell_of(recipe: WorldRecipe, p: jax.Array) -> jax.Array:
     return jnp.clip(index.astype(jnp.int32), 0, jnp.array(recipe.shape) - 1)
 
 
+def _open_cells(cavern: jax.Array, passable: jax.Array) -> jax.Array:
+    """Largest connected region of the passable cells.
+
+    Most fleets can pass every free cell, and those are connected already. The search is then given
+    an empty grid, on which it ends at once; a branch would not save it, because in a batch both
+    sides of a branch are computed.
+    """
+    whole = jnp.all(passable == cavern)
+    return jnp.where(whole, passable, largest_cavern(passable & ~whole))
+
+
 def _given(
     recipe: WorldRecipe, open_cell: jax.Array, start_clearance: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -207,7 +220,7 @@ def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Arr
     corner = [_CORNERS[i % 8] for i in range(n_robot)]
     bits = jnp.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in corner], bool)
     # Every world has its own corners: the pattern is mirrored along each axis or not.
-    bits ^= jax.random.bernoulli(key, 0.5, (3,))
+    bits ^= jax.random.uniform(key, (3,), jnp.float32) < 0.5
     return lo + size * bits, lo + size * ~bits
 
 

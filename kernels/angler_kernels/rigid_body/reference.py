@@ -153,11 +153,11 @@ def advance_damped_velocity(
 ) -> tuple[jax.Array, jax.Array]:
     """One step of velocity, second order, stable for any strength of damping.
 
-    (M + dt/2 J) d = dt (f + 1/2 (f - g) + b),  nu(t + dt) = nu + d,
-    g(t + dt) = f - D(nu_r + d) (nu_r + d) + D(nu_r) nu_r.
+    M d = dt (f + 1/2 h(d) + 1/2 (f - g) + b),  nu(t + dt) = nu + d,  g(t + dt) = f + h(d),
 
-    Damping is taken by the trapezoidal rule, linearised in the velocity with its slope J (exact for
-    quadratic damping of one axis); what else changes the smooth force f is extrapolated by the
+    where h(d) = D(nu_r) nu_r - D(nu_r + d) (nu_r + d) is how damping changes. Damping is taken by
+    the trapezoidal rule, solved by two iterations of Newton's method with the slope J at the
+    beginning, (M + dt/2 J) d = ...; what else changes the smooth force f is extrapolated by the
     two-step Adams-Bashforth formula. g is the force of the step before with the damping of the
     velocity that it led to: without other changes g = f. Without damping this is
     `advance_velocity`, which is unstable where dt J / M > 1.
@@ -180,8 +180,11 @@ def advance_damped_velocity(
     implicit = M + 0.5 * dt * slope[:, None] * jnp.eye(slope.shape[0], dtype=slope.dtype)
     impulse = dt * (1.5 * force - 0.5 * force_before + mean_thrust)
     change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
-    damping_change = damping_wrench(D_l, D_q, nu_r + change) - damping_wrench(D_l, D_q, nu_r)
-    return nu + change, force + damping_change
+    now = damping_wrench(D_l, D_q, nu_r)
+    # Newton again: what the slope has missed of the change of damping.
+    missed = damping_wrench(D_l, D_q, nu_r + change) - now + slope * change
+    change = change + spd_solve.solve(implicit, 0.5 * dt * missed[:, None])[:, 0]
+    return nu + change, force + damping_wrench(D_l, D_q, nu_r + change) - now
 
 
 def advance_pose(

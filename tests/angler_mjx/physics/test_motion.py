@@ -79,9 +79,12 @@ def test_free_decay_has_its_closed_form(simple, axis, v0):
     D_l, D_q = np.asarray(simple.params.D_l)[:, axis], np.asarray(simple.params.D_q)[:, axis]
     m = inertia(simple, axis)
     exact = decay(v0, TIMES, m[:, None], D_l[:, None], D_q[:, None])
-    # The linearised trapezoidal rule is exact for quadratic damping, and errs by (k dt)^2 / 12 of
-    # the speed lost meanwhile for the linear part, k = 2 1/s at most: 3e-5.
-    np.testing.assert_allclose(after[:, :, axis], exact, atol=5e-5)
+    # The trapezoidal rule errs by (J dt / M)^2 / 12 of the speed lost meanwhile: J / M is 36 1/s
+    # at most in yaw at the start (BlueROV2), 12 1/s in heave; it falls with the speed, and the
+    # slower decay of too fast a speed makes most of the error up again.
+    error = np.abs(after[:, :, axis] - exact)
+    assert error.max() < (1e-3 if axis == 2 else 3e-3)
+    assert error[:, 10:].max() < 1e-4
     rest = np.delete(after, axis, axis=2)
     assert np.abs(rest).max() < 1e-12  # Nothing couples into the other axes; rounding.
 

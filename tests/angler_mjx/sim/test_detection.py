@@ -79,7 +79,7 @@ def fleet_of(vehicle, places, velocities=None):
         p=jnp.array(places, float),
         q=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (n, 1)),
         nu=nu,
-        nu_dot=jnp.zeros((n, 6)),
+        force_before=jnp.zeros((n, 6)),
         thrust=jnp.zeros((n, 8)),
     )
     return vehicles, state

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
@@ -20,8 +21,11 @@ ROUNDING = 1e-5  # float32 at 20 m
 
 @pytest.fixture(scope="module")
 def occupied():
+    """Sparse enough to leave one cavern by itself."""
     rng = np.random.default_rng(4)
-    return rng.random((N_WORLD, *SHAPE)) < 0.05
+    worlds = rng.random((N_WORLD, *SHAPE)) < 0.05
+    assert all(ndimage.label(~world)[1] == 1 for world in worlds)
+    return worlds
 
 
 def fleet(occupied, placement):
@@ -31,7 +35,7 @@ def fleet(occupied, placement):
     def one(cells, key):
         clearance = cell_clearance(cells, CELL)
         far = jnp.full(SHAPE, jnp.inf)
-        return place(recipe, centres, clearance, far, jnp.array(RADIUS), key)
+        return place(recipe, centres, ~cells, clearance, far, jnp.array(RADIUS), key)
 
     keys = jax.random.split(jax.random.key(1), N_WORLD)
     start, goal, fits = jax.jit(jax.vmap(one))(occupied, keys)
