@@ -112,7 +112,7 @@ def resolve(config: WorldConfig) -> WorldRecipe:
     obstacles = config.obstacles or preset.obstacles
     if obstacles.dynamic.count > 0 and obstacles.dynamic.radius_m[1] >= cell:
         raise ConfigError(
-            f"obstacles.dynamic.radius_m = {obstacles.dynamic.radius_m}: drifting obstacles must be "
+            f"obstacles.dynamic.radius_m = {obstacles.dynamic.radius_m}: drifting ones must be "
             f"smaller in radius than a cell (cell_m = {cell})"
         )
     placement = config.placement or preset.placement

@@ -18,7 +18,7 @@ class Grid:
     """Static cells: a regular boolean grid of cubes."""
 
     occupied: jax.Array
-    """bool [nx, ny, nz]; cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]."""
+    """bool [nx, ny, nz]; cell (i, j, k) is the cube of edge cell_m at origin_m + cell_m (i, j, k)."""
     origin_m: jax.Array
     """[3] lower corner of cell (0, 0, 0), in W."""
     cell_m: jax.Array
