@@ -31,13 +31,12 @@ def bench(
     loaded = load_scenario(scenario)
     rows = speed.measure(loaded, worlds=worlds, repeats=repeats)
     speed.record(rows, out)
-    table = Table("workload", "worlds x robots", "median", "least to greatest", "compile")
+    table = Table("workload", "worlds x robots", "median (spread)", "compile")
     for row in rows:
         table.add_row(
             row.workload,
             f"{row.worlds} x {row.robots}",
-            f"{row.median:.2e} {row.unit}",
-            f"{row.low:.2e} to {row.high:.2e}",
+            f"{row.median:.2e} {row.unit} ({(row.high - row.low) / row.median:.0%})",
             f"{row.compile_s:.1f} s",
         )
     console = Console()

@@ -3,6 +3,7 @@
 import os
 import platform
 import resource
+import shlex
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
@@ -25,7 +26,7 @@ def describe_environment() -> dict[str, Any]:
         "device": device.device_kind,
         "device_count": jax.device_count(),
         "commit": _commit(),
-        "command": sys.argv,
+        "command": shlex.join(["angler", *sys.argv[1:]]),
     }
 
 

@@ -27,6 +27,11 @@ DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 """Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
 
 
+PREPARED_AT_ONCE = 4096
+"""Worlds drawn and planned in one go: beyond it the GPU is no faster, compilation takes minutes,
+and memory grows with the planner's history."""
+
+
 def default_tile(worlds: int) -> int:
     """Tile for a run of ``worlds`` on the default device: never more than the run holds."""
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
@@ -196,7 +201,11 @@ class Simulator:
 
     def _prepare_tile(self, kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
         index = first + jnp.arange(self.tile, dtype=jnp.uint32)
-        return jax.vmap(self._one_world, (None, None, 0))(kinds, seed, index)
+        one = partial(self._one_world, kinds, seed)
+        if self.tile <= PREPARED_AT_ONCE:
+            return jax.vmap(one)(index)
+        worlds: World = jax.lax.map(one, index, batch_size=PREPARED_AT_ONCE)
+        return worlds
 
 
 def _one_world(
