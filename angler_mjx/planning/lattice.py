@@ -13,7 +13,8 @@ import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import STATIC, Obstacles
 
 MAX_NZ = 32

@@ -7,7 +7,6 @@ interrupted with all finished tiles in it. An interrupted run can be taken up ag
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
 
 import jax
 import numpy as np
@@ -15,50 +14,18 @@ import psutil
 import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import folder, results
+from angler_mjx.runs import folder, harvest, results
+from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.recorder import Recorder, Shape
-from angler_mjx.runs.results import TileResult
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import CompileTime, Simulator
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim.state import Outcome, Sample
 from angler_mjx.world.environment import Environment
 
 
-class Progress(Protocol):
-    """What a run tells while it goes on."""
-
-    def start(self, worlds: int, done: int) -> None:
-        """A run of ``worlds`` begins, ``done`` of them finished before."""
-
-    def compiling(self) -> None:
-        """Compilation begins."""
-
-    def compiled(self, took: CompileTime) -> None:
-        """Compilation is over."""
-
-    def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """A part of the run is done."""
-
-
-class Silent:
-    """A progress that says nothing."""
-
-    def start(self, worlds: int, done: int) -> None:
-        """See `Progress`."""
-
-    def compiling(self) -> None:
-        """See `Progress`."""
-
-    def compiled(self, took: CompileTime) -> None:
-        """See `Progress`."""
-
-    def advance(self, worlds: float, vehicle_steps: int) -> None:
-        """See `Progress`."""
-
-
-@dataclass(kw_only=True)
-class Tile:
+@dataclass(frozen=True, kw_only=True)
+class _Tile:
     """A finished tile on the host, waiting to be written."""
 
     first: int
@@ -182,7 +149,7 @@ class _Rollout:
         self._progress.compiling()
         clock = _Clock(compile=self._sim.compile())
         self._progress.compiled(clock.compile)
-        waiting: list[Tile] = []
+        waiting: list[_Tile] = []
         interrupted = False
         try:
             for first in range(0, self._scenario.worlds, self._sim.tile):
@@ -196,12 +163,12 @@ class _Rollout:
         self._flush(waiting)
         return self._close(clock, interrupted)
 
-    def _run_tile(self, first: int, clock: _Clock) -> Tile:
+    def _run_tile(self, first: int, clock: _Clock) -> _Tile:
         """One tile from its key to its results on the host."""
         begun = time.perf_counter()
         sim, kept = self._sim, min(self._sim.tile, self._scenario.worlds - first)
         worlds = sim.worlds(first)
-        _require_valid(worlds, first, kept)
+        harvest.require_valid(worlds, first, kept)
         state = sim.reset(worlds)
         parts: list[Sample] = []
         for i in range(sim.segments):
@@ -215,18 +182,18 @@ class _Rollout:
             self._progress.advance(kept * share / sim.segments, steps)
             if done:
                 break
-        result = _tile_result(worlds, state, first, kept)
+        result = harvest.tile_result(worlds, state, first, kept)
         steps = round(float(np.sum(result.end_time_s)) / sim.spec.physics_dt_s)
         clock.simulate_s += time.perf_counter() - begun
         clock.vehicle_steps += steps
-        return Tile(
+        return _Tile(
             first=first,
             episodes=results.episode_table(result, sim.variants(), self._scenario.seed),
-            arrays=_arrays(worlds, parts, self._shape.samples, kept) if parts else {},
+            arrays=harvest.arrays_of(worlds, parts, self._shape.samples, kept) if parts else {},
             environment=jax.device_get(worlds.environment),
         )
 
-    def _flush(self, waiting: list[Tile]) -> None:
+    def _flush(self, waiting: list[_Tile]) -> None:
         """Write finished tiles and forget them."""
         for tile in waiting:
             try:
@@ -293,65 +260,3 @@ def _chunk_tiles(simulator: Simulator, shape: Shape, chunk: int | None) -> int:
     # A quarter of the free memory, twice the arrays: samples come in parts and are joined.
     per_tile = 2 * simulator.tile * shape.bytes_per_world()
     return int(np.clip(psutil.virtual_memory().available // 4 // max(per_tile, 1), 1, 64))
-
-
-def _require_valid(worlds: World, first: int, kept: int) -> None:
-    """Refuse a run in which a world could not be furnished for the fleet."""
-    valid = np.asarray(worlds.environment.valid)[:kept]
-    if not valid.all():
-        bad = first + int(np.flatnonzero(~valid)[0])
-        raise RunError(
-            f"world {bad} cannot hold the fleet: no drawing within the redraw limit had room for "
-            "its starts and goals; use fewer robots, a larger shape or a lower density"
-        )
-
-
-def _tile_result(worlds: World, state: WorldState, first: int, kept: int) -> TileResult:
-    """Device state of a tile as host arrays, the horizon's end turned into time-outs."""
-    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], state.tally)
-    outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
-    return TileResult(
-        world=np.arange(first, first + kept),
-        variant=np.asarray(worlds.variant)[:kept],
-        planned=np.asarray(worlds.path.found)[:kept],
-        outcome=outcome,
-        end_time_s=tally.end_time_s,
-        path_length_m=tally.path_length_m,
-        energy_j=tally.energy_j,
-        min_clearance_m=tally.min_clearance_m,
-        min_separation_m=tally.min_separation_m,
-        touched=tally.touched,
-        touched_index=tally.touched_index,
-        impact_speed_mps=tally.impact_speed_mps,
-        p=np.asarray(state.vehicles.p)[:kept],
-        redraws=np.asarray(worlds.environment.redraws)[:kept],
-    )
-
-
-def _arrays(worlds: World, parts: list[Sample], samples: int, kept: int) -> dict[str, np.ndarray]:
-    """Recorded arrays of a tile by name, [kept, samples, ...], NaN where the tile had ended."""
-    names = {
-        "p_m": "p",
-        "q": "q",
-        "nu": "nu",
-        "pwm_us": "pwm_us",
-        "target_m": "target_m",
-        "current_mps": "current_mps",
-        "outcome": "outcome",
-        "obstacle_p_m": "obstacle_p",
-        "obstacle_q": "obstacle_q",
-    }
-    arrays = {}
-    for name, attribute in names.items():
-        joined = np.concatenate([getattr(part, attribute)[:kept] for part in parts], axis=1)
-        missing = samples - joined.shape[1]
-        if joined.dtype.kind == "f":
-            tail = np.full((kept, missing, *joined.shape[2:]), np.nan, joined.dtype)
-        else:
-            tail = np.repeat(joined[:, -1:], missing, axis=1)
-        arrays[name] = np.concatenate([joined, tail], axis=1)
-    arrays["pwm_us"] = np.nan_to_num(np.rint(arrays["pwm_us"]), nan=0.0).astype(np.uint16)
-    arrays["outcome"] = arrays["outcome"].astype(np.uint8)
-    arrays["plan_time_s"] = np.asarray(worlds.path.time_s)[:kept]
-    arrays["plan_m"] = np.asarray(worlds.path.position_m)[:kept]
-    return arrays

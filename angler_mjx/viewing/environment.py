@@ -19,7 +19,8 @@ from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
 from angler_mjx.viewing import style
 from angler_mjx.viewing.outlines import outline, rotation
 from angler_mjx.world import currents
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, STATIC
 
 _LIGHT = LightSource(azdeg=300, altdeg=50)

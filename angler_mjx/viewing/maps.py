@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon, Rectangle
 from angler_mjx.viewing import legends, style
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
-from angler_mjx.world.environment import Grid
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import STATIC
 
 _ABOVE, _SOUTH = (0, 1), (0, 2)

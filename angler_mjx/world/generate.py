@@ -15,7 +15,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
 from angler_mjx.world.difficulty import line_is_free, shortest_ways
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacle_explicit import explicit_rows
 from angler_mjx.world.placement import (
     cell_centres,

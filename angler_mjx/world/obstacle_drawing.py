@@ -9,7 +9,6 @@ is clear of the former, the row is left out (``exists = False``).
 import math
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +16,10 @@ import jax.numpy as jnp
 from angler_kernels.clearance import capsules_obstacle, point_grid
 from angler_mjx.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.world import obstacle_bodies as bodies
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacle_config import DynamicConfig, ObstaclesConfig
 from angler_mjx.world.obstacle_explicit import explicit_rows
 from angler_mjx.world.obstacle_types import BOX, DRIFT, SPHERE, Obstacles, bounding_radius
-
-if TYPE_CHECKING:
-    from angler_mjx.world.environment import Grid
 
 _TRIES = 64
 
@@ -30,7 +27,7 @@ _TRIES = 64
 def draw(
     config: ObstaclesConfig,
     key: jax.Array,
-    grid: "Grid",
+    grid: Grid,
     bounds_lo: jax.Array,
     bounds_hi: jax.Array,
     keep_out_m: jax.Array,

@@ -9,7 +9,6 @@ obstacles or robots. Scripted movers run on rails: nothing stops them.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +23,7 @@ from angler_kernels.rigid_body import (
     water_wrench,
 )
 from angler_mjx.world.currents import Current, evaluate
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacle_types import (
     BOX,
     CIRCLE,
@@ -35,9 +35,6 @@ from angler_mjx.world.obstacle_types import (
     ObstacleState,
     bounding_radius,
 )
-
-if TYPE_CHECKING:
-    from angler_mjx.world.environment import Grid
 
 type Law = Callable[[Obstacles, jax.Array], tuple[jax.Array, jax.Array]]
 """Position [3] and velocity [3], in W, of one scripted mover at a time."""
@@ -81,7 +78,7 @@ def step(
     dt: jax.Array | float,
     bounds_lo: jax.Array,
     bounds_hi: jax.Array,
-    grid: "Grid",
+    grid: Grid,
     density: jax.Array | float,
     gravity: jax.Array | float,
 ) -> ObstacleState:
@@ -163,7 +160,7 @@ def _half_height(body: Obstacles, q: jax.Array) -> jax.Array:
 
 
 def _off_cells(
-    p: jax.Array, v: jax.Array, radius: jax.Array, grid: "Grid"
+    p: jax.Array, v: jax.Array, radius: jax.Array, grid: Grid
 ) -> tuple[jax.Array, jax.Array]:
     """A sphere that reaches into a cell is put back to touch it, its velocity turned outward."""
     distance, normal = point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)

@@ -19,8 +19,9 @@ from zarr.codecs import BloscCodec
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.world import currents
 from angler_mjx.world.config import WorldConfig, resolve
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch, require_valid
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles
 
 SCHEMA_VERSION = 1

@@ -9,7 +9,8 @@ import pytest
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.planning.grid import GridPlannerConfig, plan
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
 
 CELL = 1.5

@@ -10,8 +10,9 @@ import zarr
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.folder import partial_path
+from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.results import EPISODE_SCHEMA, OUTCOMES
-from angler_mjx.runs.rollout import Silent, resume, rollout
+from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import Outcome
 

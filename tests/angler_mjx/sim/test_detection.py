@@ -9,7 +9,8 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.state import Touched
 from angler_mjx.vehicles import library, params
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, DRIFT, SPHERE, STATIC, Obstacles, ObstacleState
 
 # Distances are sums and roots of numbers of some metres in float32: a few ulp of 16 m.

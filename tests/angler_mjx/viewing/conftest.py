@@ -16,7 +16,8 @@ from angler_mjx.runs.results import EPISODE_SCHEMA
 from angler_mjx.runs.scenario import load_scenario
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.currents import Uniform, Vortices
-from angler_mjx.world.environment import Environment, Grid
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -11,7 +11,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
 from angler_mjx.world import currents, obstacle_bodies, obstacles
-from angler_mjx.world.environment import Grid
+from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacle_explicit import explicit_rows
 
 RHO, G = 1025.0, 9.81
