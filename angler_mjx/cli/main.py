@@ -3,6 +3,7 @@
 JAX is imported only by the commands that compute, so that `angler --help` answers at once.
 """
 
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -47,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
     be used, with 130 when it was interrupted.
     """
+    # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     given = list(sys.argv[1:] if arguments is None else arguments)
     prog, commands = "angler", COMMANDS
     if given and given[0] in GROUPS:

@@ -67,6 +67,9 @@ def rollout(
     overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
+    if resume and overrides:
+        flags = ", ".join(f"--{'record-hz' if key == 'time' else key}" for key in overrides)
+        raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = load_scenario(scenario, **overrides)
     place = out or Path("runs") / loaded.name
     with Bar(quiet=json) as bar:

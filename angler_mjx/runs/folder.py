@@ -22,6 +22,7 @@ from angler_mjx.runs.scenario import Scenario
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
+FIGURES, REPLAY = "figures", "replay.rrd"
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,8 @@ def reopen(out: Path) -> Path:
         (building / PARTS).mkdir(exist_ok=True)
         (building / EPISODES).rename(building / PARTS / "before.parquet")
         (building / SUMMARY).unlink()
+        shutil.rmtree(building / FIGURES, ignore_errors=True)
+        (building / REPLAY).unlink(missing_ok=True)
     if not (building / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     return building

@@ -201,10 +201,15 @@ class _Rollout:
                     self._recorder.write(tile.first, tile.arrays, tile.environment)
                 folder.write_part(self._building, tile.first, tile.episodes)
             except OSError as error:
+                kept = (
+                    "nothing was finished before, and nothing is kept"
+                    if folder.read_parts(self._building) is None
+                    else f"what was finished before is in {self._building}; make room and go on "
+                    "with --resume"
+                )
                 raise RunError(
                     f"--out {self._out}: writing worlds {tile.first} and on failed "
-                    f"({error.strerror or error}); what was finished before is in "
-                    f"{self._building}. Make room and go on with --resume"
+                    f"({error.strerror or error}); {kept}"
                 ) from error
         waiting.clear()
 

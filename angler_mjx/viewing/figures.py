@@ -3,12 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from angler_mjx.runs.folder import Run
+from angler_mjx.runs.folder import FIGURES, Run
 from angler_mjx.viewing import maps, scene, statistics, style
 from angler_mjx.viewing.choose import good_world, worst_world
-
-FOLDER = "figures"
-"""Where figures lie in a run folder."""
 
 
 def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
@@ -28,7 +25,7 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
         ConfigError: the run does not hold a world.
         RunError: a file cannot be written.
     """
-    folder = run.path / FOLDER
+    folder = run.path / FIGURES
     name, episodes = run.scenario.name, run.episodes
     paths = [
         style.save(statistics.outcomes(episodes, name), folder / "outcomes.png"),
@@ -60,7 +57,7 @@ def world_map(run: Run, world: int, word: str = "") -> Path:
         title=f"World {world}{word}: {maps.describe(one)}",
         subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; {rock}",
     )
-    return style.save(figure, run.path / FOLDER / f"map_world_{world}.png")
+    return style.save(figure, run.path / FIGURES / f"map_world_{world}.png")
 
 
 def _chosen(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from angler_mjx.errors import RunError, UnsupportedError
-from angler_mjx.runs.folder import Run
+from angler_mjx.runs.folder import REPLAY, Run
 from angler_mjx.viewing import maps, scene
 from angler_mjx.viewing.choose import good_world, worst_world
 
@@ -20,10 +20,7 @@ if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
 
-__all__ = ["FILE", "good_world", "show", "worst_world", "write"]
-
-FILE = "replay.rrd"
-"""Name of the replay in a run folder."""
+__all__ = ["good_world", "show", "worst_world", "write"]
 
 _PLAYBACK_SPEED = 4.0
 """Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
@@ -44,7 +41,7 @@ def write(run: Run, worlds: Sequence[int] | None = None) -> Path:
     chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
     rr = _rerun(run, chosen[0])
     scenes = [scene.read(run, world) for world in chosen]
-    path = run.path / FILE
+    path = run.path / REPLAY
     written = path.with_suffix(".tmp")
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
     try:
@@ -73,9 +70,9 @@ def show(run: Run, world: int) -> None:
     rr = _rerun(run, world)
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ):
         raise UnsupportedError(
-            f"no display to open the viewer on; copy {run.path / FILE} to a machine with one and "
-            f"open it there with `rerun {FILE}`, or serve it from here with "
-            f"`rerun --serve-web {run.path / FILE}`"
+            f"no display to open the viewer on; copy {run.path / REPLAY} to a machine with one and "
+            f"open it there with `rerun {REPLAY}`, or serve it from here with "
+            f"`rerun --serve-web {run.path / REPLAY}`"
         )
     scenes = [scene.read(run, world)]
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
@@ -100,7 +97,7 @@ def _rerun(run: Run, world: int) -> ModuleType:
         raise UnsupportedError(
             "no replay was written: Rerun is not installed. Install the extra `view` "
             f"(pip install 'angler-mjx[view]'), then make it from the run folder: "
-            f"`angler figures {run.path}` writes {FILE}, "
+            f"`angler figures {run.path}` writes {REPLAY}, "
             f"`angler replay {run.path} --world {world}` opens the viewer"
         ) from error
     return rerun

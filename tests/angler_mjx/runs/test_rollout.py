@@ -2,7 +2,9 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
+import chex
 import jax
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.results import EPISODE_SCHEMA, OUTCOMES
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim import episode
 from angler_mjx.sim.state import Outcome
 
 
@@ -144,10 +147,26 @@ def test_nothing_is_compiled_between_tiles(simulator):
     assert compiled == []
 
 
+def test_a_control_step_is_traced_once_for_all_worlds(simulator):
+    chex.clear_trace_counter()
+    step = jax.jit(
+        jax.vmap(
+            chex.assert_max_traces(partial(episode.control_step, simulator.spec), n=1), (None, 0, 0)
+        )
+    )
+    for first in (0, 2):
+        worlds = simulator.worlds(first)
+        state = simulator.reset(worlds)
+        state, _ = step(simulator.fleet.engine, worlds, state)
+        state, _ = step(simulator.fleet.engine, worlds, state)
+    chex.assert_tree_all_finite(state.vehicles)
+
+
 def test_a_world_is_the_same_wherever_its_tile_stands(simulator):
     early, late = simulator.worlds(1), simulator.worlds(2)
-    for one, other in zip(jax.tree.leaves(early), jax.tree.leaves(late), strict=True):
-        np.testing.assert_array_equal(np.asarray(one)[1], np.asarray(other)[0])
+    chex.assert_trees_all_equal(
+        jax.tree.map(lambda leaf: leaf[1], early), jax.tree.map(lambda leaf: leaf[0], late)
+    )
     other_seed = simulator.worlds(2, seed=4)
     assert not np.array_equal(
         np.asarray(late.environment.start_m), np.asarray(other_seed.environment.start_m)
@@ -162,10 +181,10 @@ def test_a_world_that_diverges_is_marked_and_leaves_the_others_alone(simulator):
     good, _ = simulator.step(worlds, state)
     bad, _ = simulator.step(worlds, poisoned)
     np.testing.assert_array_equal(bad.tally.outcome, [[0, 0], [Outcome.DIVERGED, 0]])
-    for one, other in zip(jax.tree.leaves(good), jax.tree.leaves(bad), strict=True):
-        np.testing.assert_array_equal(np.asarray(one)[0], np.asarray(other)[0])
-    assert np.isfinite(np.asarray(bad.vehicles.p)).all()
-    assert np.isfinite(np.asarray(bad.vehicles.nu)).all()
+    chex.assert_trees_all_equal(
+        *(jax.tree.map(lambda leaf: leaf[0], state) for state in (good, bad))
+    )
+    chex.assert_tree_all_finite(bad.vehicles)
 
 
 def test_an_existing_folder_is_refused_and_kept(scenario, tmp_path):

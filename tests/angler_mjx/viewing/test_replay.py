@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import UnsupportedError
+from angler_mjx.runs.folder import REPLAY
 from angler_mjx.viewing import replay
 
 rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -104,7 +105,7 @@ def test_label_tells_the_outcome_at_its_time(chunks, scene):
 
 
 def test_write_replaces_an_older_replay_and_leaves_nothing_else(run):
-    (run.path / replay.FILE).write_text("old")
+    (run.path / REPLAY).write_text("old")
     path = replay.write(run, [12])
     assert path == run.path / "replay.rrd"
     assert path.stat().st_size > 10_000
