@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import chex
 import jax
@@ -149,11 +148,12 @@ def test_nothing_is_compiled_between_tiles(simulator):
 
 def test_a_control_step_is_traced_once_for_all_worlds(simulator):
     chex.clear_trace_counter()
-    step = jax.jit(
-        jax.vmap(
-            chex.assert_max_traces(partial(episode.control_step, simulator.spec), n=1), (None, 0, 0)
-        )
-    )
+
+    @chex.assert_max_traces(n=1)
+    def control_step(engine, world, state):
+        return episode.control_step(simulator.spec, engine, world, state)
+
+    step = jax.jit(jax.vmap(control_step, (None, 0, 0)))
     for first in (0, 2):
         worlds = simulator.worlds(first)
         state = simulator.reset(worlds)
