@@ -17,7 +17,10 @@ _ABOUT: dict[str, tuple[str, str]] = {
     "p_m": ("m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)"),
     "q": ("1", "attitude, quaternion wxyz, body (forward, left, up) to world"),
     "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
-    "pwm_us": ("us", "command of each thruster; 0 in padding columns"),
+    "pwm_us": (
+        "us",
+        "command of each thruster; 1500 in padding columns, 0 where a diverged robot had none",
+    ),
     "target_m": ("m", "where the controller aims, world frame"),
     "current_mps": ("m/s", "water velocity at the robot, world frame"),
     "outcome": (

@@ -176,8 +176,9 @@ class _Rollout:
             if self._recorder is not None:
                 parts.append(jax.device_get(sample))
             outcome = np.asarray(state.tally.outcome)[:kept]
-            steps = int(outcome.size) * sim.segment_steps * sim.spec.physics_steps
-            done = not np.any(outcome == Outcome.RUNNING)
+            running = int(np.sum(outcome == Outcome.RUNNING))
+            steps = running * sim.segment_steps * sim.spec.physics_steps
+            done = running == 0
             share = (sim.segments - i) if done else 1
             self._progress.advance(kept * share / sim.segments, steps)
             if done:

@@ -28,8 +28,8 @@ DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 
 
 PREPARED_AT_ONCE = 4096
-"""Worlds drawn and planned in one go: beyond it the GPU is no faster, compilation takes minutes,
-and memory grows with the planner's history."""
+"""Worlds drawn and planned in one go. 16,384 at once were a tenth faster on an H200, but took 209 s
+to compile instead of 39 s, and memory grows with the planner's history."""
 
 
 def default_tile(worlds: int) -> int:
