@@ -18,7 +18,7 @@ import numpy as np
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.runs.scenario import Scenario
-from angler_mjx.sim import episode, fleet
+from angler_mjx.sim import engines, fleet
 from angler_mjx.sim.state import Sample, World, WorldState
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldRecipe, resolve
@@ -95,24 +95,15 @@ class Simulator:
         self._one_world = partial(_one_world, scenario, recipe, self._plan)
         self._compiled = False
         self._prepare: Callable[..., World] = jax.jit(self._prepare_tile)
-        self._reset: Callable[..., WorldState] = jax.jit(
-            jax.vmap(partial(episode.reset, self.spec), (None, 0))
-        )
-        self._step: _Step = jax.jit(
-            jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0))
-        )
-        self._step_pwm: _Step = jax.jit(
-            jax.vmap(partial(episode.control_step, self.spec), (None, 0, 0, 0))
-        )
+        engine = engines.by_name(scenario.engine)
+        self._reset: Callable[..., WorldState] = jax.jit(partial(engine.reset, self.spec))
+        self._step: _Step = jax.jit(partial(engine.control_step, self.spec))
         self._segment: _Step = jax.jit(
-            jax.vmap(
-                partial(
-                    episode.segment,
-                    self.spec,
-                    n_sample=self.samples,
-                    steps_per_sample=self.steps_per_sample,
-                ),
-                (None, 0, 0),
+            partial(
+                engine.segment,
+                self.spec,
+                n_sample=self.samples,
+                steps_per_sample=self.steps_per_sample,
             ),
             donate_argnums=2,
         )
@@ -153,7 +144,7 @@ class Simulator:
 
     def reset(self, worlds: World) -> WorldState:
         """State of each world at t = 0."""
-        return self._reset(self.fleet.engine, worlds)
+        return self._reset(self.fleet, worlds)
 
     def step(
         self, worlds: World, state: WorldState, command: ThrusterPwm | None = None
@@ -168,9 +159,7 @@ class Simulator:
         Returns:
             The next state, and the sample of the state before with its command.
         """
-        if command is None:
-            return self._step(self.fleet.engine, worlds, state)
-        return self._step_pwm(self.fleet.engine, worlds, state, command)
+        return self._step(self.fleet, worlds, state, command)
 
     def segment(self, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
         """``segment_steps`` control steps; the given state's memory is used up.
@@ -178,7 +167,7 @@ class Simulator:
         Returns:
             The state after them, and samples [tile, samples, ...].
         """
-        return self._segment(self.fleet.engine, worlds, state)
+        return self._segment(self.fleet, worlds, state)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
@@ -188,14 +177,12 @@ class Simulator:
         """
         if self._compiled:
             return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
-        engine, number = self.fleet.engine, jnp.uint32(0)
-        self._prepare, prepare_s = _compiled(self._prepare, self.fleet, number, number)
+        kinds, number = self.fleet, jnp.uint32(0)
+        self._prepare, prepare_s = _compiled(self._prepare, kinds, number, number)
         worlds = self.world_shape()
-        self._reset, reset_s = _compiled(self._reset, engine, worlds)
-        state = jax.eval_shape(
-            jax.vmap(partial(episode.reset, self.spec), (None, 0)), engine, worlds
-        )
-        self._segment, segment_s = _compiled(self._segment, engine, worlds, state)
+        state = jax.eval_shape(self._reset, kinds, worlds)
+        self._reset, reset_s = _compiled(self._reset, kinds, worlds)
+        self._segment, segment_s = _compiled(self._segment, kinds, worlds, state)
         self._compiled = True
         return CompileTime(prepare_s=prepare_s, reset_s=reset_s, segment_s=segment_s)
 

@@ -1,0 +1,101 @@
+"""The physics engines by name: each advances a tile of worlds, with the same meaning.
+
+Every function takes and gives pytrees of one world with a leading axis [tile] on every leaf.
+"""
+
+from functools import partial
+from typing import Protocol
+
+import jax
+
+from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.sim import episode
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
+
+
+class Engine(Protocol):
+    """What a simulator asks of an engine."""
+
+    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
+        """Worlds at t = 0: robots at rest at their starts, obstacles in place."""
+        ...
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: ThrusterPwm | None,
+    ) -> tuple[WorldState, Sample]:
+        """One control step.
+
+        Args:
+            spec: settings.
+            fleet: compiled vehicles.
+            worlds: constants of the worlds.
+            state: of the worlds.
+            command: signals [tile, R, n_thruster] to send instead of the controller's.
+
+        Returns:
+            The state one control period later, and the sample of the state before.
+        """
+        ...
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+    ) -> tuple[WorldState, Sample]:
+        """``n_sample * steps_per_sample`` control steps; samples are [tile, n_sample, ...]."""
+        ...
+
+
+class MjxEngine:
+    """MuJoCo MJX: multibody models, one ``vmap`` over worlds."""
+
+    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
+        """See `Engine.reset`."""
+        state: WorldState = jax.vmap(partial(episode.reset, spec), (None, 0))(fleet.engine, worlds)
+        return state
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: ThrusterPwm | None,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.control_step`."""
+        one = partial(episode.control_step, spec)
+        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
+            fleet.engine, worlds, state, command
+        )
+        return after
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.segment`."""
+        one = partial(episode.segment, spec, n_sample=n_sample, steps_per_sample=steps_per_sample)
+        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0))(fleet.engine, worlds, state)
+        return after
+
+
+def by_name(name: str) -> Engine:
+    """The engine of a scenario."""
+    return {"mjx": MjxEngine()}[name]
