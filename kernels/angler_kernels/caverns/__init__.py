@@ -1,5 +1,5 @@
 """Connected free regions of a 3-D grid."""
 
-from angler_kernels.caverns.reference import component_labels, largest_cavern
+from angler_kernels.caverns.reference import largest_cavern
 
-__all__ = ["component_labels", "largest_cavern"]
+__all__ = ["largest_cavern"]

@@ -1,70 +1,84 @@
 """Free caverns of a regular 3-D grid: cells connected through faces (6-neighbourhood).
 
-Labels spread by minimum over neighbours, and every cell also takes over the label of the cell that
-its label names (pointer jumping), which shortens long ways by doubling. A bounded loop replaces
-recursion, so no grid can overflow a stack.
+A cavern is filled from its first cell, 32 cells to a word; then the next cavern, until what is left
+cannot hold a larger one. One bounded loop does both for all worlds of a batch, each at its own
+pace, so no grid can overflow a stack and a world seldom waits.
 """
 
-import math
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.bit_grid import population, shift
 
-def component_labels(free: jax.Array) -> jax.Array:
-    """Label each free cell with the smallest flat index of its cavern.
-
-    Args:
-        free: bool [nx, ny, nz].
-
-    Returns:
-        int32 [nx, ny, nz]; flat index (row-major) of the first cell of the cavern; the number of
-        cells of the grid where the cell is not free.
-    """
-    n = math.prod(free.shape)
-    index = jnp.arange(n, dtype=jnp.int32).reshape(free.shape)
-    start = jnp.where(free, index, n)
-
-    def unfinished(carry: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        _, changed, sweep = carry
-        # Each sweep moves a label at least one cell, so n sweeps always suffice.
-        return changed & (sweep < n)
-
-    def spread(
-        carry: tuple[jax.Array, jax.Array, jax.Array],
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        label, _, sweep = carry
-        low = jnp.where(free, _neighbour_minimum(label, n), n)
-        # Label n names one cell more, which says n: cheaper than asking for each label.
-        jumped = jnp.append(low.ravel(), n)[low]
-        return jumped, jnp.any(jumped != label), sweep + 1
-
-    label, _, _ = jax.lax.while_loop(unfinished, spread, (start, jnp.array(True), jnp.int32(0)))
-    return label
+_SPREADS = 4
+"""Cells that water spreads by before it is asked whether it still rises; asking costs more than a
+spread, and one to three spreads in vain cost less than an answer each time."""
 
 
-def largest_cavern(free: jax.Array) -> jax.Array:
+class _Search(NamedTuple):
+    """Which caverns have been seen; packed grids, and counts of cells."""
+
+    left: jax.Array
+    """Cells of no cavern that was filled; the one being filled is still among them."""
+    water: jax.Array
+    """What is filled of the present cavern."""
+    best: jax.Array
+    """The largest cavern so far."""
+    best_size: jax.Array
+
+
+def largest_cavern(free: jax.Array, nz: int) -> jax.Array:
     """Cells of the largest cavern; of equally large ones, that with the first cell in flat order.
 
     Args:
-        free: bool [nx, ny, nz].
+        free: packed, [nx, ny, words, ...] (see `angler_kernels.bit_grid`).
+        nz: cells along z.
 
     Returns:
-        bool [nx, ny, nz]; all False where nothing is free.
+        As ``free``; empty where nothing is free.
     """
-    label = component_labels(free)
-    n = math.prod(free.shape)
-    size = jnp.zeros(n, jnp.int32).at[label.ravel()].add(1, mode="drop")
-    return free & (label == jnp.argmax(size))
+
+    def unfinished(search: _Search) -> jax.Array:
+        return jnp.any(search.best_size < population(search.left))
+
+    def advance(search: _Search) -> _Search:
+        water = search.water
+        for _ in range(_SPREADS):
+            water = _spread(water, free, nz)
+        full = jnp.all(water == search.water, axis=(0, 1, 2))
+        size = population(water)
+        larger = full & (size > search.best_size)
+        left = jnp.where(full, search.left & ~water, search.left)
+        return _Search(
+            left=left,
+            water=jnp.where(full, _first_cell(left), water),
+            best=jnp.where(larger, water, search.best),
+            best_size=jnp.where(larger, size, search.best_size),
+        )
+
+    nothing = jnp.zeros_like(free)
+    start = _Search(left=free, water=_first_cell(free), best=nothing, best_size=population(nothing))
+    return jax.lax.while_loop(unfinished, advance, start).best
 
 
-def _neighbour_minimum(label: jax.Array, outside: int) -> jax.Array:
-    """Minimum of each cell and its six neighbours."""
-    low = label
+def _spread(water: jax.Array, free: jax.Array, nz: int) -> jax.Array:
+    """Water and the free cells that share a face with it."""
+    wet = water
     for axis in range(3):
-        pad = [(1, 1) if other == axis else (0, 0) for other in range(3)]
-        padded = jnp.pad(label, pad, constant_values=outside)
-        n = label.shape[axis]
-        for shift in (0, 2):
-            low = jnp.minimum(low, jax.lax.slice_in_dim(padded, shift, shift + n, axis=axis))
-    return low
+        for step in (1, -1):
+            wet = wet | shift(water, axis, step, nz)
+    # Without the barrier, XLA would fuse spreads and evaluate each seven times for the next.
+    spread: jax.Array = jax.lax.optimization_barrier(wet & free)
+    return spread
+
+
+def _first_cell(grid: jax.Array) -> jax.Array:
+    """The grid with nothing but its first cell in flat order; empty if it is."""
+    nx, ny, words = grid.shape[:3]
+    n = nx * ny * words
+    flat = jnp.arange(n, dtype=jnp.int32).reshape(nx, ny, words, *[1] * (grid.ndim - 3))
+    first = jnp.min(jnp.where(grid != 0, flat, n), axis=(0, 1, 2))
+    # x & -x is the lowest bit of x.
+    return jnp.where(flat == first, grid & -grid, 0)

@@ -1,49 +1,93 @@
-"""Cellular automaton on a regular 3-D grid of walls (True) and free cells (False).
+"""Cellular automaton on a regular 3-D grid of walls (1) and free cells (0), 32 cells at a time.
 
 The neighbourhood is Moore's: the 26 cells of the surrounding 3x3x3 block. Everything outside the
-grid counts as free, so walls thin out at the faces.
+grid counts as free, so walls thin out at the faces. Counts are kept bit by bit: one word holds the
+units of 32 cells, the next their twos, and so on; full adders add them (carry-save addition).
 """
+
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.bit_grid import everywhere, shift
 
-def neighbour_count(wall: jax.Array) -> jax.Array:
-    """Number of walls among the 26 neighbours of each cell.
+type Count = list[jax.Array]
+"""Binary digits of a number in each cell, the lowest first: one packed grid per digit."""
 
-    The 3x3x3 box sum is separable: three sums of three along the axes, minus the cell itself.
+
+def block_count(wall: jax.Array, nz: int) -> Count:
+    """Number of walls in the 3x3x3 block about each cell, itself included.
+
+    The sum is separable: three sums of three along the axes.
 
     Args:
-        wall: bool [nx, ny, nz].
+        wall: packed, [nx, ny, words, ...] (see `angler_kernels.bit_grid`).
+        nz: cells along z.
 
     Returns:
-        int32 [nx, ny, nz], 0 to 26.
+        Five digits of 0 to 27.
     """
-    total = wall.astype(jnp.int32)
-    for axis in range(3):
-        pad = [(1, 1) if other == axis else (0, 0) for other in range(3)]
-        padded = jnp.pad(total, pad)
-        n = total.shape[axis]
-        total = sum(
-            (jax.lax.slice_in_dim(padded, shift, shift + n, axis=axis) for shift in (1, 2)),
-            start=jax.lax.slice_in_dim(padded, 0, n, axis=axis),
-        )
-    return total - wall
+    count, most = [wall], 1
+    for axis in (2, 1, 0):
+        before, after = ([shift(digit, axis, step, nz) for digit in count] for step in (1, -1))
+        most *= 3
+        count = _add_three(before, count, after)[: most.bit_length()]
+    return count
 
 
-def step(wall: jax.Array, die_below: int, born_above: int) -> jax.Array:
+def step(wall: jax.Array, die_below: int, born_above: int, nz: int) -> jax.Array:
     """Apply the rule once to all cells at the same time.
 
     A wall with fewer than ``die_below`` neighbouring walls becomes free; a free cell with more
     than ``born_above`` becomes a wall. [A. Agrawal's generator of 2024 uses 2 and 12.]
 
     Args:
-        wall: bool [nx, ny, nz].
+        wall: packed, [nx, ny, words, ...].
         die_below: 0 to 27; 0 lets no wall die.
         born_above: -1 to 26; 26 lets none be born.
+        nz: cells along z.
 
     Returns:
-        bool [nx, ny, nz].
+        As ``wall``.
     """
-    count = neighbour_count(wall)
-    return jnp.where(wall, count >= die_below, count > born_above)
+    count = block_count(wall, nz)
+    whole = everywhere((wall.shape[0], wall.shape[1], nz))
+    inside = whole.reshape(whole.shape + (1,) * (wall.ndim - 3))
+    # The block of a wall holds the wall itself, so one more than its neighbours.
+    stays = _at_least(count, die_below + 1)
+    born = _at_least(count, born_above + 1)
+    return (wall & stays | ~wall & born) & inside
+
+
+def _add_three(a: Count, b: Count, c: Count) -> Count:
+    """Digits of a + b + c, numbers of as many digits."""
+    ones, carries = zip(
+        *(_full_adder(*digits) for digits in zip(a, b, c, strict=True)), strict=True
+    )
+    # The sum is that of `ones`, and of `carries` one place higher: added with ripple carry.
+    total, carry = [ones[0]], jnp.zeros_like(ones[0])
+    for one, other in zip(ones[1:], carries[:-1], strict=True):
+        digit, carry = _full_adder(one, other, carry)
+        total.append(digit)
+    return [*total, carries[-1] ^ carry, carries[-1] & carry]
+
+
+def _full_adder(a: jax.Array, b: jax.Array, c: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Digit and carry of a + b + c."""
+    half = a ^ b
+    return half ^ c, a & b | c & half
+
+
+def _at_least(count: Count, least: int) -> jax.Array:
+    """All bits set where the count is at least a number."""
+    if least <= 0:
+        return jnp.full_like(count[0], ~jnp.uint32(0))
+    if least >= 1 << len(count):
+        return jnp.zeros_like(count[0])
+    # From the lowest digit up: a higher digit decides unless it is equal.
+    equal = jnp.full_like(count[0], ~jnp.uint32(0))
+    digits = enumerate(count)
+    return reduce(
+        lambda so_far, d: d[1] & so_far if least >> d[0] & 1 else d[1] | so_far, digits, equal
+    )

@@ -1,6 +1,12 @@
 """Exact distances between the shapes that hulls, cells and obstacles are made of."""
 
 from angler_kernels.clearance.grid import capsules_grid, point_grid
+from angler_kernels.clearance.neighbours import (
+    capsules_neighbours,
+    cell_neighbours,
+    neighbour_window,
+    point_neighbours,
+)
 from angler_kernels.clearance.reference import (
     BOX,
     CAPSULE,
@@ -20,9 +26,13 @@ __all__ = [
     "SPHERE",
     "capsules_capsules",
     "capsules_grid",
+    "capsules_neighbours",
     "capsules_obstacle",
+    "cell_neighbours",
+    "neighbour_window",
     "point_box",
     "point_grid",
+    "point_neighbours",
     "segment_box",
     "segment_oriented_box",
     "segment_point",

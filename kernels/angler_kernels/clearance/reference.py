@@ -9,7 +9,7 @@ gradient is 0. Lengths in metres; all shapes of a call in one frame unless it sa
 
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,9 @@ import jax.numpy as jnp
 from angler_kernels.quaternion import rotate, rotate_inverse
 
 SPHERE, BOX, CAPSULE = 0, 1, 2
+
+type Vector = Sequence[jax.Array] | jax.Array
+"""Three scalars, in an array or apart."""
 
 
 def point_box(p: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
@@ -57,36 +60,74 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
 
 
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
-    """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3].
+    """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3]."""
+    line = Line.through(a, b)
+    return line.gap(line.foot(lo, hi), lo, hi)
 
-    Half the derivative of the squared gap along the segment, h(s) = d . outside(a + s d), grows
-    with s and is piecewise linear; it bends only where the segment passes one of the six faces'
-    planes. Between the last bend where it is negative and the first where it is not, it is one
-    straight line, whose zero is the nearest point. Where h is nowhere negative the near end is
-    nearest, where it is negative everywhere the far end.
 
-    The six bends are taken one by one in scalars: under ``vmap`` that is one pass over the batch.
-    """
-    axes = [_Axis(a[i], b[i] - a[i], lo[i], hi[i]) for i in range(3)]
-    s_left, s_right = jnp.zeros_like(a[0]), jnp.ones_like(a[0])
-    h_left = h_start = _slope(axes, s_left)
-    h_right = h_end = _slope(axes, s_right)
-    for axis in axes:
-        inverse = 1.0 / jnp.where(axis.d == 0.0, 1.0, axis.d)
-        for face in (axis.lo, axis.hi):
-            s = jnp.clip((face - axis.a) * inverse, 0.0, 1.0)
-            h = _slope(axes, s)
-            before = h < 0.0
-            s_left = jnp.where(before, jnp.maximum(s_left, s), s_left)
-            h_left = jnp.where(before, jnp.maximum(h_left, h), h_left)
-            s_right = jnp.where(before, s_right, jnp.minimum(s_right, s))
-            h_right = jnp.where(before, h_right, jnp.minimum(h_right, h))
-    crosses = (h_start < 0.0) & (h_end >= 0.0)
-    rise = jnp.where(crosses, h_right - h_left, 1.0)
-    zero = s_left - (s_right - s_left) * h_left / rise
-    at = jnp.where(crosses, zero, jnp.where(h_start < 0.0, 1.0, 0.0))
-    at = jax.lax.stop_gradient(at)
-    return _root(_square([axis.outside(at) for axis in axes]))
+class Line(NamedTuple):
+    """A segment a + s d, 0 <= s <= 1, made ready for distances to axis-aligned boxes."""
+
+    a: list[jax.Array]
+    d: list[jax.Array]
+    weight: list[jax.Array]
+    """d^2 of each coordinate."""
+    inverse: list[jax.Array]
+    """1 / d of each coordinate; 1 where the weight is 0."""
+
+    @classmethod
+    def through(cls, a: Vector, b: Vector) -> Self:
+        """The segment from a [3] to b [3]."""
+        d = [b[i] - a[i] for i in range(3)]
+        weight = [x * x for x in d]
+        inverse = [1.0 / jnp.where(w > 0.0, x, 1.0) for x, w in zip(d, weight, strict=True)]
+        return cls([a[i] for i in range(3)], d, weight, inverse)
+
+    def foot(self, lo: Vector, hi: Vector) -> jax.Array:
+        """Parameter [] of a point of the segment nearest to the box from lo [3] to hi [3].
+
+        Half the derivative of the squared gap along the line grows with s and is piecewise linear,
+
+            h(s) = sum_i w_i (s - clip(s, enter_i, leave_i)),  w_i = d_i^2,
+
+        with the parameters at which the line passes the two planes of each pair of faces. It bends
+        at these six only, where the term of that pair is zero. Between the last bend where h is
+        negative and the first where it is not, one step of Newton finds the zero. Where h is
+        nowhere negative on the segment the near end is nearest, where it is negative everywhere
+        the far end. A constant to gradients.
+        """
+        planes = [
+            ((lo[i] - self.a[i]) * self.inverse[i], (hi[i] - self.a[i]) * self.inverse[i])
+            for i in range(3)
+        ]
+        slabs = [(jnp.minimum(u, v), jnp.maximum(u, v)) for u, v in planes]
+
+        def past(s: jax.Array, i: int) -> jax.Array:
+            return s - jnp.clip(s, *slabs[i])
+
+        left, right = jnp.zeros_like(self.a[0]), jnp.ones_like(self.a[0])
+        for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):
+            for s in planes[i]:
+                before = self.weight[j] * past(s, j) + self.weight[k] * past(s, k) < 0.0
+                left = jnp.maximum(left, jnp.where(before, s, 0.0))
+                right = jnp.minimum(right, jnp.where(before, 1.0, s))
+        left, right = jnp.minimum(left, 1.0), jnp.maximum(right, 0.0)
+        middle = 0.5 * (left + right)
+        beyond = [past(middle, i) for i in range(3)]
+        h = sum(self.weight[i] * beyond[i] for i in range(3))
+        rise = sum(jnp.where(beyond[i] == 0.0, 0.0, self.weight[i]) for i in range(3))
+        at = jnp.clip(middle - h / jnp.where(rise > 0.0, rise, 1.0), left, right)
+        return jax.lax.stop_gradient(at)
+
+    def gap(
+        self,
+        s: jax.Array,
+        lo: Vector,
+        hi: Vector,
+    ) -> jax.Array:
+        """Distance [] of the segment's point at parameter s to a box; inside 0."""
+        at = [self.a[i] + s * self.d[i] for i in range(3)]
+        return _root(_square([at[i] - jnp.clip(at[i], lo[i], hi[i]) for i in range(3)]))
 
 
 def segment_oriented_box(
@@ -154,32 +195,12 @@ def capsules_obstacle(
     return jnp.min(gap - r)
 
 
-class _Axis(NamedTuple):
-    """One coordinate of a segment a + s d and of a box."""
-
-    a: jax.Array
-    d: jax.Array
-    lo: jax.Array
-    hi: jax.Array
-
-    def outside(self, s: jax.Array) -> jax.Array:
-        """Signed distance [] past the nearer face, 0 between the faces."""
-        x = self.a + s * self.d
-        return jnp.maximum(x - self.hi, 0.0) - jnp.maximum(self.lo - x, 0.0)
-
-
-def _slope(axes: Sequence[_Axis], s: jax.Array) -> jax.Array:
-    """h(s) of `segment_box`."""
-    x, y, z = (axis.d * axis.outside(s) for axis in axes)
-    return x + y + z
-
-
-def _square(v: Sequence[jax.Array] | jax.Array) -> jax.Array:
+def _square(v: Vector) -> jax.Array:
     """Squared length [] of a vector."""
     return _dot(v, v)
 
 
-def _dot(u: Sequence[jax.Array] | jax.Array, v: Sequence[jax.Array] | jax.Array) -> jax.Array:
+def _dot(u: Vector, v: Vector) -> jax.Array:
     """Inner product [] of two vectors, written out."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
@@ -189,7 +210,7 @@ def _root(square: jax.Array) -> jax.Array:
     return jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
 
 
-def _foot(d: jax.Array, to_point: Sequence[jax.Array] | jax.Array) -> jax.Array:
+def _foot(d: jax.Array, to_point: Vector) -> jax.Array:
     """Parameter in [0, 1] of the point of a segment d nearest to a point, both seen from its start.
 
     A constant to gradients.

@@ -17,7 +17,7 @@ PEAK_RADIUS = 1.1209064227785
 exp(x^2) = 1 + 2 x^2 (x^2 = 1.25643; Devenport et al., J. Fluid Mech. 312, 1996, p. 67)."""
 
 _SERIES_BELOW = 0.1
-_SERIES = tuple((-1.0) ** k / math.factorial(k + 1) for k in range(11))
+_SERIES = tuple((-1.0) ** k / math.factorial(k + 1) for k in range(14))
 
 
 def smooth_knots(t: jax.Array, knots: jax.Array, knot_dt: jax.Array) -> Field:
@@ -92,15 +92,25 @@ def material_derivative(v: jax.Array, v_t: jax.Array, J: jax.Array) -> jax.Array
 def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
     """phi(s) = (1 - exp(-s)) / s and its derivative, for s >= 0.
 
-    Near zero both are power series (ten terms: 1e-17 at the threshold); the closed form, which
-    cancels there, is given a harmless argument so that gradients stay finite.
+    Near zero both are power series with as many terms as the type has digits; the closed form,
+    which cancels there, is given a harmless argument so that gradients stay finite.
     """
     small = s < _SERIES_BELOW
     safe = jnp.where(small, 1.0, s)
-    far = -jnp.expm1(-safe) / safe
-    far_slope = (jnp.exp(-safe) - far) / safe
+    inverse = 1.0 / safe
+    fall = jnp.expm1(-safe)
+    far = -fall * inverse
+    far_slope = (1.0 + fall - far) * inverse
     near, near_slope = jnp.zeros_like(s), jnp.zeros_like(s)
-    for k in range(len(_SERIES) - 1, 0, -1):
+    for k in range(_terms(s.dtype) - 1, 0, -1):
         near = (near + _SERIES[k]) * s
         near_slope = near_slope * s + k * _SERIES[k]
     return jnp.where(small, near + _SERIES[0], far), jnp.where(small, near_slope, far_slope)
+
+
+def _terms(dtype: jnp.dtype) -> int:
+    """Terms of the series of phi's derivative that a type can tell from none at the threshold."""
+    least = 2.0 ** (-56 if dtype.itemsize > 4 else -27)
+    return next(
+        k for k, c in enumerate(_SERIES) if k and k * abs(c) * _SERIES_BELOW ** (k - 1) < least
+    )

@@ -3,6 +3,7 @@
 from angler_kernels.quaternion.reference import (
     conjugate,
     exp,
+    exp_small,
     from_yaw,
     multiply,
     rotate,
@@ -14,6 +15,7 @@ from angler_kernels.quaternion.reference import (
 __all__ = [
     "conjugate",
     "exp",
+    "exp_small",
     "from_yaw",
     "multiply",
     "rotate",

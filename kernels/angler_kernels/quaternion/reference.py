@@ -63,6 +63,21 @@ def exp(rotation: jax.Array) -> jax.Array:
     return jnp.concatenate([cosine[None], 0.5 * sinc * rotation])
 
 
+def exp_small(rotation: jax.Array) -> jax.Array:
+    """Quaternion [4] of a rotation vector [3] of at most 1.5 rad, by series.
+
+    What a step of time turns a body by. Exact there to the rounding of the type; not of unit length
+    beyond.
+    """
+    h2 = 0.25 * jnp.sum(rotation * rotation)
+    terms = 7 if rotation.dtype.itemsize > 4 else 5
+    sinc, cosine = jnp.ones_like(h2), jnp.ones_like(h2)
+    for k in range(terms, 0, -1):
+        sinc = 1.0 - (1.0 / (2 * k * (2 * k + 1))) * h2 * sinc
+        cosine = 1.0 - (1.0 / (2 * k * (2 * k - 1))) * h2 * cosine
+    return jnp.concatenate([cosine[None], 0.5 * sinc * rotation])
+
+
 def yaw(q: jax.Array) -> jax.Array:
     """Heading [] about world z of the body x axis, rad, 0 = world x (east)."""
     w, x, y, z = q[0], q[1], q[2], q[3]

@@ -22,18 +22,20 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     n = matrix.shape[0]
     lower: list[list[jax.Array]] = []
     pivot: list[jax.Array] = []
+    inverse: list[jax.Array] = []
     for i in range(n):
         row: list[jax.Array] = []
         for j in range(i):
             value = matrix[i, j]
             for k in range(j):
                 value = value - row[k] * lower[j][k] * pivot[k]
-            row.append(value / pivot[j])
+            row.append(value * inverse[j])
         value = matrix[i, i]
         for k in range(i):
             value = value - row[k] * row[k] * pivot[k]
         lower.append(row)
         pivot.append(value)
+        inverse.append(1.0 / value)
     forward: list[jax.Array] = []
     for i in range(n):
         value = right[i]
@@ -42,7 +44,7 @@ def solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
         forward.append(value)
     x: list[jax.Array] = [jnp.zeros_like(right[0])] * n
     for i in reversed(range(n)):
-        value = forward[i] / pivot[i]
+        value = forward[i] * inverse[i]
         for k in range(i + 1, n):
             value = value - lower[k][i] * x[k]
         x[i] = value

@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.table import count_below, take
+
 
 def lookup(
     table: jax.Array, pwm: jax.Array, first: jax.Array | float, step: jax.Array | float
@@ -18,7 +20,7 @@ def lookup(
     x = jnp.clip((pwm - first) / step, 0.0, table.shape[0] - 1.0)
     i = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, table.shape[0] - 2)
     fraction = x - i
-    return table[i] * (1.0 - fraction) + table[i + 1] * fraction
+    return take(table, i) * (1.0 - fraction) + take(table, i + 1) * fraction
 
 
 def inverse_lookup(
@@ -26,17 +28,14 @@ def inverse_lookup(
 ) -> jax.Array:
     """PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped to its ends.
 
-    Where the table is flat (the dead band) the middle of the flat stretch is returned.
+    Where the table is flat (the dead band) the lower end of the flat stretch is returned.
     """
     n = table.shape[0]
     wanted = jnp.clip(value, table[0], table[-1])
-    below = jnp.sum(table < wanted)
-    not_above = jnp.sum(table <= wanted)
-    i = jnp.clip(below, 1, n - 1)
-    rise = table[i] - table[i - 1]
-    inside = i - 1 + (wanted - table[i - 1]) / jnp.where(rise > 0, rise, 1.0)
-    flat = 0.5 * (below + not_above - 1)
-    return first + step * jnp.where(not_above > below, flat, inside)
+    i = jnp.clip(count_below(table, wanted), 1, n - 1)
+    left = take(table, i - 1)
+    rise = take(table, i) - left
+    return first + step * (i - 1 + (wanted - left) / jnp.where(rise > 0, rise, 1.0))
 
 
 def rotor_lag(

@@ -1,0 +1,64 @@
+"""A large array of one body that stays in memory, for `apply`."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+
+class Table:
+    """An array [n, ...] of each body, read an entry at a time.
+
+    Attributes:
+        shape: of one body's array.
+        dtype: of its entries.
+    """
+
+    def __init__(
+        self,
+        load: Callable[[Any], Any],
+        shape: tuple[int, ...],
+        dtype: Any,
+        *,
+        base: Any = 0,
+        step: int = 1,
+    ) -> None:
+        """Describe where the entries are.
+
+        Args:
+            load: values at places in memory, lanes of whole numbers or one for all.
+            shape: of one body's array.
+            dtype: of its entries.
+            base: lanes, the place of each body's first entry.
+            step: from one entry to the next, in row-major order of ``shape``.
+        """
+        self.shape = shape
+        self.dtype = np.dtype(dtype)
+        self._load = load
+        self._base = base
+        self._step = step
+
+    def take(self, index: Sequence[Any]) -> Any:
+        """The entry at ``index``, one number or lanes of them for each axis."""
+        place: Any = 0
+        for axis, at in enumerate(index):
+            stride = self._step * math.prod(self.shape[axis + 1 :])
+            constant = isinstance(at, int | np.integer)
+            place = place + (int(at) * stride if constant else at * np.int32(stride))
+        return self._load(self._base + place)
+
+    def whole(self) -> np.ndarray:
+        """All entries, as an object array of lanes."""
+        out = np.empty(self.shape, object)
+        for index in np.ndindex(*self.shape):
+            out[index] = self.take(index)
+        return out
+
+    def __getitem__(self, window: tuple[slice, ...]) -> np.ndarray:
+        """Entries at constant places."""
+        places = np.indices(self.shape)[(slice(None), *window)]
+        out = np.empty(places.shape[1:], object)
+        for index in np.ndindex(*out.shape):
+            out[index] = self.take([int(axis[index]) for axis in places])
+        return out
