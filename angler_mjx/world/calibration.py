@@ -8,6 +8,7 @@ the table is interpolated linearly in it.
 """
 
 import json
+import math
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -16,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.bit_grid import population
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse
 from angler_mjx.world.rules import AutomatonRule, Shape, draw_cells
@@ -104,8 +106,8 @@ def measure(rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _ED
 def _mean_density(
     rule: AutomatonRule, shape: Shape, n_world: int, fill: jax.Array, key: jax.Array
 ) -> jax.Array:
-    draw = jax.vmap(partial(draw_cells, rule, shape), in_axes=(None, 0))
-    return jnp.mean(draw(fill, jax.random.split(key, n_world)).astype(jnp.float32))
+    occupied = draw_cells(rule, shape, fill, jax.random.split(key, n_world))
+    return jnp.mean(population(occupied).astype(jnp.float32)) / math.prod(shape)
 
 
 def main() -> None:

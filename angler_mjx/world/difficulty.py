@@ -1,84 +1,211 @@
 """How hard a world is: the length of the shortest way, and whether the straight line is free.
 
 Ways go through centres of cells, to any of the 26 neighbours, without cutting corners: a diagonal
-move needs all cells of the 2 x 2 or 2 x 2 x 2 block that it spans.
+move needs all cells of the 2 x 2 or 2 x 2 x 2 block that it spans. Arrays hold many worlds, along
+their last axis.
 """
 
 import itertools
 import math
+from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.bit_grid import shift, unpack
 
-def shortest_ways(passable: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """Length [n] of the shortest way between pairs of cells, in cell edges; inf where none is.
+type Move = tuple[int, ...]
+_MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
+_EDGE = 1 << 18
+"""Lengths are whole multiples of this part of a cell's edge: sums are then exact in any order, and
+so is the question whether a way can still be improved. The rounded square roots of 2 and 3 are
+within 8e-7 of the true ones."""
+_COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
+_NONE = 1 << 30
+"""No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
+_GROUP_SHARE = 8
+"""A group of pairs that one round does not settle is this part of all pairs."""
 
-    Bellman-Ford relaxation of all cells at once, until no cell nearer to a goal than its start
-    changes. The grid is padded by a blocked cell on all sides and then flattened, so that every
-    neighbour is one slice of a flat array; that is what makes it fast on CPU and GPU.
+
+def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
+    """Length of the shortest way between pairs of cells, in cell edges; inf where none is.
+
+    Bellman's equation, relaxed layer by layer (fast sweeping): a sweep along an axis carries every
+    way that never turns back on that axis to its end at once. A round is six sweeps, forth and back
+    along each axis. A pair is settled when no cell can be improved so much that a way through it,
+    straight on to the start from there, would be shorter; its length is then exact. One round
+    settles most pairs; the others are gathered into small groups, and each group goes on until all
+    of it is settled.
 
     Args:
-        passable: bool [nx, ny, nz].
-        start: int [n, 3] cells.
-        goal: int [n, 3] cells.
+        passable: packed cells, [nx, ny, words, n_world] (see `angler_kernels.bit_grid`).
+        nz: cells along z.
+        start: int32 [3, n, n_world] cells.
+        goal: int32 [3, n, n_world] cells.
+
+    Returns:
+        [n, n_world].
     """
-    padded = jnp.pad(passable, 1)
-    strides = (padded.shape[1] * padded.shape[2], padded.shape[2], 1)
-    free = padded.ravel()
-    costs = _block_costs(free, strides)
-    border, last = sum(strides), free.size - sum(strides)
-    flat = jnp.array(strides)
-    pair = jnp.arange(start.shape[0])
-    from_index, to_index = (jnp.sum((cell + 1) * flat, axis=1) for cell in (start, goal))
-    at_goal = jnp.where(free[to_index], 0.0, jnp.inf)
-    way = jnp.full((start.shape[0], free.size), jnp.inf).at[pair, to_index].set(at_goal)
+    nx, ny = passable.shape[:2]
+    _, n, n_world = start.shape
+    n_pair = n * n_world
+    group = -(-n_pair // _GROUP_SHARE)
+    moves = _moves_into(passable, nz)
+    index = jnp.arange(nx * ny * nz, dtype=jnp.int32).reshape(nx, ny, nz, 1, 1)
+    at_goal = (index == _flat(goal, (nx, ny, nz))) & unpack(passable, nz)[:, :, :, None]
+    nowhere = jnp.full(at_goal.shape, _NONE, jnp.int32)
+    way = _round(jnp.where(at_goal, 0, nowhere), moves[:, :, :, None])
+    length, settled = _length(way, moves[:, :, :, None], start)
+    way, start = way.reshape(nx, ny, nz, n_pair), start.reshape(3, n_pair)
 
-    def relax(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        way, _ = carry
-        old = new = way[:, border:last]
-        for axes, cost in costs.items():
-            for side in itertools.product((0, 1), repeat=len(axes)):
-                # The cell stands at corner `side` of the block whose lowest cell is at `lowest`.
-                lowest = -sum(s * strides[a] for s, a in zip(side, axes, strict=True))
-                move = sum((1 - 2 * s) * strides[a] for s, a in zip(side, axes, strict=True))
-                step = cost[border + lowest : last + lowest]
-                new = jnp.minimum(new, way[:, border + move : last + move] + step)
-        unsettled = jnp.any((new < old) & (new < way[pair, from_index][:, None]))
-        return jnp.pad(new, ((0, 0), (border, border)), constant_values=jnp.inf), unsettled
+    def settle_group(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        length, settled = carry
+        # Places after the last unsettled pair hold n_pair: read as the last, written nowhere.
+        (pair,) = jnp.nonzero(~settled, size=group, fill_value=n_pair)
+        read = jnp.minimum(pair, n_pair - 1)
+        theirs, their_start = moves[..., read % n_world], start[:, read]
 
-    way, _ = jax.lax.while_loop(lambda carry: carry[1], relax, (way, jnp.array(True)))
-    return way[pair, from_index]
+        def go_on(
+            carry: tuple[jax.Array, jax.Array, jax.Array],
+        ) -> tuple[jax.Array, jax.Array, jax.Array]:
+            # Tied to what changes, the moves stay bits: XLA would take the test of each bit out of
+            # the loop, as 26 grids to be read instead of one.
+            way, moves = jax.lax.optimization_barrier((carry[0], theirs))
+            way = _round(way, moves)
+            return way, *_length(way, moves, their_start)
+
+        begin = (way[..., read], length[read], settled[read])
+        _, found, _ = jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), go_on, begin)
+        return length.at[pair].set(found, mode="drop"), settled.at[pair].set(True, mode="drop")
+
+    length, _ = jax.lax.while_loop(
+        lambda carry: ~jnp.all(carry[1]), settle_group, (length.ravel(), settled.ravel())
+    )
+    edges = length.reshape(n, n_world).astype(float) / _EDGE
+    return jnp.where(edges < _NONE // _EDGE, edges, jnp.inf)
 
 
-def _block_costs(
-    free: jax.Array, strides: tuple[int, int, int]
-) -> dict[tuple[int, ...], jax.Array]:
-    """Cost of a move along some axes within the block whose lowest cell this is; inf if blocked."""
-    costs = {}
-    for n_axis in (1, 2, 3):
-        for axes in itertools.combinations(range(3), n_axis):
-            block = free
-            for axis in axes:
-                # What is rolled over the end comes from the padding, which is never free.
-                block = block & jnp.roll(block, -strides[axis])
-            costs[axes] = jnp.where(block, math.sqrt(n_axis), jnp.inf)
-    return costs
+def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
+    """Which moves may end in each cell: bit i of uint32 [nx, ny, nz, n_world] is _MOVES[i]."""
+    found = jnp.zeros((), jnp.uint32)
+    blocks: dict[Move, jax.Array] = {(0, 0, 0): passable}
+    # A block is that of one axis less, and the same one cell back along the axis.
+    for move in sorted(_MOVES, key=lambda m: sum(map(abs, m))):
+        axis = next(a for a in range(3) if move[a])
+        fewer = blocks[tuple(0 if a == axis else move[a] for a in range(3))]
+        blocks[move] = fewer & shift(fewer, axis, move[axis], nz)
+        bit = jnp.uint32(_MOVES.index(move))
+        found = found | unpack(blocks[move], nz).astype(jnp.uint32) << bit
+    return found
+
+
+def _round(way: jax.Array, moves: jax.Array) -> jax.Array:
+    """Ways [nx, ny, nz, ...] after a sweep to either side of each axis."""
+    for axis, side in itertools.product(range(3), (1, -1)):
+        way = _sweep(way, moves, axis, side)
+    return way
+
+
+def _length(way: jax.Array, moves: jax.Array, start: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Length [...] at each start [3, ...], and whether no relaxation can change it."""
+    flat = _flat(start, way.shape)
+    length = jnp.take_along_axis(way.reshape(-1, *flat.shape), flat[None], axis=0)[0]
+    relaxed = _relaxed(_wide(way, (0, 1, 2)), way.shape, moves, _MOVES)
+    # Fused with the reduction, the relaxation would not use a CPU's vectors.
+    relaxed = jax.lax.optimization_barrier(relaxed)
+    apart = [
+        jnp.abs(jnp.arange(n).reshape([n if a == axis else 1 for a in range(way.ndim)]) - cell)
+        for axis, (n, cell) in enumerate(zip(way.shape, start, strict=False))
+    ]
+    shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
+    longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
+    middle = sum(apart) - shortest - longest
+    onward = _COST[3] * shortest + _COST[2] * (middle - shortest) + _COST[1] * (longest - middle)
+    return length, ~jnp.any((relaxed < way) & (relaxed + onward < length), axis=(0, 1, 2))
+
+
+def _flat(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
+    """Flat index of cells [3, ...] of a grid."""
+    return (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
+
+
+def _sweep(way: jax.Array, moves: jax.Array, axis: int, side: int) -> jax.Array:
+    """Ways after one sweep: layer by layer, each from the one before it.
+
+    Args:
+        way: [nx, ny, nz, ...] lengths so far.
+        moves: uint32 [nx, ny, nz, ...] (see `_moves_into`).
+        axis: to sweep along.
+        side: 1 towards greater indices, -1 towards smaller ones.
+    """
+    n = way.shape[axis]
+    across = [a for a in range(3) if a != axis]
+    onward = tuple(move for move in _MOVES if move[axis] == side)
+    layer_of = partial(jax.lax.dynamic_index_in_dim, axis=axis)
+
+    def advance(k: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        before, way = carry
+        i = k if side == 1 else n - 1 - k
+        relaxed = _relaxed(_wide(before, across), before.shape, layer_of(moves, i), onward)
+        layer = jnp.minimum(layer_of(way, i), relaxed)
+        return layer, jax.lax.dynamic_update_index_in_dim(way, layer, i, axis)
+
+    first = layer_of(way, 0 if side == 1 else n - 1)
+    swept: jax.Array = jax.lax.fori_loop(1, n, advance, (first, way))[1]
+    return swept
+
+
+def _wide(way: jax.Array, axes: Sequence[int]) -> jax.Array:
+    """Ways with one more cell at both ends of some axes, from which no way leads."""
+    pad = [(1, 1) if axis in axes else (0, 0) for axis in range(way.ndim)]
+    return jnp.pad(way, pad, constant_values=_NONE)
+
+
+def _relaxed(
+    wide: jax.Array, shape: tuple[int, ...], moves: jax.Array, which: tuple[Move, ...]
+) -> jax.Array:
+    """Least length of a way to each cell that ends with one of some moves.
+
+    Args:
+        wide: ways to where the moves come from, widened (see `_wide`) along some axes; along the
+            others, the cells that the moves come from are those of the same index.
+        shape: of the result.
+        moves: uint32, which moves may end in each cell.
+        which: moves to try.
+    """
+    nothing = jnp.int32(_NONE)
+    best: jax.Array = nothing
+    for n_axis, cost in _COST.items():
+        nearest = nothing
+        for move in which:
+            if sum(map(abs, move)) != n_axis:
+                continue
+            source = wide
+            for axis in range(3):
+                if wide.shape[axis] > shape[axis]:
+                    start = 1 - move[axis]
+                    source = jax.lax.slice_in_dim(source, start, start + shape[axis], axis=axis)
+            may = (moves & jnp.uint32(1 << _MOVES.index(move))) != 0
+            nearest = jnp.minimum(nearest, jnp.where(may, source, nothing))
+        best = jnp.minimum(best, nearest + cost)
+    return best
 
 
 def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """Whether the straight segment between two points meets no occupied cell; bool [].
+    """Whether the straight segment between two points meets no occupied cell; bool [...].
 
     Exact slab test against all cells; touching a cell's face, edge or corner is not meeting it.
 
     Args:
-        occupied: bool [nx, ny, nz].
-        start: [3] in cell edges from the lower corner of the grid.
-        goal: [3] likewise.
+        occupied: bool [nx, ny, nz, ...].
+        start: [3, ...] in cell edges from the lower corner of the grid.
+        goal: [3, ...] likewise.
     """
-    enter, leave = jnp.zeros(occupied.shape), jnp.ones(occupied.shape)
-    for axis, n in enumerate(occupied.shape):
-        lower = jnp.arange(n).reshape([-1 if a == axis else 1 for a in range(3)])
+    enter, leave = jnp.zeros((), start.dtype), jnp.ones((), start.dtype)
+    for axis, n in enumerate(occupied.shape[:3]):
+        place = [n if a == axis else 1 for a in range(3)] + [1] * (occupied.ndim - 3)
+        lower = jnp.arange(n, dtype=start.dtype).reshape(place)
         along = goal[axis] - start[axis]
         still = along == 0
         safe = jnp.where(still, 1.0, along)
@@ -88,4 +215,4 @@ def line_is_free(occupied: jax.Array, start: jax.Array, goal: jax.Array) -> jax.
         enter = jnp.maximum(enter, jnp.where(beside, jnp.inf, first))
         leave = jnp.minimum(leave, jnp.where(still, jnp.inf, jnp.maximum(t0, t1)))
     # Rounding of t is below 1e-6; a shorter stay in a cell is a touch.
-    return ~jnp.any(occupied & (leave - enter > 1e-5))
+    return ~jnp.any(occupied & (leave - enter > 1e-5), axis=(0, 1, 2))

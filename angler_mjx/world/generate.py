@@ -4,7 +4,6 @@
 batched. World i of a seed is the same whatever batch it is made in.
 """
 
-from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -14,32 +13,10 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
-from angler_mjx.world.difficulty import line_is_free, shortest_ways
+from angler_mjx.world.drawing import draw
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.obstacle_explicit import explicit_rows
-from angler_mjx.world.placement import (
-    cell_centres,
-    cell_clearance,
-    cell_of,
-    check_given,
-    obstacle_gap,
-    place,
-)
-from angler_mjx.world.rules import draw_cells
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class _Drawing:
-    """One try at a world: cells, and where the fleet would stand."""
-
-    occupied: jax.Array
-    clearance: jax.Array
-    start: jax.Array
-    goal: jax.Array
-    fits: jax.Array
-    redraws: jax.Array
+from angler_mjx.world.placement import check_given
 
 
 def generate(
@@ -62,7 +39,7 @@ def generate(
         water_density_kgm3: for the obstacles' mass and added mass.
     """
     cells_key, obstacles_key, current_key = jax.random.split(key, 3)
-    drawing = _draw(recipe, radius_m, cells_key, water_density_kgm3)
+    drawing = draw(recipe, radius_m, cells_key)
     lo = jnp.array(recipe.origin_m, float)
     hi = lo + jnp.array(recipe.size_m, float)
     lo = lo.at[2].max(recipe.floor_z_m)
@@ -74,7 +51,6 @@ def generate(
     keep_out = jnp.concatenate([drawing.start, drawing.goal])
     keep_out_radius = jnp.tile(radius_m + recipe.clearance_m, 2)
     to_goal = drawing.goal - drawing.start
-    path_ratio, line_free = _difficulty(recipe, radius_m, drawing)
     return Environment(
         grid=grid,
         floor_z_m=jnp.array(recipe.floor_z_m, float),
@@ -93,8 +69,8 @@ def generate(
         start_yaw_rad=jnp.arctan2(to_goal[:, 1], to_goal[:, 0]),
         goal_m=drawing.goal,
         density=jnp.mean(drawing.occupied, dtype=lo.dtype),
-        path_ratio=path_ratio,
-        line_free=line_free,
+        path_ratio=drawing.path_ratio,
+        line_free=drawing.line_free,
         redraws=drawing.redraws,
         valid=drawing.fits,
     )
@@ -194,61 +170,3 @@ def _batch(
         return generate(recipe, radius, key, horizon_s, water_density_kgm3)
 
     return jax.vmap(one)(index, radius_m)
-
-
-def _draw(
-    recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, water_density: jax.Array | float
-) -> _Drawing:
-    """Draw cells and places until the fleet fits or the limit is reached."""
-    centres = cell_centres(recipe)
-    ground = centres[..., 2] - recipe.floor_z_m
-    start_gap = jnp.full(recipe.shape, jnp.inf)
-    if recipe.obstacles.explicit:
-        rows = explicit_rows(recipe.obstacles.explicit, water_density)
-        start_gap = obstacle_gap(rows, centres, only_static=False)
-        ground = jnp.minimum(ground, obstacle_gap(rows, centres, only_static=True))
-
-    def again(last: _Drawing) -> _Drawing:
-        redraws = last.redraws + 1
-        cells_key, places_key = jax.random.split(jax.random.fold_in(key, redraws))
-        occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_key)
-        clearance = jnp.minimum(cell_clearance(occupied, recipe.cell_m), ground)
-        start, goal, fits = place(
-            recipe, centres, ~occupied, clearance, start_gap, radius_m, places_key
-        )
-        return _Drawing(
-            occupied=occupied,
-            clearance=clearance,
-            start=start,
-            goal=goal,
-            fits=fits & (jnp.sum(occupied) >= recipe.min_obstacles),
-            redraws=redraws,
-        )
-
-    nowhere = jnp.zeros((radius_m.shape[0], 3), centres.dtype)
-    blank = _Drawing(
-        occupied=jnp.zeros(recipe.shape, bool),
-        clearance=jnp.zeros(recipe.shape, centres.dtype),
-        start=nowhere,
-        goal=nowhere,
-        fits=jnp.array(False),
-        redraws=jnp.array(-1, jnp.int32),
-    )
-    return jax.lax.while_loop(
-        lambda last: ~last.fits & (last.redraws < recipe.redraw_limit), again, blank
-    )
-
-
-def _difficulty(
-    recipe: WorldRecipe, radius_m: jax.Array, drawing: _Drawing
-) -> tuple[jax.Array, jax.Array]:
-    """Path ratio and whether the straight line is free, [n_robot] each."""
-    from_cell, to_cell = cell_of(recipe, drawing.start), cell_of(recipe, drawing.goal)
-    length = shortest_ways(drawing.clearance >= jnp.max(radius_m), from_cell, to_cell)
-    straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=1).astype(length.dtype))
-    ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
-    origin = jnp.array(recipe.origin_m, float)
-    line = jax.vmap(partial(line_is_free, drawing.occupied))
-    in_cells = ((p - origin) / recipe.cell_m for p in (drawing.start, drawing.goal))
-    # A lattice way is never shorter than the line; 1 - 1e-7 would be rounding.
-    return jnp.maximum(ratio, 1.0), line(*in_cells)

@@ -36,6 +36,9 @@ from angler_mjx.world.obstacle_types import (
     bounding_radius,
 )
 
+type NearestCell = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
+"""Distance [] of a point [3] to the occupied cells, and the unit direction [3] away from them."""
+
 type Law = Callable[[Obstacles, jax.Array], tuple[jax.Array, jax.Array]]
 """Position [3] and velocity [3], in W, of one scripted mover at a time."""
 
@@ -57,13 +60,16 @@ def reset(
     zero = jnp.zeros_like(obstacles.nu0)
     state = ObstacleState(p=obstacles.p0, q=obstacles.q0, nu=zero, nu_dot=zero)
     start = jnp.zeros((), obstacles.p0.dtype)
-    state = _scripted(obstacles, state, start, lambda body, _: (body.p0, body.path[:3]))
+    state = jax.vmap(
+        lambda body, now: _scripted(body, now, start, lambda of, _: (of.p0, of.path[:3]))
+    )(obstacles, state)
     if DRIFT not in obstacles.motions:
         return state
 
     def carried(body: Obstacles, now: ObstacleState) -> ObstacleState:
         v_c = rotate_inverse(now.q, evaluate(current, now.p, start)[0])
-        moving = replace(now, nu=body.nu0.at[:3].add(v_c))
+        nu = jnp.concatenate([body.nu0[:3] + v_c, body.nu0[3:]])
+        moving = replace(now, nu=nu)
         nu_dot = _acceleration(body, moving, current, start, density, gravity)
         return _select(body.motion == DRIFT, replace(moving, nu_dot=nu_dot), now)
 
@@ -96,24 +102,45 @@ def step(
         density: [] of the water, kg/m^3.
         gravity: [] m/s^2, positive.
     """
+
+    def nearest_cell(p: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)
+
+    def one(body: Obstacles, now: ObstacleState) -> ObstacleState:
+        return advance(
+            body, now, current, t, dt, bounds_lo, bounds_hi, nearest_cell, density, gravity
+        )
+
+    return jax.vmap(one)(obstacles, state)
+
+
+def advance(
+    body: Obstacles,
+    now: ObstacleState,
+    current: Current,
+    t: jax.Array,
+    dt: jax.Array | float,
+    bounds_lo: jax.Array,
+    bounds_hi: jax.Array,
+    nearest_cell: NearestCell,
+    density: jax.Array | float,
+    gravity: jax.Array | float,
+) -> ObstacleState:
+    """State of one obstacle at t + dt; arguments as in `step`, for one row."""
     straight = partial(_straight, bounds_lo=bounds_lo, bounds_hi=bounds_hi)
-    after = _scripted(obstacles, state, t + dt, straight)
-    if DRIFT not in obstacles.motions:
+    after = _scripted(body, now, t + dt, straight)
+    if DRIFT not in body.motions:
         return after
-
-    def drift(body: Obstacles, now: ObstacleState, otherwise: ObstacleState) -> ObstacleState:
-        nu_dot = _acceleration(body, now, current, t, density, gravity)
-        nu = advance_velocity(now.nu, nu_dot, now.nu_dot, dt)
-        p, q = advance_pose(now.p, now.q, now.nu, nu, dt)
-        radius = bounding_radius(body.kind, body.size_m)
-        v = rotate(q, nu[:3])
-        p, v = _off_cells(p, v, radius, grid)
-        p, v = _off_bounds(p, v, bounds_lo + radius, bounds_hi - radius)
-        nu = nu.at[:3].set(rotate_inverse(q, v))
-        moved = ObstacleState(p=p, q=q, nu=nu, nu_dot=nu_dot)
-        return _select(body.motion == DRIFT, moved, otherwise)
-
-    return jax.vmap(drift)(obstacles, state, after)
+    nu_dot = _acceleration(body, now, current, t, density, gravity)
+    nu = advance_velocity(now.nu, nu_dot, now.nu_dot, dt)
+    p, q = advance_pose(now.p, now.q, now.nu, nu, dt)
+    radius = bounding_radius(body.kind, body.size_m)
+    v = rotate(q, nu[:3])
+    p, v = _off_cells(p, v, radius, nearest_cell)
+    p, v = _off_bounds(p, v, bounds_lo + radius, bounds_hi - radius)
+    nu = jnp.concatenate([rotate_inverse(q, v), nu[3:]])
+    drifted = ObstacleState(p=p, q=q, nu=nu, nu_dot=nu_dot)
+    return _select(body.motion == DRIFT, drifted, after)
 
 
 def _acceleration(
@@ -130,7 +157,7 @@ def _acceleration(
     omega = now.nu[3:]
     speed = jnp.concatenate([jnp.full(3, _norm(v_r)), jnp.full(3, _norm(omega))])
     water = water_wrench(
-        M_A=jnp.diag(body.M_A),
+        M_A=_diagonal(body.M_A),
         D_l=body.D_l + body.D_q * speed,
         D_q=jnp.zeros_like(body.D_q),
         volume=body.volume_m3,
@@ -145,7 +172,7 @@ def _acceleration(
         gravity=gravity,
     )
     weight = buoyancy_wrench(now.q, -body.mass_kg * gravity, jnp.zeros_like(now.p))
-    gyro = rigid_body_coriolis(body.mass_kg, jnp.diag(body.inertia_kgm2), now.nu)
+    gyro = rigid_body_coriolis(body.mass_kg, _diagonal(body.inertia_kgm2), now.nu)
     inertia = jnp.concatenate([jnp.full(3, body.mass_kg), body.inertia_kgm2]) + body.M_A
     return (water + weight - gyro) / inertia
 
@@ -160,10 +187,10 @@ def _half_height(body: Obstacles, q: jax.Array) -> jax.Array:
 
 
 def _off_cells(
-    p: jax.Array, v: jax.Array, radius: jax.Array, grid: Grid
+    p: jax.Array, v: jax.Array, radius: jax.Array, nearest_cell: NearestCell
 ) -> tuple[jax.Array, jax.Array]:
     """A sphere that reaches into a cell is put back to touch it, its velocity turned outward."""
-    distance, normal = point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)
+    distance, normal = nearest_cell(p)
     inside = jnp.maximum(radius - distance, 0.0)
     inward = jnp.minimum(jnp.sum(v * normal), 0.0)
     return p + inside * normal, v - jnp.where(inside > 0.0, 2.0 * inward, 0.0) * normal
@@ -177,22 +204,16 @@ def _off_bounds(
     return jnp.clip(p, lo, jnp.maximum(lo, hi)), jnp.where(leaving, -v, v)
 
 
-def _scripted(
-    obstacles: Obstacles, state: ObstacleState, t: jax.Array, straight: Law
-) -> ObstacleState:
-    """Scripted movers at t; the others as they were."""
+def _scripted(body: Obstacles, now: ObstacleState, t: jax.Array, straight: Law) -> ObstacleState:
+    """One scripted mover at t; any other obstacle as it was."""
     laws: dict[int, Law] = {STRAIGHT: straight, SINE: _sine, CIRCLE: _circle}
-
-    def place(body: Obstacles, now: ObstacleState) -> ObstacleState:
-        for motion, law in laws.items():
-            if motion not in obstacles.motions:
-                continue
-            p, v = law(body, t)
-            nu = jnp.concatenate([rotate_inverse(body.q0, v), jnp.zeros_like(v)])
-            now = _select(body.motion == motion, replace(now, p=p, nu=nu), now)
-        return now
-
-    return jax.vmap(place)(obstacles, state)
+    for motion, law in laws.items():
+        if motion not in body.motions:
+            continue
+        p, v = law(body, t)
+        nu = jnp.concatenate([rotate_inverse(body.q0, v), jnp.zeros_like(v)])
+        now = _select(body.motion == motion, replace(now, p=p, nu=nu), now)
+    return now
 
 
 def _straight(
@@ -232,6 +253,11 @@ def _select(where: jax.Array, a: ObstacleState, b: ObstacleState) -> ObstacleSta
     """A where true, else b, leaf by leaf."""
     chosen: ObstacleState = jax.tree.map(lambda x, y: jnp.where(where, x, y), a, b)
     return chosen
+
+
+def _diagonal(v: jax.Array) -> jax.Array:
+    """Matrix [n, n] with v [n] on its diagonal."""
+    return v[:, None] * jnp.eye(v.shape[0], dtype=v.dtype)
 
 
 def _norm(v: jax.Array) -> jax.Array:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.bit_grid import pack, shift, unpack
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import ConfigError
@@ -28,29 +29,39 @@ _JITTER_CELLS = {"cross": 3.0, "parallel": 1.0}
 
 
 def cell_centres(recipe: WorldRecipe) -> jax.Array:
-    """Centres of all cells, [nx, ny, nz, 3] m, W."""
-    index = jnp.stack(jnp.meshgrid(*(jnp.arange(n) for n in recipe.shape), indexing="ij"), axis=-1)
-    return jnp.array(recipe.origin_m, float) + recipe.cell_m * (index + 0.5)
+    """Centres of all cells, [nx, ny, nz, 3] m, W; the same to the last bit in every program."""
+    axes = (
+        jnp.array(low + recipe.cell_m * (np.arange(n) + 0.5), float)
+        for low, n in zip(recipe.origin_m, recipe.shape, strict=True)
+    )
+    return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def cell_clearance(occupied: jax.Array, cell_m: float) -> jax.Array:
-    """Distance [nx, ny, nz] of each cell's centre to what is occupied or outside, m.
+def passable_cells(
+    free: jax.Array, ground: jax.Array, cell_m: float, radius_m: jax.Array
+) -> jax.Array:
+    """Cells at whose centre a sphere meets nothing occupied, nothing outside and no ground.
 
-    Exact up to 1.5 cells and never more: cells two away are at least that far. A neighbour through
-    a face, edge or corner is sqrt(1), sqrt(2), sqrt(3) half cells away.
+    A neighbour through a face, edge or corner is sqrt(1), sqrt(2), sqrt(3) half cells away; cells
+    two away never matter to a radius below 1.5 cells.
 
     Args:
-        occupied: bool [nx, ny, nz].
+        free: packed cells, [nx, ny, words, n_world].
+        ground: [nx, ny, nz] distance of each centre to floor and obstacles that stand still, m.
         cell_m: edge of a cell.
+        radius_m: [n_world] radius of the sphere; below 1.5 cells.
+
+    Returns:
+        Packed cells, as ``free``.
     """
-    solid = jnp.pad(occupied, 1, constant_values=True)
-    x, y, z = (_widen(solid, axis) for axis in range(3))
-    xy, yz, zx = _widen(x, 1), _widen(y, 2), _widen(z, 0)
-    near = (solid, x | y | z, xy | yz | zx, _widen(xy, 2))
-    clearance = jnp.full(solid.shape, 1.5 * cell_m, float)
-    for n_axis in (3, 2, 1, 0):
-        clearance = jnp.where(near[n_axis], 0.5 * math.sqrt(n_axis) * cell_m, clearance)
-    return clearance[1:-1, 1:-1, 1:-1]
+    keep = partial(_narrow, nz=ground.shape[2])
+    x, y, z = (keep(free, axis) for axis in range(3))
+    xy, yz, zx = keep(x, 1), keep(y, 2), keep(z, 0)
+    passable = free & pack(ground[..., None] >= radius_m)
+    for n_axis, clear in ((1, x & y & z), (2, xy & yz & zx), (3, keep(xy, 2))):
+        fits = radius_m <= 0.5 * math.sqrt(n_axis) * cell_m
+        passable = jnp.where(fits, passable, passable & clear)
+    return passable
 
 
 def obstacle_gap(obstacles: Obstacles, points: jax.Array, only_static: bool) -> jax.Array:
@@ -113,40 +124,44 @@ def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
 
 def place(
     recipe: WorldRecipe,
-    centres: jax.Array,
-    cavern: jax.Array,
-    clearance: jax.Array,
-    start_clearance: jax.Array,
+    free: jax.Array,
+    passable: jax.Array,
+    start_gap: jax.Array,
     radius_m: jax.Array,
-    key: jax.Array,
+    keys: jax.Array,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Starts and goals of a fleet in one world.
+    """Starts and goals of fleets, one for each world.
 
     Robots are placed in order; each takes the best cell that is left. A goal is at least half the
     grid's longest edge away from its start.
 
     Args:
         recipe: static.
-        centres: [nx, ny, nz, 3] centres of the cells, m, W.
-        cavern: bool [nx, ny, nz] free cells, all connected.
-        clearance: [nx, ny, nz] from each centre to all that stands still, m.
-        start_clearance: [nx, ny, nz] from each centre to explicit obstacles that are there at the
-            start, moving ones too, m.
-        radius_m: [n_robot].
-        key: random key of this world's placement.
+        free: packed cells, [nx, ny, words, n_world], all connected.
+        passable: packed cells, those of ``free`` that the widest robot can pass.
+        start_gap: [nx, ny, nz] from each centre to explicit obstacles that are there at the start,
+            moving ones too, m.
+        radius_m: [n_robot, n_world].
+        keys: [n_world] random key of each world's placement.
 
     Returns:
-        start [n_robot, 3], goal [n_robot, 3] (m, W) and whether the world holds the fleet [].
+        start and goal [n_robot, 3, n_world] (m, W), and whether the world holds the fleet
+        [n_world].
     """
     n_robot = radius_m.shape[0]
-    open_cell = _open_cells(cavern, clearance >= jnp.max(radius_m)).ravel()
+    open_cell = unpack(_open_cells(free, passable, recipe.shape[2]), recipe.shape[2])
+    open_cell = open_cell.reshape(-1, open_cell.shape[-1])
     if recipe.placement == "given":
-        return _given(recipe, open_cell, start_clearance.ravel(), radius_m)
-    point = centres.reshape(-1, 3).T
-    noise_key, mirror_key = jax.random.split(key)
-    # One field serves all robots: taking the least value left is drawing without putting back.
-    noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
-    start_target, goal_target = _targets(recipe, n_robot, mirror_key)
+        return _given(recipe, open_cell, start_gap.ravel(), radius_m)
+    point = cell_centres(recipe).reshape(-1, 3).T[..., None]
+
+    def at_random(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        noise_key, mirror_key = jax.random.split(key)
+        # One field serves all robots: taking the least value left is drawing without putting back.
+        noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
+        return noise, *_targets(recipe, n_robot, mirror_key)
+
+    noise, start_target, goal_target = jax.vmap(at_random, out_axes=-1)(keys)
     least_way = 0.5 * max(recipe.size_m)
 
     def place_one(
@@ -155,24 +170,20 @@ def place(
         start_gap, goal_gap = gaps
         radius, near_start, near_goal = robot
         margin = radius + recipe.clearance_m
-        free = open_cell & (start_gap >= margin)
-        from_cell = jnp.argmin(
-            jnp.where(free, _score(recipe, point, near_start, noise[0]), jnp.inf)
-        )
-        fits, start = free[from_cell], point[:, from_cell]
+        may = open_cell & (start_gap >= margin)
+        start, fits = _cheapest(may, _score(recipe, point, near_start, noise[0]), point)
         way = _distance(point, start)
-        free = open_cell & (goal_gap >= margin) & (way >= least_way)
-        price = _score(recipe, point, near_goal, noise[1])
-        to_cell = jnp.argmin(jnp.where(free, price, jnp.inf))
-        fits, goal = fits & free[to_cell], point[:, to_cell]
+        may = open_cell & (goal_gap >= margin) & (way >= least_way)
+        goal, fits_too = _cheapest(may, _score(recipe, point, near_goal, noise[1]), point)
         start_gap = jnp.minimum(start_gap, way - radius)
         goal_gap = jnp.minimum(goal_gap, _distance(point, goal) - radius)
-        return (start_gap, goal_gap), (start, goal, fits)
+        return (start_gap, goal_gap), (start, goal, fits & fits_too)
 
     # Distance of each cell's centre to everything that a start, or a goal, must keep clear of.
-    gaps = start_clearance.ravel(), jnp.full(point.shape[1], jnp.inf)
+    far = jnp.full(open_cell.shape, jnp.inf)
+    gaps = jnp.minimum(start_gap.reshape(-1, 1), far), far
     _, (start, goal, fits) = jax.lax.scan(place_one, gaps, (radius_m, start_target, goal_target))
-    return start, goal, jnp.all(fits)
+    return start, goal, jnp.all(fits, axis=0)
 
 
 def cell_of(recipe: WorldRecipe, p: jax.Array) -> jax.Array:
@@ -181,19 +192,18 @@ def cell_of(recipe: WorldRecipe, p: jax.Array) -> jax.Array:
     return jnp.clip(index.astype(jnp.int32), 0, jnp.array(recipe.shape) - 1)
 
 
-def _open_cells(cavern: jax.Array, passable: jax.Array) -> jax.Array:
-    """Largest connected region of the passable cells.
+def _open_cells(free: jax.Array, passable: jax.Array, nz: int) -> jax.Array:
+    """Largest connected region of the passable cells, packed.
 
     Most fleets can pass every free cell, and those are connected already. The search is then given
-    an empty grid, on which it ends at once; a branch would not save it, because in a batch both
-    sides of a branch are computed.
+    an empty grid, on which it ends at once.
     """
-    whole = jnp.all(passable == cavern)
-    return jnp.where(whole, passable, largest_cavern(passable & ~whole))
+    whole = jnp.all(passable == free, axis=(0, 1, 2))
+    return jnp.where(whole, passable, largest_cavern(jnp.where(whole, 0, passable), nz))
 
 
 def _given(
-    recipe: WorldRecipe, open_cell: jax.Array, start_clearance: jax.Array, radius_m: jax.Array
+    recipe: WorldRecipe, open_cell: jax.Array, start_gap: jax.Array, radius_m: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The places of the file; they hold where the cells that they lie in would be taken."""
     start, goal = jnp.array(recipe.start_m, float), jnp.array(recipe.goal_m, float)
@@ -201,8 +211,25 @@ def _given(
     strides = jnp.array([ny * nz, nz, 1])
     from_cell = jnp.sum(cell_of(recipe, start) * strides, axis=-1)
     to_cell = jnp.sum(cell_of(recipe, goal) * strides, axis=-1)
-    fits = open_cell[from_cell] & open_cell[to_cell] & (start_clearance[from_cell] >= radius_m)
-    return start, goal, jnp.all(fits)
+    apart = start_gap[from_cell, None] >= radius_m
+    fits = open_cell[from_cell] & open_cell[to_cell] & apart
+    start, goal = (
+        jnp.broadcast_to(p[..., None], (*p.shape, radius_m.shape[1])) for p in (start, goal)
+    )
+    return start, goal, jnp.all(fits, axis=0)
+
+
+def _cheapest(may: jax.Array, price: jax.Array, point: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Centre [3, n_world] of the cheapest cell [cells, n_world] that may be taken, if there is one.
+
+    Two plain minima, of the price and of the index among the cheapest: vectors serve them, which
+    they do not a search for the index of the least.
+    """
+    price = jnp.where(may, price, jnp.inf)
+    least = jnp.min(price, axis=0)
+    index = jnp.arange(may.shape[0], dtype=jnp.int32)[:, None]
+    first = jnp.min(jnp.where(price == least, index, may.shape[0] - 1), axis=0)
+    return point[:, first, 0], jnp.isfinite(least)
 
 
 def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -225,7 +252,7 @@ def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Arr
 
 
 def _score(recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array) -> jax.Array:
-    """What a robot pays for each cell, [cells]; the cheapest is taken."""
+    """What a robot pays for each cell, [cells, n_world]; the cheapest is taken."""
     if recipe.placement == "random":
         return noise
     jitter = _JITTER_CELLS[recipe.placement] * recipe.cell_m
@@ -233,16 +260,11 @@ def _score(recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.
 
 
 def _distance(point: jax.Array, to: jax.Array) -> jax.Array:
-    """Distances [cells] of points [3, cells] to one [3]."""
+    """Distances [cells, n_world] of points [3, cells, 1] to one [3, n_world] in each world."""
     x, y, z = (point[axis] - to[axis] for axis in range(3))
     return jnp.sqrt(x * x + y * y + z * z)
 
 
-def _widen(solid: jax.Array, axis: int) -> jax.Array:
-    """Each cell or one of its two neighbours along an axis; what lies beyond the array is free."""
-    n = solid.shape[axis]
-    pad = [(1, 1) if other == axis else (0, 0) for other in range(3)]
-    padded = jnp.pad(solid, pad)
-    before = jax.lax.slice_in_dim(padded, 0, n, axis=axis)
-    after = jax.lax.slice_in_dim(padded, 2, n + 2, axis=axis)
-    return before | solid | after
+def _narrow(free: jax.Array, axis: int, nz: int) -> jax.Array:
+    """Cells that are free with both neighbours along an axis; what lies outside is not free."""
+    return free & shift(free, axis, 1, nz) & shift(free, axis, -1, nz)

@@ -1,15 +1,18 @@
 """How the static cells of a world come about: the rules that a preset or a file can name.
 
-Each rule is a model for files; `draw_cells` turns one and a random key into cells. What it gives
-is always one cavern: free cells that the largest cavern does not reach are filled.
+Each rule is a model for files; `draw_cells` turns one and random keys into cells, one world for
+each key. What it gives is always one cavern: free cells that the largest cavern does not reach are
+filled.
 """
 
+import math
 from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 from pydantic import Field
 
+from angler_kernels.bit_grid import everywhere, pack
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.cellular_automaton import step
 from angler_mjx.errors import ConfigError
@@ -62,26 +65,40 @@ def draw_cells(
     rule: AutomatonRule | WallsRule | OpenRule,
     shape: Shape,
     fill: float | jax.Array,
-    key: jax.Array,
+    keys: jax.Array,
 ) -> jax.Array:
-    """Occupied cells, bool [nx, ny, nz], of one world.
+    """Occupied cells of worlds.
 
     Args:
         rule: static.
         shape: number of cells along x, y, z; static.
         fill: [] share of walls that an automaton starts from.
-        key: random key of this world's cells.
+        keys: [n_world] random key of each world's cells.
+
+    Returns:
+        Packed cells, uint32 [nx, ny, words, n_world] (see `angler_kernels.bit_grid`).
     """
+    whole = everywhere(shape)[..., None]
     match rule:
         case AutomatonRule():
-            wall = jax.random.uniform(key, shape, jnp.float32) < fill
-            for _ in range(rule.steps):
-                wall = step(wall, rule.die_below, rule.born_above)
-            return ~largest_cavern(~wall)
+
+            def at_random(key: jax.Array) -> jax.Array:
+                # Drawn flat: the same numbers, and a third of the time to compile.
+                wall = jax.random.uniform(key, (math.prod(shape),), jnp.float32) < fill
+                return pack(wall.reshape(shape))
+
+            wall = jax.vmap(at_random, out_axes=-1)(keys)
+            wall = jax.lax.fori_loop(
+                0,
+                rule.steps,
+                lambda _, wall: step(wall, rule.die_below, rule.born_above, shape[2]),
+                wall,
+            )
+            return whole & ~largest_cavern(whole & ~wall, shape[2])
         case WallsRule():
-            return _walls(rule, shape, key)
+            return jax.vmap(lambda key: pack(_walls(rule, shape, key)), out_axes=-1)(keys)
         case OpenRule():
-            return jnp.zeros(shape, bool)
+            return jnp.zeros((*whole.shape[:3], keys.shape[0]), jnp.uint32)
 
 
 def _walls(rule: WallsRule, shape: Shape, key: jax.Array) -> jax.Array:

@@ -1,12 +1,17 @@
 """Whole worlds: complete, the same in any batch, drawn again where they cannot hold the fleet."""
 
+from functools import partial
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
-from angler_mjx.world.config import WorldConfig
+from angler_mjx.world import drawing
+from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.generate import generate_batch, require_valid
 
 RADIUS = np.array([0.4, 0.3, 0.4])
@@ -95,19 +100,63 @@ def test_a_world_is_the_same_wherever_its_batch_begins(worlds):
         np.testing.assert_array_equal(here[5:], np.asarray(there)[: COUNT - 5])
 
 
+def test_a_grid_of_64_cells_a_side_is_one_cavern_with_open_ways():
+    big = config(preset="reef", shape=[64, 64, 64], fill=0.2)
+    worlds = jax.tree.map(np.asarray, generate_batch(big, np.full(2, 0.4), 3, 0, 2))
+    assert worlds.valid.all()
+    for world in range(2):
+        occupied = worlds.grid.occupied[world]
+        assert 0.02 < occupied.mean() < 0.3
+        assert ndimage.label(~occupied)[1] == 1
+        cells = np.floor((worlds.start_m[world] - worlds.grid.origin_m[world]) / 1.5).astype(int)
+        assert not occupied[tuple(cells.T)].any()
+    # A way among the 26 neighbours is at most 1.13 times the straight line in open water; rocks
+    # of a few cells lengthen a way of some 100 cells little.
+    assert np.all((worlds.path_ratio >= 1) & (worlds.path_ratio < 1.3))
+
+
 def test_another_seed_gives_other_worlds(worlds):
     other = generate_batch(FULL, RADIUS, 8, 0, COUNT)
     assert (np.asarray(other.grid.occupied) != worlds.grid.occupied).any(axis=(1, 2, 3)).all()
 
 
-def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit():
-    picky = config(preset="sparse", shape=[8, 8, 6], fill=0.1, min_obstacles=26, redraw_limit=2)
-    worlds = jax.tree.map(np.asarray, generate_batch(picky, np.array([0.4]), 1, 0, 64))
-    count = worlds.grid.occupied.sum(axis=(1, 2, 3))
-    assert 0 < worlds.valid.sum() < 64
-    assert set(worlds.redraws) == {0, 1, 2}
-    np.testing.assert_array_equal(worlds.valid, count >= 26)
-    assert np.all(worlds.redraws[~worlds.valid] == 2)
+PICKY = config(preset="sparse", shape=[8, 8, 6], fill=0.1, min_obstacles=26, redraw_limit=2)
+
+
+@pytest.fixture(scope="module")
+def picky():
+    """Many of them are drawn again, in groups of four."""
+    return jax.tree.map(np.asarray, generate_batch(PICKY, np.array([0.4]), 1, 0, 64))
+
+
+def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(picky):
+    count = picky.grid.occupied.sum(axis=(1, 2, 3))
+    assert 0 < picky.valid.sum() < 64
+    assert set(picky.redraws) == {0, 1, 2}
+    np.testing.assert_array_equal(picky.valid, count >= 26)
+    assert np.all(picky.redraws[~picky.valid] == 2)
+
+
+def test_a_world_is_the_same_in_a_batch_of_any_size(picky, monkeypatch):
+    """Alone, and in a batch that goes through in tiles, the last of them filled up."""
+    last = int(np.flatnonzero((picky.redraws == 2) & picky.valid)[-1])
+    alone = generate_batch(PICKY, np.array([0.4]), 1, last, 1)
+    monkeypatch.setattr(drawing, "tile_size", lambda *_: 20)
+    tiled = generate_batch(PICKY, np.array([0.4]), 1, 0, 50)
+    for here, there, one in zip(*map(jax.tree.leaves, (picky, tiled, alone)), strict=True):
+        np.testing.assert_array_equal(here[:50], there)
+        np.testing.assert_array_equal(here[last : last + 1], one)
+
+
+def test_a_batch_of_batches_is_the_same_too():
+    walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
+    one = partial(drawing.draw, resolve(walls), jnp.array([0.4]))
+    keys = jax.random.split(jax.random.key(1), 12)
+    flat = jax.jit(jax.vmap(one))(keys)
+    square = jax.jit(jax.vmap(jax.vmap(one)))(keys.reshape(3, 4))
+    assert flat.occupied.any()
+    for here, there in zip(*map(jax.tree.leaves, (flat, square)), strict=True):
+        np.testing.assert_array_equal(here, np.reshape(there, here.shape))
 
 
 def test_a_fleet_too_large_for_the_world_is_refused():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from angler_kernels.bit_grid import unpack
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.rules import draw_cells
 
@@ -15,8 +16,9 @@ N_WORLD = 200
 
 def cells(**config):
     world = resolve(WorldConfig(**config))
-    draw = jax.vmap(partial(draw_cells, world.rule, world.shape, world.fill))
-    return np.asarray(jax.jit(draw)(jax.random.split(jax.random.key(5), N_WORLD)))
+    draw = jax.jit(partial(draw_cells, world.rule, world.shape, world.fill))
+    packed = draw(jax.random.split(jax.random.key(5), N_WORLD))
+    return np.moveaxis(np.asarray(unpack(packed, world.shape[2])), -1, 0)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,237 @@
+"""The part of a world that may have to be drawn again: its cells, and where the fleet stands.
+
+A world alone is drawn in a loop until it can hold its fleet. Under ``vmap`` that loop would repeat
+for all worlds what a few of them need, so `draw` brings its own rule for a batch: all worlds are
+drawn once, and then only those that failed, gathered into small groups. Large batches go through in
+tiles of worlds that the device's caches and memory can hold. What a world looks like depends on its
+key alone. The functions behind `draw` have their axis of worlds last (see
+`angler_kernels.bit_grid`).
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.bit_grid import everywhere, population, unpack
+from angler_mjx.world.config import WorldRecipe
+from angler_mjx.world.difficulty import line_is_free, shortest_ways
+from angler_mjx.world.obstacle_explicit import explicit_rows
+from angler_mjx.world.placement import cell_centres, cell_of, obstacle_gap, passable_cells, place
+from angler_mjx.world.rules import draw_cells
+
+_REDRAWN_SHARE = 16
+"""A group of worlds to be drawn again is this part of a tile."""
+_TILE_NUMBERS = {"cpu": 1 << 21}
+"""Lengths of ways that a tile may hold, by platform: 8 MiB, what caches hold, on a CPU."""
+_TILE_NUMBERS_ELSEWHERE = 1 << 27
+"""512 MiB: enough work for every thread of a GPU, and a small part of its memory."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """Cells of one world, where its fleet stands, and how hard its ways are."""
+
+    occupied: jax.Array
+    """bool [nx, ny, nz]."""
+    start: jax.Array
+    """[n_robot, 3] m, W."""
+    goal: jax.Array
+    """[n_robot, 3] m, W."""
+    path_ratio: jax.Array
+    """[n_robot] shortest way over straight line."""
+    line_free: jax.Array
+    """bool [n_robot]."""
+    redraws: jax.Array
+    """int32 [] drawings thrown away before this one."""
+    fits: jax.Array
+    """bool [] whether the world holds the fleet."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Try:
+    """One try at each of many worlds; the axis of worlds is the last of every leaf."""
+
+    occupied: jax.Array
+    """Packed cells."""
+    passable: jax.Array
+    """Packed cells that the widest robot can pass."""
+    start: jax.Array
+    goal: jax.Array
+    fits: jax.Array
+    redraws: jax.Array
+
+
+def draw(recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array) -> Drawing:
+    """Cells and places of one world, drawn until the fleet fits or the recipe's limit is reached.
+
+    Args:
+        recipe: static.
+        radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
+        key: random key of this world's cells.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def one(radius: jax.Array, key: jax.Array) -> Drawing:
+        alone: Drawing = jax.tree.map(
+            lambda leaf: leaf[0], _draw_tile(recipe, radius[None], key[None])
+        )
+        return alone
+
+    @one.def_vmap
+    def _batch(
+        n_world: int, batched: list[bool], radius: jax.Array, key: jax.Array
+    ) -> tuple[Drawing, Drawing]:
+        if not batched[0]:
+            radius = jnp.broadcast_to(radius, (n_world, *radius.shape))
+        if not batched[1]:
+            key = jnp.broadcast_to(key, (n_world,))
+        worlds = draw_many(recipe, radius, key)
+        return worlds, jax.tree.map(lambda _: True, worlds)
+
+    drawing: Drawing = one(radius_m, key)
+    return drawing
+
+
+def draw_many(recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array) -> Drawing:
+    """As `draw`, for worlds [n_world, n_robot] and [n_world], tile by tile."""
+    n_world, n_robot = radius_m.shape
+    most = tile_size(recipe, n_robot)
+    if n_world <= most:
+        return _draw_tile(recipe, radius_m, keys)
+    n_tile = -(-n_world // most)
+    tile = -(-n_world // n_tile)
+    # The last tile is filled up with the first worlds once more; they are cut off again.
+    index = jnp.arange(n_tile * tile).reshape(n_tile, tile) % n_world
+    tiles = jax.lax.map(lambda i: _draw_tile(recipe, radius_m[i], keys[i]), index)
+    worlds: Drawing = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:n_world], tiles)
+    return worlds
+
+
+def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
+    """Most worlds that are drawn at once on the platform that JAX computes on."""
+    numbers = _TILE_NUMBERS.get(jax.default_backend(), _TILE_NUMBERS_ELSEWHERE)
+    nx, ny, nz = recipe.shape
+    return max(1, numbers // (nx * ny * nz * n_robot))
+
+
+def _draw_tile(recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array) -> Drawing:
+    """Worlds [n_world, n_robot], [n_world], all at once."""
+    radius = radius_m.T
+    made = _redrawn(recipe, radius, keys)
+    occupied = unpack(made.occupied, recipe.shape[2])
+    path_ratio, line_free = difficulty(recipe, occupied, made.passable, made.start, made.goal)
+    last = Drawing(
+        occupied=occupied,
+        start=made.start,
+        goal=made.goal,
+        path_ratio=path_ratio,
+        line_free=line_free,
+        redraws=made.redraws,
+        fits=made.fits,
+    )
+    worlds: Drawing = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), last)
+    return worlds
+
+
+def _redrawn(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array) -> _Try:
+    """Worlds drawn until each holds its fleet or reached the limit.
+
+    Args:
+        recipe: static.
+        radius: [n_robot, n_world].
+        keys: [n_world].
+    """
+    n_world = keys.shape[0]
+    group = -(-n_world // _REDRAWN_SHARE)
+
+    def unfit(worlds: _Try) -> jax.Array:
+        return ~worlds.fits & (worlds.redraws < recipe.redraw_limit)
+
+    def again(worlds: _Try) -> _Try:
+        # Places after the last unfit world hold n_world: read as the last, written nowhere.
+        (index,) = jnp.nonzero(unfit(worlds), size=group, fill_value=n_world)
+        read = jnp.minimum(index, n_world - 1)
+        new = try_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1)
+        renewed: _Try = jax.tree.map(
+            lambda old, some: old.at[..., index].set(some, mode="drop"), worlds, new
+        )
+        return renewed
+
+    first = try_worlds(recipe, radius, keys, jnp.zeros(n_world, jnp.int32))
+    last: _Try = jax.lax.while_loop(lambda worlds: jnp.any(unfit(worlds)), again, first)
+    return last
+
+
+def try_worlds(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, redraws: jax.Array) -> _Try:
+    """One try at each world.
+
+    Args:
+        recipe: static.
+        radius: [n_robot, n_world].
+        keys: [n_world].
+        redraws: int32 [n_world] which try at its world this is.
+    """
+
+    def keys_of_try(key: jax.Array, redraws: jax.Array) -> jax.Array:
+        return jax.random.split(jax.random.fold_in(key, redraws))
+
+    cells_keys, places_keys = jax.vmap(keys_of_try, out_axes=1)(keys, redraws)
+    occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_keys)
+    free = ~occupied & everywhere(recipe.shape)[..., None]
+    ground, start_gap = _gaps(recipe)
+    passable = passable_cells(free, ground, recipe.cell_m, jnp.max(radius, axis=0))
+    start, goal, fits = place(recipe, free, passable, start_gap, radius, places_keys)
+    return _Try(
+        occupied=occupied,
+        passable=passable,
+        start=start,
+        goal=goal,
+        fits=fits & (population(occupied) >= recipe.min_obstacles),
+        redraws=redraws,
+    )
+
+
+def difficulty(
+    recipe: WorldRecipe,
+    occupied: jax.Array,
+    passable: jax.Array,
+    start: jax.Array,
+    goal: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """Path ratio and whether the straight line is free, [n_robot, n_world] each.
+
+    Args:
+        recipe: static.
+        occupied: bool [nx, ny, nz, n_world].
+        passable: packed cells.
+        start: [n_robot, 3, n_world] m, W.
+        goal: likewise.
+    """
+    start, goal = (jnp.moveaxis(p, 1, -1) for p in (start, goal))
+    from_cell, to_cell = (jnp.moveaxis(cell_of(recipe, p), -1, 0) for p in (start, goal))
+    length = shortest_ways(passable, recipe.shape[2], from_cell, to_cell)
+    straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=0).astype(length.dtype))
+    ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
+    origin = jnp.array(recipe.origin_m, float)
+    in_cells = (jnp.moveaxis((p - origin) / recipe.cell_m, -1, 0) for p in (start, goal))
+    line_free = line_is_free(occupied[:, :, :, None], *in_cells)
+    # A lattice way is never shorter than the line; 1 - 1e-7 would be rounding.
+    return jnp.maximum(ratio, 1.0), line_free
+
+
+def _gaps(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+    """Distances [nx, ny, nz] of the cells' centres to what no rule draws, m.
+
+    To floor and explicit obstacles that stand still, and to all explicit obstacles at the start.
+    """
+    centres = cell_centres(recipe)
+    ground = centres[..., 2] - recipe.floor_z_m
+    start_gap = jnp.full(recipe.shape, jnp.inf)
+    if recipe.obstacles.explicit:
+        rows = explicit_rows(recipe.obstacles.explicit, 1000.0)  # Density changes no shape.
+        start_gap = obstacle_gap(rows, centres, only_static=False)
+        ground = jnp.minimum(ground, obstacle_gap(rows, centres, only_static=True))
+    return ground, start_gap
