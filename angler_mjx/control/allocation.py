@@ -43,7 +43,9 @@ def build(vehicles: VehicleParams) -> AllocationParams:
     inverses = []
     for matrix in np.asarray(vehicles.B, np.float64):
         commanded = np.diag(matrix @ np.linalg.pinv(matrix, rcond=1e-2)) > 0.5
-        inverses.append(np.linalg.pinv(matrix * commanded[:, None], rcond=1e-2))
+        inverse = np.linalg.pinv(matrix * commanded[:, None], rcond=1e-2)
+        inverse[np.abs(inverse) < 1e-7 * np.abs(inverse).max()] = 0.0  # B has 24 bits
+        inverses.append(inverse)
     return AllocationParams(
         B_inverse=jnp.asarray(np.stack(inverses), vehicles.B.dtype), thrust_n=vehicles.thrust_n
     )

@@ -18,9 +18,13 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.vehicles.params import VehicleParams
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Gains of the cascade, one set for all; each loop takes its inertia from its vehicle."""
+    """Gains of the cascade, one set for all; each loop takes its inertia from its vehicle.
+
+    Numbers in a run; a pytree, so that they can be differentiated (`angler_mjx.sim.gradients`).
+    """
 
     position_per_s: float = 0.8
     """Pose loop: velocity per metre of position error."""

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.table import count_not_above, take
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +35,11 @@ def sample(trajectory: Trajectory, t: jax.Array) -> tuple[jax.Array, jax.Array]:
         Position [3] m and velocity [3] m/s, in W; velocity is zero past the last way-point.
     """
     time, point = trajectory.time_s, trajectory.position_m
-    k = jnp.clip(jnp.sum(time <= t) - 1, 0, time.shape[0] - 2)
-    span = time[k + 1] - time[k]
+    k = jnp.clip(count_not_above(time, t) - 1, 0, time.shape[0] - 2)
+    begin, start, end = take(time, k), take(point, k), point[-1]
+    span = take(time, k + 1) - begin
     inside = (span > 0) & (t < time[-1])
-    rate = (point[k + 1] - point[k]) / jnp.where(span > 0, span, 1.0)
+    rate = (take(point, k + 1) - start) / jnp.where(span > 0, span, 1.0)
     velocity = jnp.where(inside, rate, 0.0)
-    position = jnp.where(inside, point[k] + rate * (t - time[k]), point[-1])
+    position = jnp.where(inside, start + rate * (t - begin), end)
     return position, velocity

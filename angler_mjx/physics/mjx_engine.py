@@ -27,17 +27,6 @@ from angler_kernels.rigid_body import matrix_times
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class MjxEngine:
-    """What all vehicles of a fleet share: one MJX model and an empty state to work on."""
-
-    model: Any
-    """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
-    data: Any
-    """mjx.Data, the scratch of one evaluation."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
 class BodyInertia:
     """The fields of an mjx.Model in which vehicles differ; MuJoCo's names and shapes."""
 
@@ -46,6 +35,44 @@ class BodyInertia:
     body_iquat: jax.Array
     body_ipos: jax.Array
     body_subtreemass: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class MjxEngine:
+    """What all vehicles of a fleet share: one MJX model and an empty state to work on."""
+
+    model: Any
+    """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
+    data: Any
+    """mjx.Data, the scratch of one evaluation."""
+
+    def inertia_and_force(
+        self, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """Inertia of the dry vehicle, and the force of gravity and rotation on it, both in F.
+
+        With T = blkdiag(R^T, 1) from MuJoCo's velocity v to nu and nu' = T v' - [omega x v; 0],
+        M v' + bias = T^T w becomes (T M T^T) nu' = w - T bias - T M T^T [omega x v; 0].
+
+        Args:
+            body: of one vehicle.
+            p: [3] m in W.
+            q: [4].
+            nu: [6] in F.
+
+        Returns:
+            M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle, in F).
+        """
+        M, bias = _inertia_and_bias(self, body, p, q, nu)
+        R = quaternion.to_matrix(q)
+        zero = jnp.zeros_like(R)
+        T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
+        T_M = jnp.sum(T[:, :, None] * M[None, :, :], axis=1)
+        M_RB = jnp.sum(T_M[:, None, :] * T[None, :, :], axis=2)
+        turning = jnp.cross(nu[3:], nu[:3])
+        turning = jnp.concatenate([turning, jnp.zeros_like(turning)])
+        return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
 
 
 def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
@@ -65,42 +92,15 @@ def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
         raise ValueError(
             f"every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: {shapes}"
         )
-    model = mjx.put_model(models[0])
+    # MJX itself takes the first device of all processes, which another process may own.
+    here = jax.local_devices()[0]
+    model = mjx.put_model(models[0], device=here)
     dtype = model.body_mass.dtype
     stacked = {
         field.name: jnp.stack([jnp.asarray(getattr(m, field.name), dtype) for m in models])
         for field in fields(BodyInertia)
     }
-    return MjxEngine(model=model, data=mjx.make_data(model)), BodyInertia(**stacked)
-
-
-def inertia_and_force(
-    engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Inertia of the dry vehicle, and the force of gravity and rotation on it, both in F.
-
-    With T = blkdiag(R^T, 1) from MuJoCo's velocity v to nu and nu' = T v' - [omega x v; 0],
-    M v' + bias = T^T w becomes (T M T^T) nu' = w - T bias - T M T^T [omega x v; 0].
-
-    Args:
-        engine: of the fleet.
-        body: of one vehicle.
-        p: [3] m in W.
-        q: [4].
-        nu: [6] in F.
-
-    Returns:
-        M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle, in F).
-    """
-    M, bias = _inertia_and_bias(engine, body, p, q, nu)
-    R = quaternion.to_matrix(q)
-    zero = jnp.zeros_like(R)
-    T = jnp.block([[R.T, zero], [zero, jnp.eye(3, dtype=R.dtype)]])
-    T_M = jnp.sum(T[:, :, None] * M[None, :, :], axis=1)
-    M_RB = jnp.sum(T_M[:, None, :] * T[None, :, :], axis=2)
-    turning = jnp.cross(nu[3:], nu[:3])
-    turning = jnp.concatenate([turning, jnp.zeros_like(turning)])
-    return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
+    return MjxEngine(model=model, data=mjx.make_data(model, device=here)), BodyInertia(**stacked)
 
 
 def _inertia_and_bias(

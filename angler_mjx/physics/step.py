@@ -16,17 +16,33 @@ damping of small vehicles is stiff (2 D_q |omega| / I passes 100 1/s), hence its
 """
 
 from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion, rigid_body, thruster
-from angler_mjx.physics import mjx_engine
-from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.world import currents
 from angler_mjx.world.currents import Current
+
+
+class Multibody(Protocol):
+    """Where engines differ: the dry vehicle."""
+
+    def inertia_and_force(
+        self, body: Any, p: jax.Array, q: jax.Array, nu: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """M_RB [6, 6] and f [6] of M_RB nu' = f + (wrenches on the vehicle), in F.
+
+        Args:
+            body: inertia of one vehicle, as the engine wants it.
+            p: [3] m in W.
+            q: [4].
+            nu: [6] in F.
+        """
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +71,8 @@ class VehicleState:
 
 
 def smooth_force(
-    engine: MjxEngine,
-    body: BodyInertia,
+    engine: Multibody,
+    body: Any,
     params: VehicleParams,
     state: VehicleState,
     current: Current,
@@ -88,13 +104,13 @@ def smooth_force(
         v_r = state.nu[:3] - quaternion.rotate_inverse(state.q, v_c)
         nu_r = jnp.concatenate([v_r, state.nu[3:]])
     with jax.named_scope("multibody"):
-        M_RB, dry = mjx_engine.inertia_and_force(engine, body, state.p, state.q, state.nu)
+        M_RB, dry = engine.inertia_and_force(body, state.p, state.q, state.nu)
     return M_RB + params.M_A, dry + wrench, nu_r
 
 
 def reset(
-    engine: MjxEngine,
-    body: BodyInertia,
+    engine: Multibody,
+    body: Any,
     params: VehicleParams,
     p: jax.Array,
     q: jax.Array,
@@ -109,8 +125,8 @@ def reset(
 
 
 def start_multistep(
-    engine: MjxEngine,
-    body: BodyInertia,
+    engine: Multibody,
+    body: Any,
     params: VehicleParams,
     state: VehicleState,
     current: Current,
@@ -123,8 +139,8 @@ def start_multistep(
 
 
 def step(
-    engine: MjxEngine,
-    body: BodyInertia,
+    engine: Multibody,
+    body: Any,
     params: VehicleParams,
     state: VehicleState,
     thrust_command: jax.Array,
@@ -137,7 +153,7 @@ def step(
 
     Args:
         engine: of the fleet.
-        body: inertia of the vehicle, as the engine wants it.
+        body: inertia of the dry vehicle, as the engine wants it.
         params: of the vehicle.
         state: at time t.
         thrust_command: [n_thruster] N, what the thrusters would settle at; held over the step.

@@ -145,7 +145,10 @@ class Scenario(FileModel):
     schema_version: Literal[1] = 1
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
     description: str = ""
-    engine: Literal["mjx"] = "mjx"
+    engine: Literal["mjx", "fused"] = "mjx"
+    kernels: Literal["xla", "triton"] | None = None
+    """What the engine is compiled by; for fused on a GPU triton if left out, else xla. Part of the
+    result's bytes."""
     worlds: int = Field(default=256, ge=1)
     seed: int = Field(default=0, ge=0, lt=2**31)
     tile: int | None = Field(default=None, ge=1)
@@ -157,6 +160,12 @@ class Scenario(FileModel):
     fleet: tuple[FleetEntry, ...] = Field(min_length=1)
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
+
+    @model_validator(mode="after")
+    def _kernels_of_engine(self) -> Self:
+        if self.engine == "mjx" and self.kernels == "triton":
+            raise ValueError('kernels = "triton": the mjx engine has none; use engine = "fused"')
+        return self
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""

@@ -11,6 +11,8 @@ import jax
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.sim import episode
 from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.fused import FusedEngine
+from angler_mjx.sim.fused_triton import TritonEngine
 from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
 
 
@@ -62,7 +64,8 @@ class MjxEngine:
 
     def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
         """See `Engine.reset`."""
-        state: WorldState = jax.vmap(partial(episode.reset, spec), (None, 0))(fleet.engine, worlds)
+        one = partial(episode.reset, spec, fleet.engine)
+        state: WorldState = jax.vmap(one)(worlds.body, worlds)
         return state
 
     def control_step(
@@ -96,6 +99,13 @@ class MjxEngine:
         return after
 
 
-def by_name(name: str) -> Engine:
-    """The engine of a scenario."""
-    return {"mjx": MjxEngine()}[name]
+def by_name(name: str, kernels: str) -> Engine:
+    """The engine of a scenario, with the kernels it is to run on (see `default_kernels`)."""
+    if name == "mjx":
+        return MjxEngine()
+    return TritonEngine() if kernels == "triton" else FusedEngine()
+
+
+def default_kernels(name: str, platform: str) -> str:
+    """What an engine runs on where nothing is said: ``xla``, or ``triton`` for fused on a GPU."""
+    return "triton" if name == "fused" and platform in ("gpu", "cuda") else "xla"

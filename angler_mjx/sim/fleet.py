@@ -4,8 +4,9 @@ A variant is a vehicle with one parameter set at one voltage. A robot of the fle
 or a weighted mix; the mix is drawn anew in every world.
 """
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +39,23 @@ class Member:
     """Upper bound; 60 % of the vehicle's terminal speed in surge is the other one."""
 
 
+@dataclass(frozen=True)
+class Group:
+    """Neighbouring robots of a fleet that are the same vehicle, if not the same variant of it."""
+
+    first: int
+    count: int
+    variant: int
+    """One of those that they can be: where to read what is the same in all."""
+    sameness: tuple[str, ...]
+    """For each leaf of ``Fleet.cascade``, a letter an element of one variant: z where it is zero in
+    all variants that these robots can be, s where it is the same in all, v where it varies. Engines
+    need not compute with what is zero, nor read for each robot what is the same."""
+    shared: tuple[tuple[float, ...], ...]
+    """The numbers that ``sameness`` calls s or z, for programs that hold them; 0 where one
+    varies. Empty for long tables."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
@@ -52,6 +70,8 @@ class Fleet:
     """[n_robot, n_variant]."""
     log_weight: jax.Array
     """[n_robot, n_variant], -inf where a robot cannot be that variant."""
+    groups: tuple[Group, ...] = field(metadata={"static": True})
+    """All robots, in order."""
 
 
 CRUISE_SHARE = 0.6
@@ -90,17 +110,55 @@ def build(members: Sequence[Member]) -> Fleet:
     with np.errstate(divide="ignore"):
         log_weight = np.log(chance)
     engine, body = mjx_engine.build(models)
+    cascade = CascadeParams(
+        vehicle=stacked,
+        allocation=allocation.build(stacked),
+        cruise_speed_mps=jnp.zeros(len(kinds)),
+    )
     return Fleet(
         engine=engine,
         body=body,
-        cascade=CascadeParams(
-            vehicle=stacked,
-            allocation=allocation.build(stacked),
-            cruise_speed_mps=jnp.zeros(len(kinds)),
-        ),
+        cascade=cascade,
+        groups=_groups(members, kinds, cascade),
         cruise_mps=jnp.asarray(cruise, float),
         log_weight=jnp.asarray(log_weight, float),
     )
+
+
+def _groups(
+    members: Sequence[Member], kinds: Sequence[Variant], stacked: CascadeParams
+) -> tuple[Group, ...]:
+    """Runs of robots with the same vehicles."""
+    vehicles = [{variant.vehicle for variant in member.variants} for member in members]
+    groups = []
+    for _, run in itertools.groupby(range(len(members)), key=lambda i: vehicles[i]):
+        rows = list(run)
+        possible = {kinds.index(variant) for i in rows for variant in members[i].variants}
+        letters = _sameness(stacked, sorted(possible))
+        one = min(possible)
+        groups.append(Group(rows[0], len(rows), one, letters, _shared(stacked, one, letters)))
+    return tuple(groups)
+
+
+def _sameness(stacked: CascadeParams, possible: Sequence[int]) -> tuple[str, ...]:
+    letters = []
+    for leaf in jax.tree.leaves(stacked):
+        rows = np.asarray(leaf).reshape(leaf.shape[0], -1)[possible]
+        same, zero = np.all(rows == rows[0], axis=0), np.all(rows == 0, axis=0)
+        letters.append("".join(np.where(zero, "z", np.where(same, "s", "v"))))
+    return tuple(letters)
+
+
+def _shared(
+    stacked: CascadeParams, variant: int, sameness: Sequence[str]
+) -> tuple[tuple[float, ...], ...]:
+    values = []
+    for leaf, letters in zip(jax.tree.leaves(stacked), sameness, strict=True):
+        row = np.asarray(leaf)[variant].reshape(-1).tolist()
+        long = leaf.ndim == 2 and leaf.shape[1] > 16
+        kept = [x if letter != "v" else 0.0 for x, letter in zip(row, letters, strict=True)]
+        values.append(() if long else tuple(map(float, kept)))
+    return tuple(values)
 
 
 def radius_bound(fleet: Fleet) -> jax.Array:

@@ -136,6 +136,7 @@ def wrench_matrix(config: VehicleConfig) -> FloatArray:
     spin = np.array([[t.spin] for t in layout], dtype=np.float64)
     reaction = -config.rotor.reaction_torque.coefficient_m * spin * direction
     wrench: FloatArray = np.concatenate([direction, np.cross(arm, direction) + reaction], axis=1).T
+    wrench[np.abs(wrench) < 1e-12] = 0.0  # cosines of right angles
     return wrench
 
 

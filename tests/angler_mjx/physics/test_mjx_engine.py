@@ -20,7 +20,7 @@ def kicked(plants):
     wrench = np.random.default_rng(4).normal(size=(n, K, 6)) * [50, 50, 50, 5, 5, 5]
 
     def one(body, p, q, nu):
-        return mjx_engine.inertia_and_force(plants.engine, body, p, q, nu)
+        return plants.engine.inertia_and_force(body, p, q, nu)
 
     many = jax.jit(jax.vmap(jax.vmap(one, (None, 0, 0, 0))))
     M_RB, force = (np.asarray(leaf) for leaf in many(plants.body, *states))

@@ -1,12 +1,15 @@
 """Contact detection against scenes whose distances are known by hand."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim.detection import detect
+from angler_mjx.sim import detection
+from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect
 from angler_mjx.sim.state import Touched
 from angler_mjx.vehicles import library, params
 from angler_mjx.world.environment import Environment
@@ -101,7 +104,7 @@ def test_distance_ahead_of_the_bow_to_a_cell(heavy):
     # 0.2285 m ahead of base_link, whose x is that of the centre of mass.
     world = environment([(5, 4, 4)], [], 1)
     vehicles, state = fleet_of(heavy, [[0.5, 0.75, -7.25]])
-    contact = detect(world, vehicles, state, still([]))
+    contact = jax.jit(detect)(world, vehicles, state, still([]))
     assert contact.clearance_m[0] == pytest.approx(1.0 - 0.2285, abs=TOLERANCE_M)
     assert contact.nearest[0] == Touched.CELL
     assert contact.nearest_is_static[0]
@@ -111,7 +114,7 @@ def test_distance_to_the_floor_counts_the_lowest_capsule(heavy):
     # Capsules of radius 0.127 at base_link's height, 0.011 m below the centre of mass.
     world = environment([], [], 1)
     vehicles, state = fleet_of(heavy, [[0.0, 0.0, -13.5]])
-    contact = detect(world, vehicles, state, still([]))
+    contact = jax.jit(detect)(world, vehicles, state, still([]))
     assert contact.clearance_m[0] == pytest.approx(0.5 - 0.011 - 0.127, abs=TOLERANCE_M)
     assert contact.nearest[0] == Touched.FLOOR
 
@@ -124,7 +127,7 @@ def test_nearest_obstacle_and_whether_it_stands(heavy):
     around = ObstacleState(
         p=around.p, q=around.q, nu=around.nu.at[0, 0].set(-0.25), nu_dot=around.nu_dot
     )
-    contact = detect(world, vehicles, state, around)
+    contact = jax.jit(detect)(world, vehicles, state, around)
     # Along x, at the height of the capsules: gap between centres less the reach of both.
     np.testing.assert_allclose(
         contact.clearance_m, [1.0 - 0.2285 - 0.5, 1.0 - 0.2285 - 0.4], atol=TOLERANCE_M
@@ -138,7 +141,7 @@ def test_hulls_side_by_side(heavy):
     world = environment([], [], 3)
     places = [[0.0, -1.5, -8.0], [0.0, 0.0, -8.0], [0.0, 1.0, -8.0]]
     vehicles, state = fleet_of(heavy, places, [[0.3, 0, 0], [0, 0, 0], [0, 0.4, 0]])
-    contact = detect(world, vehicles, state, still([]))
+    contact = jax.jit(detect)(world, vehicles, state, still([]))
     # Half width 0.1605 + 0.127 on each side.
     width = 2 * 0.2875
     np.testing.assert_allclose(
@@ -151,5 +154,35 @@ def test_hulls_side_by_side(heavy):
 
 def test_a_robot_alone_has_no_separation(heavy):
     vehicles, state = fleet_of(heavy, [[0.0, 0.0, -8.0]])
-    contact = detect(environment([], [], 1), vehicles, state, still([]))
+    contact = jax.jit(detect)(environment([], [], 1), vehicles, state, still([]))
     assert np.isinf(contact.separation_m[0])
+
+
+def test_a_large_fleet_is_searched_with_the_same_result(heavy, monkeypatch):
+    rng = np.random.default_rng(0)
+    places = rng.uniform([-6, -6, -14], [6, 6, -2], (48, 3))
+    vehicles, state = fleet_of(heavy, places, rng.uniform(-1, 1, (48, 3)))
+    q = rng.normal(size=(48, 4))
+    q = jnp.asarray(q / np.linalg.norm(q, axis=1, keepdims=True), float)
+    state = dataclasses.replace(state, q=q)
+    world = environment([(5, 4, 4), (1, 1, 1)], [], 48)
+
+    def run():
+        return jax.jit(lambda state: detect(world, vehicles, state, still([])))(state)
+
+    searched = run()
+    monkeypatch.setattr(detection, "ALL_PAIRS_UP_TO", 48)
+    every = run()
+    # The same function of the same pairs, compiled twice.
+    np.testing.assert_allclose(
+        searched.separation_m,
+        np.minimum(every.separation_m, SEPARATION_RADIUS_M),
+        atol=TOLERANCE_M,
+    )
+    near = np.asarray(every.separation_m) < SEPARATION_RADIUS_M
+    assert 10 < near.sum() < 40, "some robots have a neighbour, some have none"
+    for field in ("nearest", "nearest_index", "nearest_is_static", "closing_speed_mps"):
+        got, want = (np.asarray(getattr(contact, field)) for contact in (searched, every))
+        np.testing.assert_allclose(got[near], want[near], atol=1e-6, err_msg=field)
+    np.testing.assert_array_equal(searched.clearance_m, every.clearance_m)
+    assert np.all(np.asarray(searched.nearest)[~near] != Touched.ROBOT)

@@ -1,0 +1,121 @@
+"""Trees of per-body arrays in one flat array, a plane of lanes for every element.
+
+Element k of lane n is at place ``k * lanes + n``: programs that work on neighbouring lanes read
+neighbouring places.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+
+TABLE_FROM = 16
+"""Arrays of one body with more rows than this stay in memory and are read by the entry."""
+
+type Load = Callable[[Any], Any]
+"""Values at places of a flat array."""
+
+
+def is_table(tail: tuple[int, ...]) -> bool:
+    """Whether an array [...] of one body is read from memory by the entry."""
+    return len(tail) > 0 and tail[0] > TABLE_FROM
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leaf:
+    """Where one leaf of a tree lies."""
+
+    first: int
+    """Number of its first plane."""
+    shape: tuple[int, ...]
+    dtype: Any
+
+    @property
+    def size(self) -> int:
+        """Number of its planes."""
+        return math.prod(self.shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where the leaves of a tree lie."""
+
+    tree: Any
+    leaves: tuple[Leaf, ...]
+    lanes: int
+
+    @classmethod
+    def of(cls, tree: Any, lead: int) -> "Layout":
+        """Layout of arrays [W, (n,) ...] with ``lead`` axes of lanes, or of shapes of such."""
+        flat, structure = jax.tree.flatten(tree)
+        leaves, first = [], 0
+        for leaf in flat:
+            leaves.append(Leaf(first=first, shape=leaf.shape[lead:], dtype=np.dtype(leaf.dtype)))
+            first += leaves[-1].size
+        count = math.prod(flat[0].shape[:lead])
+        return cls(tree=structure, leaves=tuple(leaves), lanes=count)
+
+    @property
+    def planes(self) -> int:
+        """Number of planes of the whole tree."""
+        return sum(leaf.size for leaf in self.leaves)
+
+    def pack(self, tree: Any, dtype: Any) -> jax.Array:
+        """Arrays [W, (n,) ...] as one flat array [planes * lanes]; whole numbers must be small."""
+        rows = []
+        for leaf, value in zip(self.leaves, jax.tree.leaves(tree), strict=True):
+            lead = value.ndim - len(leaf.shape)
+            worlds_last = jnp.swapaxes(value, 0, lead - 1)
+            rows.append(worlds_last.reshape(self.lanes, leaf.size).T.astype(dtype))
+        return jnp.concatenate(rows).reshape(-1)
+
+    def unpack(self, flat: jax.Array, lead: tuple[int, ...]) -> Any:
+        """The inverse of `pack`.
+
+        Args:
+            flat: [..., planes * lanes].
+            lead: sizes of the axes of lanes, worlds first.
+
+        Returns:
+            Arrays [W, ..., (n,) ...].
+        """
+        front = flat.shape[:-1]
+        planes = flat.reshape(*front, self.planes, *reversed(lead))
+        out = []
+        for leaf in self.leaves:
+            part = planes[..., leaf.first : leaf.first + leaf.size, *(slice(None),) * len(lead)]
+            part = jnp.moveaxis(part, len(front), -1)  # [..., (n,) W, planes]
+            part = jnp.moveaxis(part, part.ndim - 2, 0)
+            out.append(part.reshape(*part.shape[:-1], *leaf.shape).astype(leaf.dtype))
+        return jax.tree.unflatten(self.tree, out)
+
+    def read(self, load: Load, lane: Any, only: Callable[[Any], Any] = lambda tree: tree) -> Any:
+        """The tree of lanes number ``lane``, or a part of it; long arrays as tables."""
+        wanted = only(jax.tree.unflatten(self.tree, self.leaves))
+        return jax.tree.map(lambda leaf: self._element(leaf, load, lane), wanted)
+
+    def _element(self, leaf: Leaf, load: Load, lane: Any) -> Any:
+        start = leaf.first * self.lanes
+        if is_table(leaf.shape):
+            return lanes.Table(load, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes)
+        rows = [typed(load(start + k * self.lanes + lane), leaf.dtype) for k in range(leaf.size)]
+        return lanes.pack(rows, leaf.shape)
+
+    def write(self, store: Callable[[Any, Any], None], lane: Any, tree: Any) -> None:
+        """Store a tree of lanes."""
+        for leaf, value in zip(self.leaves, jax.tree.leaves(tree), strict=True):
+            for k, x in enumerate(value.ravel()):
+                store((leaf.first + k) * self.lanes + lane, x)
+
+
+def typed(value: Any, dtype: Any) -> Any:
+    """A number read from an array of floats, with its own type."""
+    if value.dtype == dtype:
+        return value
+    return value != 0 if dtype == np.bool_ else value.astype(dtype)

@@ -1,0 +1,155 @@
+"""The parts of a control step that concern one robot: decide, hold, account. Pure, of one robot.
+
+Every engine runs these, as they are or on lanes; what lies between them is the engine's.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import thruster
+from angler_mjx.control import cascade
+from angler_mjx.control.cascade import CascadeCarry, CascadeParams
+from angler_mjx.control.commands import Estimate, PoseTarget, ThrusterPwm
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
+
+SPEED_OF_NONSENSE_MPS = 50.0
+"""A robot faster than this has diverged: ten times what any of them can reach."""
+
+
+def decide(
+    spec: SimSpec,
+    params: CascadeParams,
+    carry: CascadeCarry,
+    state: VehicleState,
+    path: Trajectory,
+) -> tuple[CascadeCarry, PoseTarget, ThrusterPwm]:
+    """The controller's part: its new memory, what it aims at, and the thruster signals."""
+    return cascade.step(
+        spec.gains,
+        params,
+        carry,
+        Estimate(p=state.p, q=state.q, nu=state.nu),
+        path,
+        spec.control_dt_s,
+        spec.water.density_kgpm3,
+        spec.water.gravity_mps2,
+    )
+
+
+def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Array, jax.Array]:
+    """Thrust [n_thruster] N that a signal settles at, and the power [] W of all thrusters."""
+    pick = jax.vmap(thruster.lookup, (None, 0, None, None))
+    thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
+    power = pick(vehicle.power_w, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
+    return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
+
+
+def hold_if_ended(
+    outcome: jax.Array, before: VehicleState, after: VehicleState
+) -> tuple[VehicleState, jax.Array]:
+    """Hold a robot that failed or just diverged where it was, at rest.
+
+    Args:
+        outcome: int32 [] before the step.
+        before: state before the step.
+        after: state after it.
+
+    Returns:
+        The state to go on with, and bool [] whether the robot diverged in this step.
+    """
+    speed = jnp.sum(jnp.abs(after.nu))
+    sound = jnp.isfinite(speed) & jnp.isfinite(jnp.sum(after.p)) & jnp.isfinite(jnp.sum(after.q))
+    sound &= speed < SPEED_OF_NONSENSE_MPS
+    alive = (outcome == Outcome.RUNNING) | (outcome == Outcome.REACHED)
+    goes_on = alive & sound
+    held = VehicleState(
+        p=jnp.where(goes_on, after.p, before.p),
+        q=jnp.where(goes_on, after.q, before.q),
+        nu=jnp.where(goes_on, after.nu, 0.0),
+        force_before=jnp.where(goes_on, after.force_before, 0.0),
+        thrust=jnp.where(goes_on, after.thrust, 0.0),
+    )
+    return held, alive & ~sound
+
+
+def account(
+    spec: SimSpec,
+    goal_m: jax.Array,
+    lo: jax.Array,
+    hi: jax.Array,
+    tally: Tally,
+    before_m: jax.Array,
+    after_m: jax.Array,
+    contact: Contact,
+    power: jax.Array,
+    broken: jax.Array,
+    t: jax.Array,
+) -> Tally:
+    """Account for one control step of a robot, if it is still on its way.
+
+    Args:
+        spec: settings.
+        goal_m: [3] in W.
+        lo: [3] lower corner of the region, m, in W.
+        hi: [3] upper corner.
+        tally: so far.
+        before_m: [3] position before the step, in W.
+        after_m: [3] and after it.
+        contact: after it.
+        power: [] W during it.
+        broken: bool [] the robot diverged in it.
+        t: [] s at its beginning.
+    """
+    running = tally.outcome == Outcome.RUNNING
+    outcome = jnp.where(
+        running, _judge(spec, goal_m, lo, hi, after_m, contact, broken), tally.outcome
+    )
+    hit = running & (
+        (outcome == Outcome.COLLISION_STATIC)
+        | (outcome == Outcome.COLLISION_DYNAMIC)
+        | (outcome == Outcome.COLLISION_ROBOT)
+    )
+    dt = spec.control_dt_s
+    moved = jnp.sqrt(jnp.sum((after_m - before_m) ** 2))
+    clearance = jnp.minimum(tally.min_clearance_m, contact.clearance_m)
+    separation = jnp.minimum(tally.min_separation_m, contact.separation_m)
+    return Tally(
+        outcome=outcome,
+        end_time_s=jnp.where(running, t + dt, tally.end_time_s),
+        path_length_m=tally.path_length_m + jnp.where(running, moved, 0.0),
+        energy_j=tally.energy_j + jnp.where(running, power * dt, 0.0),
+        min_clearance_m=jnp.where(running, clearance, tally.min_clearance_m),
+        min_separation_m=jnp.where(running, separation, tally.min_separation_m),
+        touched=jnp.where(hit, contact.nearest, tally.touched),
+        touched_index=jnp.where(hit, contact.nearest_index, tally.touched_index),
+        impact_speed_mps=jnp.where(hit, contact.closing_speed_mps, tally.impact_speed_mps),
+    )
+
+
+def _judge(
+    spec: SimSpec,
+    goal_m: jax.Array,
+    lo: jax.Array,
+    hi: jax.Array,
+    p: jax.Array,
+    contact: Contact,
+    broken: jax.Array,
+) -> jax.Array:
+    """int32 []: what the state means for a robot that is still on its way."""
+    outside = jnp.any((p < lo) | (p > hi))
+    to_goal = jnp.sqrt(jnp.sum((p - goal_m) ** 2))
+    touching = jnp.minimum(contact.clearance_m, contact.separation_m) <= 0.0
+    collision = jnp.where(
+        contact.nearest == Touched.ROBOT,
+        Outcome.COLLISION_ROBOT,
+        jnp.where(contact.nearest_is_static, Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC),
+    )
+    outcome = jnp.where(to_goal < spec.goal_tolerance_m, Outcome.REACHED, Outcome.RUNNING)
+    outcome = jnp.where(outside, Outcome.OUT_OF_BOUNDS, outcome)
+    outcome = jnp.where(touching, collision, outcome)
+    return jnp.where(broken, Outcome.DIVERGED, outcome).astype(jnp.int32)
