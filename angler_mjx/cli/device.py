@@ -2,17 +2,25 @@
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from angler_mjx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from angler_mjx.runs.team import Team
 
 type Device = Literal["cpu", "gpu"]
 
 
-def choose(device: Device | None) -> None:
+def choose(device: Device | None, *, distributed: bool = False) -> None:
     """Make JAX compute on ``device``, or on its own choice if None, with a compile cache.
 
     Compiled programs are kept in ``JAX_COMPILATION_CACHE_DIR``, or else in the user's cache folder.
+
+    Args:
+        device: where to compute.
+        distributed: whether `join` follows: processes that share a run must find each other before
+            one of them looks at its devices.
 
     Raises:
         ConfigError: there is no such device.
@@ -24,11 +32,52 @@ def choose(device: Device | None) -> None:
         jax.config.update("jax_compilation_cache_dir", str(base / "angler-mjx" / "xla"))
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
-    if device == "gpu":
-        try:
-            jax.devices("gpu")
-        except RuntimeError as error:
-            raise ConfigError(
-                "--device gpu: JAX finds no such device here; use --device cpu, or install the "
-                "gpu extra on a machine with an NVIDIA driver"
-            ) from error
+    if device == "gpu" and not distributed:
+        _require_gpu()
+
+
+def join(
+    device: Device | None,
+    *,
+    distributed: bool,
+    coordinator: str | None,
+    processes: int | None,
+    process: int | None,
+) -> "Team":
+    """The processes that share a run: this one alone, or all that were started with it.
+
+    Args:
+        device: as given to `choose`.
+        distributed: whether there are others.
+        coordinator: host and port of process 0; as the next two, told by Slurm and Open MPI.
+        processes: how many there are.
+        process: index of this one.
+
+    Raises:
+        ConfigError: flags of a shared run without ``--distributed``, or not enough of them.
+        RunError: the others did not come.
+    """
+    from angler_mjx.runs import team
+
+    if distributed:
+        joined = team.join(coordinator, processes, process)
+        if device == "gpu":
+            _require_gpu()
+        return joined
+    given = {"coordinator": coordinator, "processes": processes, "process": process}
+    for name, value in given.items():
+        if value is not None:
+            raise ConfigError(f"--{name} {value}: belongs to --distributed; give that as well")
+    return team.Alone()
+
+
+def _require_gpu() -> None:
+    import jax
+
+    try:
+        jax.local_devices(backend="gpu")
+    except RuntimeError as error:
+        raise ConfigError(
+            "--device gpu: JAX finds no such device here; use --device cpu, or install the "
+            "gpu extra on a machine with an NVIDIA driver"
+        ) from error

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.device import Device, choose, join
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -33,12 +33,18 @@ def rollout(
     worlds: int | None = None,
     seed: int | None = None,
     out: Path | None = None,
-    engine: Literal["mjx"] | None = None,
+    engine: Literal["mjx", "fused"] | None = None,
+    kernels: Literal["xla", "triton"] | None = None,
     device: Device | None = None,
+    devices: int | None = None,
     tile: int | None = None,
     chunk: int | None = None,
     record_hz: float | None = None,
     resume: bool = False,
+    distributed: bool = False,
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
     figures: bool = True,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
@@ -49,21 +55,44 @@ def rollout(
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the run; the scenario's if left out.
         out: Run folder to make; runs/NAME if left out.
-        engine: Physics engine; the scenario's if left out.
+        engine: Physics engine; the scenario's if left out. fused is the faster one, for rigid
+            vehicles.
+        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
         device: Where to compute; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+            byte of the results.
         tile: Worlds in one device call; part of the results' bytes.
-        chunk: Worlds held in memory before they are written; sized from free memory if left out.
+        chunk: Finished worlds held in memory until they are written; sized from free memory if left
+            out.
         record_hz: Rate of the stored trajectories; 0 stores none.
         resume: Go on with an interrupted run in the same folder.
+        distributed: Share the run with other processes, here or on other hosts; each is started
+            with the same arguments and sees the same run folder.
+        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
+        processes: How many processes there are; Slurm and Open MPI tell it.
+        process: Index of this one, from 0; Slurm and Open MPI tell it.
         figures: Draw figures and write a replay at the end.
         json: Print one JSON object instead of the table.
     """
-    choose(device)
+    choose(device, distributed=distributed)
+    team = join(
+        device,
+        distributed=distributed,
+        coordinator=coordinator,
+        processes=processes,
+        process=process,
+    )
     from angler_mjx.cli.progress import Bar
     from angler_mjx.runs import rollout as runs
     from angler_mjx.runs.scenario import load_scenario
 
-    given = {"worlds": worlds, "seed": seed, "engine": engine, "tile": tile}
+    given = {
+        "worlds": worlds,
+        "seed": seed,
+        "engine": engine,
+        "kernels": kernels,
+        "tile": tile,
+    }
     overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
@@ -72,14 +101,19 @@ def rollout(
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = load_scenario(scenario, **overrides)
     place = out or Path("runs") / loaded.name
-    with Bar(quiet=json) as bar:
-        if resume:
-            run = runs.resume(place, chunk=chunk, progress=bar)
-        else:
-            run = runs.rollout(loaded, out=place, chunk=chunk, progress=bar)
-    if figures:
-        _draw(run)
-    _report(run, as_json=json)
+    with Bar(quiet=json or team.index > 0) as bar:
+        how: dict[str, Any] = {
+            "chunk": chunk,
+            "progress": bar,
+            "devices": devices,
+            "team": team,
+        }
+        run = runs.resume(place, **how) if resume else runs.rollout(loaded, out=place, **how)
+    team.leave()
+    if team.index == 0:
+        if figures:
+            _draw(run)
+        _report(run, as_json=json)
     if not run.summary["complete"]:
         sys.exit(130)
 
@@ -129,6 +163,10 @@ def _draw(run: "Run") -> None:
         print(error, file=sys.stderr)
 
 
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def _report(run: "Run", *, as_json: bool) -> None:
     """End of a run: one JSON object, or the table and the place of the run folder."""
     summary = run.summary
@@ -159,7 +197,8 @@ def _report(run: "Run", *, as_json: bool) -> None:
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
     median = "no robot arrived" if arrival is None else f"median time to goal {arrival:.0f} s"
     console.print(
-        f"{median}; {timing['vehicle_steps_per_s']:.2e} vehicle-steps/s, "
+        f"{median}; {timing['vehicle_steps_per_s']:.2e} vehicle-steps/s on "
+        f"{_count(summary['devices'], 'device')}, "
         f"{timing['simulate_s']:.1f} s simulating, {timing['compile_s']:.1f} s compiling",
         highlight=False,
     )

@@ -1,16 +1,92 @@
 """From the device to the host: what a finished tile of worlds leaves behind."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
 import jax
 import numpy as np
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs.results import TileResult
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.world.environment import Environment
+
+type Arrays = dict[str, Callable[[], np.ndarray]]
+"""Recorded arrays of a tile by name, [kept, ...], each put together when it is asked for."""
+
+_SAMPLED = {
+    "p_m": "p",
+    "q": "q",
+    "nu": "nu",
+    "pwm_us": "pwm_us",
+    "target_m": "target_m",
+    "current_mps": "current_mps",
+    "outcome": "outcome",
+    "obstacle_p_m": "obstacle_p",
+    "obstacle_q": "obstacle_q",
+}
+"""Name on disk and in `Sample`."""
 
 
-def require_valid(worlds: World, first: int, kept: int) -> None:
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Constants:
+    """What the host keeps of the worlds of a tile; [tile] leads."""
+
+    valid: jax.Array
+    redraws: jax.Array
+    variant: jax.Array
+    planned: jax.Array
+    environment: Environment | None
+    """None where nothing is recorded, as the plans."""
+    plan_time_s: jax.Array | None
+    plan_m: jax.Array | None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class End:
+    """What the host keeps of the last state of a tile; [tile] leads."""
+
+    tally: Tally
+    p: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishedTile:
+    """A finished tile on the host, waiting to be written."""
+
+    first: int
+    kept: int
+    """Worlds of the run in it: fewer than the tile at the end of a run."""
+    constants: Constants
+    end: End
+    parts: list[Sample]
+    """Samples of its segments, until all robots had ended; empty where nothing is recorded."""
+
+
+def constants(worlds: World, *, recorded: bool) -> Constants:
+    """What to keep of worlds."""
+    return Constants(
+        valid=worlds.environment.valid,
+        redraws=worlds.environment.redraws,
+        variant=worlds.variant,
+        planned=worlds.path.found,
+        environment=worlds.environment if recorded else None,
+        plan_time_s=worlds.path.time_s if recorded else None,
+        plan_m=worlds.path.position_m if recorded else None,
+    )
+
+
+def end(state: WorldState) -> End:
+    """What to keep of the last state."""
+    return End(tally=state.tally, p=state.vehicles.p)
+
+
+def require_valid(constants: Constants, first: int, kept: int) -> None:
     """Refuse a run in which a world could not be furnished for the fleet."""
-    valid = np.asarray(worlds.environment.valid)[:kept]
+    valid = np.asarray(constants.valid)[:kept]
     if not valid.all():
         bad = first + int(np.flatnonzero(~valid)[0])
         raise RunError(
@@ -19,14 +95,15 @@ def require_valid(worlds: World, first: int, kept: int) -> None:
         )
 
 
-def tile_result(worlds: World, state: WorldState, first: int, kept: int) -> TileResult:
-    """Device state of a tile as host arrays, the horizon's end turned into time-outs."""
-    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], state.tally)
+def tile_result(tile: FinishedTile) -> TileResult:
+    """A tile's end as host arrays, the horizon's end turned into time-outs."""
+    kept = tile.kept
+    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], tile.end.tally)
     outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
     return TileResult(
-        world=np.arange(first, first + kept),
-        variant=np.asarray(worlds.variant)[:kept],
-        planned=np.asarray(worlds.path.found)[:kept],
+        world=np.arange(tile.first, tile.first + kept),
+        variant=np.asarray(tile.constants.variant)[:kept],
+        planned=np.asarray(tile.constants.planned)[:kept],
         outcome=outcome,
         end_time_s=tally.end_time_s,
         path_length_m=tally.path_length_m,
@@ -36,35 +113,43 @@ def tile_result(worlds: World, state: WorldState, first: int, kept: int) -> Tile
         touched=tally.touched,
         touched_index=tally.touched_index,
         impact_speed_mps=tally.impact_speed_mps,
-        p=np.asarray(state.vehicles.p)[:kept],
-        redraws=np.asarray(worlds.environment.redraws)[:kept],
+        p=np.asarray(tile.end.p)[:kept],
+        redraws=np.asarray(tile.constants.redraws)[:kept],
     )
 
 
-def arrays_of(worlds: World, parts: list[Sample], samples: int, kept: int) -> dict[str, np.ndarray]:
-    """Recorded arrays of a tile by name, [kept, samples, ...], NaN where the tile had ended."""
-    names = {
-        "p_m": "p",
-        "q": "q",
-        "nu": "nu",
-        "pwm_us": "pwm_us",
-        "target_m": "target_m",
-        "current_mps": "current_mps",
-        "outcome": "outcome",
-        "obstacle_p_m": "obstacle_p",
-        "obstacle_q": "obstacle_q",
+def arrays(tile: FinishedTile, samples: int) -> Arrays:
+    """Recorded arrays of a tile.
+
+    Args:
+        tile: with its parts.
+        samples: in the whole horizon.
+    """
+    made: Arrays = {
+        name: partial(_joined, [getattr(part, field) for part in tile.parts], samples, tile.kept)
+        for name, field in _SAMPLED.items()
     }
-    arrays = {}
-    for name, attribute in names.items():
-        joined = np.concatenate([getattr(part, attribute)[:kept] for part in parts], axis=1)
-        missing = samples - joined.shape[1]
-        if joined.dtype.kind == "f":
-            tail = np.full((kept, missing, *joined.shape[2:]), np.nan, joined.dtype)
-        else:
-            tail = np.repeat(joined[:, -1:], missing, axis=1)
-        arrays[name] = np.concatenate([joined, tail], axis=1)
-    arrays["pwm_us"] = np.nan_to_num(np.rint(arrays["pwm_us"]), nan=0.0).astype(np.uint16)
-    arrays["outcome"] = arrays["outcome"].astype(np.uint8)
-    arrays["plan_time_s"] = np.asarray(worlds.path.time_s)[:kept]
-    arrays["plan_m"] = np.asarray(worlds.path.position_m)[:kept]
-    return arrays
+    made["pwm_us"] = partial(_whole_numbers, made["pwm_us"])
+    made["outcome"] = partial(_bytes, made["outcome"])
+    made["plan_time_s"] = lambda: np.asarray(tile.constants.plan_time_s)[: tile.kept]
+    made["plan_m"] = lambda: np.asarray(tile.constants.plan_m)[: tile.kept]
+    return made
+
+
+def _joined(parts: list[np.ndarray], samples: int, kept: int) -> np.ndarray:
+    """[kept, samples, ...]: NaN, or for whole numbers the last value, where the tile had ended."""
+    whole = np.empty((kept, samples, *parts[0].shape[2:]), parts[0].dtype)
+    at = 0
+    for part in parts:
+        whole[:, at : at + part.shape[1]] = part[:kept]
+        at += part.shape[1]
+    whole[:, at:] = np.nan if whole.dtype.kind == "f" else whole[:, at - 1 : at]
+    return whole
+
+
+def _whole_numbers(make: Callable[[], np.ndarray]) -> np.ndarray:
+    return np.nan_to_num(np.rint(make()), nan=0.0).astype(np.uint16)
+
+
+def _bytes(make: Callable[[], np.ndarray]) -> np.ndarray:
+    return make().astype(np.uint8)

@@ -1,17 +1,28 @@
 """Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
+from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
+from angler_mjx.runs import shards
+from angler_mjx.runs.harvest import Arrays
 from angler_mjx.world import store
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
+
+THREADS = min(8, os.cpu_count() or 1)
+"""Arrays of a tile that are put together, compressed and written at once."""
+
+_ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
+"""As the arrays' metadata say; docs/decisions/0004-many-devices.md has what was measured."""
 
 _ABOUT: dict[str, tuple[str, str]] = {
     "p_m": ("m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)"),
@@ -55,8 +66,9 @@ class Shape:
 class Recorder:
     """Writes the trajectories of finished tiles into ``trajectories.zarr``."""
 
-    def __init__(self, group: zarr.Group, shape: Shape, *, tile: int) -> None:
-        """Write into ``group``; see ``create`` and ``reopen``."""
+    def __init__(self, path: Path, group: zarr.Group, shape: Shape, *, tile: int) -> None:
+        """Write into ``group`` at ``path``; see ``create`` and ``reopen``."""
+        self._path = path
         self._group = group
         self._shape = shape
         self._tile = tile
@@ -64,7 +76,7 @@ class Recorder:
     @classmethod
     def reopen(cls, path: Path, shape: Shape, *, tile: int) -> "Recorder":
         """Go on with the group of an interrupted run."""
-        return cls(zarr.open_group(path, mode="r+"), shape, tile=tile)
+        return cls(path, zarr.open_group(path, mode="r+"), shape, tile=tile)
 
     @classmethod
     def create(
@@ -80,7 +92,7 @@ class Recorder:
             sample_dt_s: time between samples.
         """
         group = zarr.open_group(path, mode="w-")
-        recorder = cls(group, shape, tile=tile)
+        recorder = cls(path, group, shape, tile=tile)
         recorder._describe(sample_dt_s)
         store.describe(group.create_group("environment"), environment, shape.worlds, tile)
         return recorder
@@ -124,23 +136,33 @@ class Recorder:
             shards=(self._tile, *tail),
             dtype=dtype,
             fill_value=np.nan if floating else 0,
-            compressors=BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
             attributes={"unit": unit, "description": text},
         )
 
-    def write(
-        self, first_world: int, arrays: dict[str, np.ndarray], environment: Environment
-    ) -> None:
+    def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
         """Write one tile.
 
         Args:
             first_world: index of its first world, a multiple of the tile.
-            arrays: by name, worlds leading; rows past the last world of the run are dropped.
+            arrays: by name; only worlds of the run lead.
             environment: of the tile's worlds.
+
+        Returns:
+            Bytes on disk, the environment's not counted.
         """
         group: Any = self._group
-        store.write(group["environment"], first_world, environment)
-        last = min(first_world + self._tile, self._shape.worlds)
-        for name, values in arrays.items():
-            if 0 not in values.shape[1:]:
-                group[name][first_world:last] = values[: last - first_world]
+        number = first_world // self._tile
+
+        def one(name: str) -> int:
+            values = arrays[name]()
+            if 0 in values.shape[1:]:
+                return 0
+            place = self._path / name / "c" / "/".join([str(number), *"0" * (values.ndim - 1)])
+            return shards.write(place, values, shard=self._tile, codec=_ENCODER)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            around = pool.submit(store.write, group["environment"], first_world, environment)
+            written = sum(pool.map(one, arrays))
+            around.result()
+        return written

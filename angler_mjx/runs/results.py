@@ -26,7 +26,12 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("path_length_m", pa.float32(), "m", "way of the centre of mass until the end"),
     ("energy_j", pa.float32(), "J", "electrical energy of the thrusters until the end"),
     ("min_clearance_m", pa.float32(), "m", "least hull distance to cells, floor, obstacles"),
-    ("min_separation_m", pa.float32(), "m", "least hull distance to other robots; inf if alone"),
+    (
+        "min_separation_m",
+        pa.float32(),
+        "m",
+        "least hull distance to other robots, at most 1; inf if alone",
+    ),
     ("failure_time_s", pa.float32(), "s", "end of a failed episode; NaN if reached"),
     ("failure_x_m", pa.float32(), "m", "centre of mass then, east; NaN if reached"),
     ("failure_y_m", pa.float32(), "m", "north"),

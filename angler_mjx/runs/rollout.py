@@ -5,33 +5,24 @@ interrupted with all finished tiles in it. An interrupted run can be taken up ag
 """
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-import jax
 import numpy as np
-import psutil
-import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import folder, harvest, results
+from angler_mjx.runs import folder, harvest, results, sizes, waves
+from angler_mjx.runs.harvest import FinishedTile
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
-from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.runs.recorder import Recorder
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import CompileTime, Simulator
-from angler_mjx.sim.state import Outcome, Sample
-from angler_mjx.world.environment import Environment
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Tile:
-    """A finished tile on the host, waiting to be written."""
-
-    first: int
-    episodes: pa.Table
-    arrays: dict[str, np.ndarray]
-    environment: Environment
+from angler_mjx.runs.team import Alone, Team
+from angler_mjx.runs.writer import Writer
 
 
 @dataclass(kw_only=True)
@@ -41,6 +32,7 @@ class _Clock:
     compile: CompileTime
     begun: float = field(default_factory=time.perf_counter)
     simulate_s: float = 0.0
+    disk_wait_s: float = 0.0
     vehicle_steps: int = 0
 
 
@@ -51,16 +43,20 @@ def rollout(
     chunk: int | None = None,
     progress: Progress | None = None,
     simulator: Simulator | None = None,
+    devices: int | None = None,
+    team: Team | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
     Args:
         scenario: what to run.
         out: folder to make; must not exist.
-        chunk: worlds whose trajectories are held in memory before they are written; sized from
-            free memory if left out. Changes no byte of the results.
+        chunk: finished worlds held in memory until they are written, beside those that are being
+            simulated; sized from free memory if left out. Changes no byte of the results.
         progress: what to tell while running.
         simulator: of the same scenario, to use what it has compiled already.
+        devices: devices of this process to run on; all if left out. Changes no byte of the results.
+        team: processes that share the run; each calls this with the same arguments.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -68,26 +64,27 @@ def rollout(
 
     Raises:
         ConfigError: the folder exists or cannot be written, or the scenario cannot be used.
-        RunError: the disk is full, or a world cannot hold the fleet.
+        RunError: the disk or the device's memory is full, a world cannot hold the fleet, or another
+            process of the team failed.
     """
-    place = Path(out)
-    if place.exists():
-        raise ConfigError(f"--out {place}: exists; give another folder or remove it")
-    simulator = simulator or Simulator(scenario)
-    if simulator.scenario != scenario:
-        raise ConfigError("simulator: was made for another scenario")
-    resolved = scenario.model_copy(update={"tile": simulator.tile})
-    if scenario.time.record_hz > 0:
-        folder.require_space(place, scenario.worlds * _shape(simulator).bytes_per_world())
-    building = folder.create(place)
-    try:
-        folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
-        folder.write_json(building / folder.ENVIRONMENT, describe_environment())
-        return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=True)
-    except BaseException:
-        if folder.read_parts(building) is None:
-            folder.remove(building)
-        raise
+    place, team = Path(out), team or Alone()
+    with _telling(team):
+        if team.index == 0 and place.exists():
+            raise ConfigError(f"--out {place}: exists; give another folder or remove it")
+        simulator = simulator or Simulator(scenario, devices=devices)
+        if simulator.scenario != scenario:
+            raise ConfigError("simulator: was made for another scenario")
+        room = sizes.room(simulator, chunk)
+        if team.index == 0:
+            _begin(simulator, place)
+        team.meet("folder")
+        try:
+            return _Rollout(simulator, place, room, progress or Silent(), team).run()
+        except BaseException:
+            building = folder.partial_path(place)
+            if team.count == 1 and building.exists() and folder.read_parts(building) is None:
+                folder.remove(building)
+            raise
 
 
 def resume(
@@ -96,143 +93,190 @@ def resume(
     chunk: int | None = None,
     progress: Progress | None = None,
     simulator: Simulator | None = None,
+    devices: int | None = None,
+    team: Team | None = None,
 ) -> folder.Run:
     """Go on with an interrupted run; arguments and errors as in `rollout`."""
-    place = Path(out)
-    building = folder.reopen(place)
-    scenario = folder.read_scenario(building)
-    simulator = simulator or Simulator(scenario)
-    if simulator.scenario.model_copy(update={"tile": simulator.tile}) != scenario:
-        raise ConfigError("simulator: was made for another scenario")
-    return _Rollout(simulator, building, place, chunk, progress or Silent()).run(new=False)
+    place, team = Path(out), team or Alone()
+    with _telling(team):
+        if team.index == 0:
+            folder.reopen(place)
+        team.meet("folder")
+        scenario = folder.read_scenario(folder.partial_path(place))
+        simulator = simulator or Simulator(scenario, devices=devices)
+        if simulator.scenario.model_copy(update=_resolved(simulator)) != scenario:
+            raise ConfigError("simulator: was made for another scenario")
+        room = sizes.room(simulator, chunk)
+        return _Rollout(simulator, place, room, progress or Silent(), team).run()
+
+
+@contextmanager
+def _telling(team: Team) -> Iterator[None]:
+    """Tell the other processes if this one cannot go on, and part from them."""
+    try:
+        yield
+    except BaseException as error:
+        team.fail(str(error) or type(error).__name__)
+        team.leave()
+        raise
+
+
+def _resolved(simulator: Simulator) -> dict[str, Any]:
+    """What the simulator chose where the scenario said nothing."""
+    return {"tile": simulator.tile, "kernels": simulator.kernels}
+
+
+def _begin(simulator: Simulator, place: Path) -> None:
+    """Make the folder of a new run, with what is known before the first world."""
+    scenario, shape = simulator.scenario, sizes.shape_of(simulator)
+    resolved = scenario.model_copy(update=_resolved(simulator))
+    if scenario.time.record_hz > 0:
+        folder.require_space(place, scenario.worlds * shape.bytes_per_world())
+    building = folder.create(place)
+    try:
+        folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
+        folder.write_json(building / folder.ENVIRONMENT, describe_environment())
+        if scenario.time.record_hz > 0:
+            Recorder.create(
+                building / folder.TRAJECTORIES,
+                shape,
+                simulator.world_shape().environment,
+                tile=simulator.tile,
+                sample_dt_s=1.0 / scenario.time.record_hz,
+            )
+    except BaseException:
+        folder.remove(building)
+        raise
 
 
 class _Rollout:
-    """One run in the making."""
+    """One run in the making, or this process's share of it."""
 
     def __init__(
-        self,
-        simulator: Simulator,
-        building: Path,
-        out: Path,
-        chunk: int | None,
-        progress: Progress,
+        self, simulator: Simulator, out: Path, room: int, progress: Progress, team: Team
     ) -> None:
         self._sim = simulator
         self._scenario = simulator.scenario
-        self._building = building
+        self._building = folder.partial_path(out)
         self._out = out
+        self._room = room
         self._progress = progress
-        self._shape = _shape(simulator)
-        self._chunk_tiles = _chunk_tiles(simulator, self._shape, chunk)
+        self._team = team
+        self._shape = sizes.shape_of(simulator)
         self._recorder: Recorder | None = None
-
-    def run(self, *, new: bool) -> folder.Run:
-        """Run what is left and close the folder."""
         if self._scenario.time.record_hz > 0:
-            path = self._building / folder.TRAJECTORIES
-            dt = 1.0 / self._scenario.time.record_hz
-            self._recorder = (
-                Recorder.create(
-                    path,
-                    self._shape,
-                    self._sim.world_shape().environment,
-                    tile=self._sim.tile,
-                    sample_dt_s=dt,
-                )
-                if new
-                else Recorder.reopen(path, self._shape, tile=self._sim.tile)
+            self._recorder = Recorder.reopen(
+                self._building / folder.TRAJECTORIES, self._shape, tile=simulator.tile
             )
-        before = folder.read_parts(self._building)
-        finished = set() if before is None else set(before["world"].to_pylist())
-        self._progress.start(self._scenario.worlds, len(finished))
+
+    def run(self) -> folder.Run:
+        """Run what is left and close the folder."""
+        team = self._team
+        tiles, done = self._share()
+        total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
+        self._progress.start(done + total, done)
         self._progress.compiling()
         clock = _Clock(compile=self._sim.compile())
         self._progress.compiled(clock.compile)
-        waiting: list[_Tile] = []
-        interrupted = False
+        # Nobody writes a tile before everybody has looked which ones there are.
+        team.meet("start")
+        interrupted = self._simulate(tiles, clock)
+        figures = {
+            "devices": self._sim.devices,
+            "interrupted": interrupted,
+            "simulate_s": clock.simulate_s,
+            "disk_wait_s": clock.disk_wait_s,
+            "vehicle_steps": clock.vehicle_steps,
+        }
+        shares = team.meet("end", figures)
+        if team.index == 0:
+            self._close(clock, shares)
+        team.meet("closed")
+        return folder.Run(self._out)
+
+    def _share(self) -> tuple[list[int], int]:
+        """First worlds of this process's tiles, and the worlds that were finished before."""
+        before = folder.read_parts(self._building)
+        finished = set() if before is None else set(before["world"].to_pylist())
+        tiles = range(0, self._scenario.worlds, self._sim.tile)
+        left = [first for first in tiles if first not in finished]
+        return left[self._team.index :: self._team.count], len(finished)
+
+    def _simulate(self, tiles: list[int], clock: _Clock) -> bool:
+        """Run the tiles and write them; returns whether that was interrupted."""
+        team, interrupted = self._team, False
+        recorded = self._recorder is not None
+        writer = Writer[FinishedTile](self._write, room=self._room)
+        begun = time.perf_counter()
         try:
-            for first in range(0, self._scenario.worlds, self._sim.tile):
-                if first in finished:
-                    continue
-                waiting.append(self._run_tile(first, clock))
-                if len(waiting) == self._chunk_tiles:
-                    self._flush(waiting)
+            for finished in waves.simulate(
+                self._sim, tiles, recorded=recorded, progress=self._progress
+            ):
+                for tile in finished:
+                    seconds = float(np.sum(np.asarray(tile.end.tally.end_time_s)[: tile.kept]))
+                    clock.vehicle_steps += round(seconds / self._sim.spec.physics_dt_s)
+                    writer.put(tile)
+                team.check()
+                if team.stopping:
+                    interrupted = True
+                    break
         except KeyboardInterrupt:
             interrupted = True
-        self._flush(waiting)
-        return self._close(clock, interrupted)
+            team.stop()
+        finally:
+            clock.simulate_s = time.perf_counter() - begun
+            writer.close()
+            clock.disk_wait_s = writer.waited_s
+        return interrupted
 
-    def _run_tile(self, first: int, clock: _Clock) -> _Tile:
-        """One tile from its key to its results on the host."""
-        begun = time.perf_counter()
-        sim, kept = self._sim, min(self._sim.tile, self._scenario.worlds - first)
-        worlds = sim.worlds(first)
-        harvest.require_valid(worlds, first, kept)
-        state = sim.reset(worlds)
-        parts: list[Sample] = []
-        for i in range(sim.segments):
-            state, sample = sim.segment(worlds, state)
-            if self._recorder is not None:
-                parts.append(jax.device_get(sample))
-            outcome = np.asarray(state.tally.outcome)[:kept]
-            running = int(np.sum(outcome == Outcome.RUNNING))
-            steps = running * sim.segment_steps * sim.spec.physics_steps
-            done = running == 0
-            share = (sim.segments - i) if done else 1
-            self._progress.advance(kept * share / sim.segments, steps)
-            if done:
-                break
-        result = harvest.tile_result(worlds, state, first, kept)
-        steps = round(float(np.sum(result.end_time_s)) / sim.spec.physics_dt_s)
-        clock.simulate_s += time.perf_counter() - begun
-        clock.vehicle_steps += steps
-        return _Tile(
-            first=first,
-            episodes=results.episode_table(result, sim.variants(), self._scenario.seed),
-            arrays=harvest.arrays_of(worlds, parts, self._shape.samples, kept) if parts else {},
-            environment=jax.device_get(worlds.environment),
-        )
+    def _write(self, tile: FinishedTile) -> None:
+        """Write a finished tile; its episodes last, for they say that it is whole."""
+        try:
+            if self._recorder is not None and tile.constants.environment is not None:
+                arrays = harvest.arrays(tile, self._shape.samples)
+                self._recorder.write(tile.first, arrays, tile.constants.environment)
+            rows = results.episode_table(
+                harvest.tile_result(tile), self._sim.variants(), self._scenario.seed
+            )
+            folder.write_part(self._building, tile.first, rows)
+        except OSError as error:
+            kept = (
+                "nothing was finished before, and nothing is kept"
+                if folder.read_parts(self._building) is None
+                else f"what was finished before is in {self._building}; make room and go on "
+                "with --resume"
+            )
+            raise RunError(
+                f"--out {self._out}: writing worlds {tile.first} and on failed "
+                f"({error.strerror or error}); {kept}"
+            ) from error
 
-    def _flush(self, waiting: list[_Tile]) -> None:
-        """Write finished tiles and forget them."""
-        for tile in waiting:
-            try:
-                if self._recorder is not None:
-                    self._recorder.write(tile.first, tile.arrays, tile.environment)
-                folder.write_part(self._building, tile.first, tile.episodes)
-            except OSError as error:
-                kept = (
-                    "nothing was finished before, and nothing is kept"
-                    if folder.read_parts(self._building) is None
-                    else f"what was finished before is in {self._building}; make room and go on "
-                    "with --resume"
-                )
-                raise RunError(
-                    f"--out {self._out}: writing worlds {tile.first} and on failed "
-                    f"({error.strerror or error}); {kept}"
-                ) from error
-        waiting.clear()
-
-    def _close(self, clock: _Clock, interrupted: bool) -> folder.Run:
+    def _close(self, clock: _Clock, shares: list[dict[str, Any]]) -> None:
         """Put the results together and give the folder its name."""
         episodes = folder.read_parts(self._building)
         if episodes is None:
             folder.remove(self._building)
             raise RunError("interrupted before the first tile was finished; nothing was kept")
         done = len(set(episodes["world"].to_pylist()))
+        simulate_s = max(share["simulate_s"] for share in shares)
+        steps = sum(share["vehicle_steps"] for share in shares)
         timing = {
             "compile_s": clock.compile.total_s,
-            "simulate_s": clock.simulate_s,
+            "simulate_s": simulate_s,
+            "disk_wait_s": max(share["disk_wait_s"] for share in shares),
             "total_s": time.perf_counter() - clock.begun + clock.compile.total_s,
-            "vehicle_steps": clock.vehicle_steps,
-            "vehicle_steps_per_s": clock.vehicle_steps / max(clock.simulate_s, 1e-9),
+            "vehicle_steps": steps,
+            "vehicle_steps_per_s": steps / max(simulate_s, 1e-9),
         }
+        interrupted = any(share["interrupted"] for share in shares)
         summary = {
             "scenario": self._scenario.name,
             "engine": self._scenario.engine,
+            "kernels": self._sim.kernels,
             "seed": self._scenario.seed,
             "tile": self._sim.tile,
+            "devices": sum(share["devices"] for share in shares),
+            "processes": len(shares),
             "worlds": self._scenario.worlds,
             "worlds_done": done,
             "complete": done == self._scenario.worlds and not interrupted,
@@ -241,28 +285,4 @@ class _Rollout:
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        return folder.finish(self._building, self._out, episodes, summary)
-
-
-def _shape(simulator: Simulator) -> Shape:
-    scenario = simulator.scenario
-    world = simulator.world_shape()
-    return Shape(
-        worlds=scenario.worlds,
-        samples=simulator.samples * simulator.segments,
-        robots=len(scenario.members()),
-        thrusters=world.cascade.vehicle.B.shape[-1],
-        obstacles=world.environment.obstacles.kind.shape[-1],
-        plan_points=world.path.time_s.shape[-1],
-    )
-
-
-def _chunk_tiles(simulator: Simulator, shape: Shape, chunk: int | None) -> int:
-    """Tiles held in memory before they are written."""
-    if chunk is not None:
-        if chunk < 1:
-            raise ConfigError(f"--chunk {chunk}: must be at least 1 world")
-        return max(1, chunk // simulator.tile)
-    # A quarter of the free memory, twice the arrays: samples come in parts and are joined.
-    per_tile = 2 * simulator.tile * shape.bytes_per_world()
-    return int(np.clip(psutil.virtual_memory().available // 4 // max(per_tile, 1), 1, 64))
+        folder.finish(self._building, self._out, episodes, summary)

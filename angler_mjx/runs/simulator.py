@@ -1,35 +1,41 @@
 """A scenario made runnable: worlds from indices, and the compiled reset, step and segment.
 
-This is where ``vmap`` over worlds and ``jit`` stand. Every call works on one tile: a fixed number
-of worlds with consecutive global indices, so a run of any size compiles once, and the same tile on
-the same kind of device gives the same bytes wherever it stands in a run.
+This is where ``jit`` stands. Every call works on one tile a device: a fixed number of worlds with
+consecutive global indices, so a run of any size compiles once, and the same tile on the same kind
+of device gives the same bytes wherever it stands in a run and however many devices there are.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import NamedSharding
 
 from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.planning import grid as grid_planner
+from angler_mjx.runs import devices as on_devices
+from angler_mjx.runs.devices import (
+    EACH,
+    SAME,
+    Memory,
+    limit_bytes,
+    placed,
+    too_large,
+    tree_bytes,
+)
+from angler_mjx.runs.prepare import preparer
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.sim import engines, fleet
-from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.sim.state import Outcome, Sample, World, WorldState
 from angler_mjx.world import generate
-from angler_mjx.world.config import WorldRecipe, resolve
+from angler_mjx.world.config import resolve
 
 DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 """Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
-
-
-PREPARED_AT_ONCE = 4096
-"""Worlds drawn and planned in one go. 16,384 at once were a tenth faster on an H200, but took 209 s
-to compile instead of 39 s, and memory grows with the planner's history."""
 
 
 def default_tile(worlds: int) -> int:
@@ -37,7 +43,8 @@ def default_tile(worlds: int) -> int:
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
 
 
-type _Step = Callable[..., tuple[WorldState, Sample]]
+type Segment = tuple[WorldState, Sample, jax.Array]
+"""State after a segment, samples of it, and how many robots of each world still run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,31 +62,43 @@ class CompileTime:
 
 
 class Simulator:
-    """Compiled simulation of one scenario, a tile of worlds at a time.
+    """Compiled simulation of one scenario, a wave of tiles at a time: one tile on each device.
+
+    With one device, a wave is a tile. Every leaf that a method gives or takes has [devices * tile]
+    worlds leading, spread over the devices.
 
     Attributes:
         scenario: what is simulated.
-        tile: worlds in one call.
+        tile: worlds of one device in one call.
+        devices: number of devices.
         fleet: compiled vehicles.
         spec: settings of the simulation.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
     """
 
-    def __init__(self, scenario: Scenario, *, tile: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, *, tile: int | None = None, devices: int | None = 1
+    ) -> None:
         """Read the vehicles and put the functions together; nothing is compiled yet.
 
         Args:
             scenario: what to simulate.
             tile: worlds in one call; the scenario's, or else the device's default.
+            devices: devices to spread tiles over; all of this process if None.
 
         Raises:
-            ConfigError: a vehicle file has faults, or the fleet does not fit the world's cells.
+            ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
+                there are fewer devices.
         """
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self.spec = scenario.sim_spec()
-        self.fleet = fleet.build(scenario.members())
+        self._mesh = on_devices.mesh(devices)
+        self.devices = self._mesh.size
+        self.fleet: fleet.Fleet = jax.device_put(
+            fleet.build(scenario.members()), NamedSharding(self._mesh, SAME)
+        )
         timing = scenario.time
         self.steps_per_sample = timing.steps_per_sample or _divisor(timing.control_steps, 100)
         self.samples = (
@@ -87,25 +106,24 @@ class Simulator:
             if timing.steps_per_sample
             else 1
         )
-        recipe = resolve(scenario.world)
-        generate.check_fleet(recipe, np.asarray(fleet.radius_bound(self.fleet)))
-        self._plan = grid_planner.GridPlannerConfig(
-            horizon_s=timing.horizon_s, margin_m=scenario.planner.margin_m
+        generate.check_fleet(resolve(scenario.world), np.asarray(fleet.radius_bound(self.fleet)))
+        self._prepare_tile = preparer(scenario, self.tile)
+        self.kernels = scenario.kernels or engines.default_kernels(
+            scenario.engine, jax.default_backend()
         )
-        self._one_world = partial(_one_world, scenario, recipe, self._plan)
+        self._engine = engines.by_name(scenario.engine, self.kernels)
+        self._memory: Memory | None = None
         self._compiled = False
-        self._prepare: Callable[..., World] = jax.jit(self._prepare_tile)
-        engine = engines.by_name(scenario.engine)
-        self._reset: Callable[..., WorldState] = jax.jit(partial(engine.reset, self.spec))
-        self._step: _Step = jax.jit(partial(engine.control_step, self.spec))
-        self._segment: _Step = jax.jit(
-            partial(
-                engine.segment,
-                self.spec,
-                n_sample=self.samples,
-                steps_per_sample=self.steps_per_sample,
-            ),
-            donate_argnums=2,
+        each = partial(on_devices.on_each, self._mesh)
+        self._prepare: Callable[..., World] = jax.jit(each(self._prepare_tile, SAME, SAME, EACH))
+        self._reset: Callable[..., WorldState] = jax.jit(
+            each(partial(self._engine.reset, self.spec), SAME, EACH)
+        )
+        self._step: Callable[..., tuple[WorldState, Sample]] = jax.jit(
+            each(partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH)
+        )
+        self._segment: Callable[..., Segment] = jax.jit(
+            each(self._run_segment, SAME, EACH, EACH), donate_argnums=2
         )
 
     @property
@@ -124,23 +142,52 @@ class Simulator:
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
-        """Worlds first .. first + tile - 1: drawn, furnished and planned.
+        """Worlds first, first + 1 and on: drawn, furnished and planned.
 
         Args:
             first: global index of the first world.
             seed: instead of the scenario's.
 
         Returns:
-            World with [tile] leading on every leaf.
+            World with [devices * tile] leading on every leaf.
         """
-        number = self.scenario.seed if seed is None else seed
-        return self._prepare(self.fleet, jnp.uint32(number), jnp.uint32(first))
+        return self.wave([first + i * self.tile for i in range(self.devices)], seed=seed)
+
+    def wave(self, firsts: Sequence[int], *, seed: int | None = None) -> World:
+        """As `worlds`, with the first world of each device's tile given on its own.
+
+        Args:
+            firsts: global indices, one a device.
+            seed: instead of the scenario's.
+        """
+        number = np.uint32(self.scenario.seed if seed is None else seed)
+        return self._prepare(self.fleet, number, np.asarray(firsts, np.uint32))
 
     def world_shape(self) -> World:
-        """Shapes and types of ``worlds``, without computing any."""
-        number = jax.ShapeDtypeStruct((), jnp.uint32)
-        shapes: World = jax.eval_shape(self._prepare_tile, self.fleet, number, number)
+        """Shapes and types of one tile of worlds, without computing any."""
+
+        def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
+
+        shapes: World = jax.tree.map(of_tile, self._wave_shape)
         return shapes
+
+    @cached_property
+    def _wave_shape(self) -> World:
+        """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
+        shapes = jax.eval_shape(self._prepare, *self._seed_shapes())
+        worlds: World = placed(shapes, self._mesh, EACH)
+        return worlds
+
+    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+        """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
+        number = jax.ShapeDtypeStruct((), jnp.uint32)
+        firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
+        return (
+            placed(self.fleet, self._mesh, SAME),
+            placed(number, self._mesh, SAME),
+            placed(firsts, self._mesh, EACH),
+        )
 
     def reset(self, worlds: World) -> WorldState:
         """State of each world at t = 0."""
@@ -154,7 +201,7 @@ class Simulator:
         Args:
             worlds: from ``worlds``.
             state: from ``reset`` or the step before.
-            command: signals [tile, robot, thruster] to send instead of the cascade's.
+            command: signals [world, robot, thruster] to send instead of the cascade's.
 
         Returns:
             The next state, and the sample of the state before with its command.
@@ -165,7 +212,15 @@ class Simulator:
         """``segment_steps`` control steps; the given state's memory is used up.
 
         Returns:
-            The state after them, and samples [tile, samples, ...].
+            The state after them, and samples [world, samples, ...].
+        """
+        after, sample, _ = self.advance(worlds, state)
+        return after, sample
+
+    def advance(self, worlds: World, state: WorldState) -> Segment:
+        """As `segment`, and int32 [world]: how many robots of each are still on their way.
+
+        The count is an array of its own: it can be read after the state was used up.
         """
         return self._segment(self.fleet, worlds, state)
 
@@ -174,49 +229,58 @@ class Simulator:
 
         Returns:
             What it took; zeros if it was done before.
+
+        Raises:
+            RunError: the tile does not fit into device memory; says which one does.
         """
         if self._compiled:
             return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
-        kinds, number = self.fleet, jnp.uint32(0)
-        self._prepare, prepare_s = _compiled(self._prepare, kinds, number, number)
-        worlds = self.world_shape()
-        state = jax.eval_shape(self._reset, kinds, worlds)
-        self._reset, reset_s = _compiled(self._reset, kinds, worlds)
-        self._segment, segment_s = _compiled(self._segment, kinds, worlds, state)
+        kinds, number, firsts = self._seed_shapes()
+        worlds = self._wave_shape
+        state = placed(jax.eval_shape(self._reset, kinds, worlds), self._mesh, EACH)
+        try:
+            prepare, prepare_s = _compiled(self._prepare, kinds, number, firsts)
+            reset, reset_s = _compiled(self._reset, kinds, worlds)
+            segment, segment_s = _compiled(self._segment, kinds, worlds, state)
+        except jax.errors.JaxRuntimeError as error:
+            # There is no account yet of what the programs need: what they give is the least.
+            least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
+            self._memory = Memory(prepare=least, segment=least)
+            self.explain(error)
+            raise
+        self._memory = on_devices.analyse(prepare, reset, segment)
+        limit = limit_bytes(self._mesh.devices.flat[0])
+        if self._memory is not None and self._memory.needed > limit:
+            raise too_large(self.tile, self._memory.needed, limit, "before the first world")
+        self._prepare, self._reset, self._segment = prepare, reset, segment
         self._compiled = True
         return CompileTime(prepare_s=prepare_s, reset_s=reset_s, segment_s=segment_s)
 
-    def _prepare_tile(self, kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        index = first + jnp.arange(self.tile, dtype=jnp.uint32)
-        one = partial(self._one_world, kinds, seed)
-        if self.tile <= PREPARED_AT_ONCE:
-            return jax.vmap(one)(index)
-        worlds: World = jax.lax.map(one, index, batch_size=PREPARED_AT_ONCE)
-        return worlds
+    def explain(self, error: Exception) -> None:
+        """Turn a device's error for want of memory into one that says which tile would fit.
 
+        Raises:
+            RunError: it is one of those; others are left as they are.
+        """
+        if not on_devices.is_out_of_memory(error):
+            return
+        limit = limit_bytes(self._mesh.devices.flat[0])
+        # What failed needs more than there is, whatever the account says.
+        needed = None if self._memory is None else max(self._memory.needed, limit)
+        cause = str(error).splitlines()[0][:120]
+        raise too_large(self.tile, needed, limit, cause) from error
 
-def _one_world(
-    scenario: Scenario,
-    recipe: WorldRecipe,
-    planner: grid_planner.GridPlannerConfig,
-    kinds: fleet.Fleet,
-    seed: jax.Array,
-    index: jax.Array,
-) -> World:
-    """World ``index`` of a run: its key is the run's, folded with the global index."""
-    key = jax.random.fold_in(jax.random.key(seed), index)
-    variant, cascade, body = fleet.draw(kinds, jax.random.fold_in(key, 0))
-    environment = generate.generate(
-        recipe,
-        fleet.radius_bound(kinds),
-        jax.random.fold_in(key, 1),
-        scenario.time.horizon_s,
-        scenario.water.density_kgpm3,
-    )
-    path = grid_planner.plan(
-        environment, cascade.vehicle.radius_m, cascade.cruise_speed_mps, planner
-    )
-    return World(environment=environment, variant=variant, body=body, cascade=cascade, path=path)
+    def _run_segment(self, kinds: fleet.Fleet, worlds: World, state: WorldState) -> Segment:
+        after, sample = self._engine.segment(
+            self.spec,
+            kinds,
+            worlds,
+            state,
+            n_sample=self.samples,
+            steps_per_sample=self.steps_per_sample,
+        )
+        running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
+        return after, sample, running
 
 
 def _divisor(total: int, most: int) -> int:

@@ -53,6 +53,9 @@ FAULTS = {
     "zero worlds": (["rollout", "reef_fleet", "--worlds", "0"], "worlds"),
     "unknown vehicle": (["vehicle", "show", "bluerov9"], "bluerov9"),
     "not a run folder": (["figures", "."], "not a run folder"),
+    "too many devices": (["rollout", "open_water_current", "--devices", "99"], "--devices 99"),
+    "no devices": (["rollout", "open_water_current", "--devices", "0"], "--devices 0"),
+    "half of a shared run": (["rollout", "reef_fleet", "--processes", "2"], "--distributed"),
 }
 
 
@@ -111,8 +114,9 @@ def test_json_holds_the_documented_keys(tmp_path):
     summary = json.loads(done.stdout)
     assert sorted(summary) == sorted(
         [
-            "scenario", "engine", "seed", "tile", "worlds", "worlds_done", "complete", "robots",
-            "outcomes", "planned_rate", "time_to_goal_s", "path_length_m", "energy_j",
+            "scenario", "engine", "seed", "tile", "devices", "processes", "worlds", "worlds_done",
+            "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s", "path_length_m",
+            "energy_j",
             "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
         ]
     )  # fmt: skip

@@ -1,6 +1,8 @@
 """Whole runs: the same bytes for any chunking and after any interruption, and what they hold."""
 
 import json
+import resource
+from contextlib import contextmanager
 from dataclasses import replace
 
 import chex
@@ -128,6 +130,63 @@ def test_interrupted_at_once_leaves_nothing(scenario, simulator, tmp_path):
 
     with pytest.raises(RunError, match="interrupted"):
         rollout(scenario, out=tmp_path / "none", progress=Stop(), simulator=simulator)
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def files_restored():
+    """Afterwards files may be as large as before."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_keeps_the_finished_tiles(run, scenario, simulator, tmp_path):
+    class FillUp(Silent):
+        """Fills the disk in the last tile."""
+
+        done = 0.0
+
+        def advance(self, worlds, vehicle_steps):
+            self.done += worlds
+            if self.done > 4.5:
+                # Two kilobytes hold no array of samples, but the metadata that are written before.
+                resource.setrlimit(resource.RLIMIT_FSIZE, (2048, resource.RLIM_INFINITY))
+
+    out = tmp_path / "full"
+    with files_restored(), pytest.raises(RunError, match=r"worlds [024] and on failed") as caught:
+        rollout(scenario, out=out, progress=FillUp(), simulator=simulator)
+    assert partial_path(out).exists() == ("--resume" in str(caught.value))
+    if partial_path(out).exists():
+        assert_same(run, resume(out, simulator=simulator))
+
+
+def test_out_of_device_memory_names_the_tile_that_fits(run, scenario, simulator, tmp_path):
+    class Small(Simulator):
+        """A simulator on a device that has no room for the third tile."""
+
+        def __init__(self):
+            self.__dict__.update(simulator.__dict__)
+
+        def wave(self, firsts, *, seed=None):
+            if firsts[0] == 4:
+                raise jax.errors.JaxRuntimeError(
+                    "RESOURCE_EXHAUSTED: Out of memory allocating 1 TB"
+                )
+            return super().wave(firsts, seed=seed)
+
+    out = tmp_path / "small"
+    with pytest.raises(RunError, match="largest tile that fits is about 1 worlds"):
+        rollout(scenario, out=out, simulator=Small())
+    assert_same(run, resume(out, simulator=simulator))
+
+
+def test_a_tile_larger_than_the_memory_is_refused_before_the_first_world(scenario, tmp_path):
+    huge = scenario.model_copy(update={"worlds": 2**30, "tile": 2**30})
+    with pytest.raises(RunError, match=r"largest tile that fits is about [1-9][0-9]* worlds"):
+        rollout(huge, out=tmp_path / "huge")
     assert list(tmp_path.iterdir()) == []
 
 

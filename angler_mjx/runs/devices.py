@@ -1,0 +1,148 @@
+"""The devices of a simulation: a 1-D mesh of tiles, and whether what is asked for fits on them.
+
+Worlds do not talk to each other, so a device runs the program of one tile whatever the number of
+devices beside it: `on_each` wraps that program in ``shard_map`` and XLA is left nothing to divide.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+import psutil
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
+
+from angler_mjx.errors import ConfigError, RunError
+
+AXIS = "worlds"
+EACH = PartitionSpec(AXIS)
+"""A leaf whose leading axis is spread over the devices."""
+SAME = PartitionSpec()
+"""A leaf that every device holds whole."""
+
+USABLE = 0.95
+"""Share of the memory limit that a suggested tile fills: allocation leaves gaps."""
+
+
+def mesh(devices: int | None) -> Mesh:
+    """Devices of this process in a row.
+
+    Args:
+        devices: how many; all of them if None.
+
+    Raises:
+        ConfigError: there are fewer.
+    """
+    here = jax.local_devices()
+    wanted = len(here) if devices is None else devices
+    if not 1 <= wanted <= len(here):
+        raise ConfigError(
+            f"--devices {wanted}: there {'is' if len(here) == 1 else 'are'} {len(here)} "
+            f"({here[0].device_kind}) here; give 1 to {len(here)}"
+        )
+    return jax.make_mesh((wanted,), (AXIS,), axis_types=(AxisType.Auto,), devices=here[:wanted])
+
+
+def on_each(mesh: Mesh, function: Callable[..., Any], *specs: PartitionSpec) -> Callable[..., Any]:
+    """``function`` of one tile as a function of one tile a device.
+
+    Args:
+        mesh: from `mesh`.
+        function: of arrays; the results' leading axis is that of the tile's worlds.
+        *specs: ``EACH`` or ``SAME`` for each argument.
+    """
+    # No check of what varies over the mesh: loop carries begin as constants in the engines.
+    return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=EACH, check_vma=False)
+
+
+def placed(tree: Any, mesh: Mesh, spec: PartitionSpec) -> Any:
+    """Shapes with the sharding that they will have."""
+    sharding = NamedSharding(mesh, spec)
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), tree
+    )
+
+
+def shards(tree: Any, count: int) -> list[Any]:
+    """The parts of a spread tree on the first ``count`` devices, in the order of the mesh.
+
+    The copies to the host have begun when this returns; ``np.asarray`` of a leaf waits for its own.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    columns: list[list[jax.Array]] = [[] for _ in range(count)]
+    for leaf in leaves:
+        parts = sorted(leaf.addressable_shards, key=lambda part: part.index[0].start or 0)
+        for column, part in zip(columns, parts, strict=False):
+            part.data.copy_to_host_async()
+            column.append(part.data)
+    return [jax.tree.unflatten(structure, column) for column in columns]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """What one device needs for its tile, in bytes."""
+
+    prepare: int
+    """While worlds are made, beside what is still held of the tile before."""
+    segment: int
+    """While a segment runs, with the samples of the one before still there."""
+
+    @property
+    def needed(self) -> int:
+        """At most at any time."""
+        return max(self.prepare, self.segment)
+
+
+def analyse(prepare: Any, reset: Any, segment: Any) -> Memory | None:
+    """Memory of the compiled functions by XLA's own account; None where it gives none."""
+    parts = [function.memory_analysis() for function in (prepare, reset, segment)]
+    if any(part is None for part in parts):
+        return None
+    made, begun, run = parts
+    worlds, state = made.output_size_in_bytes, begun.output_size_in_bytes
+    sample = run.output_size_in_bytes - run.alias_size_in_bytes
+    return Memory(prepare=_total(made) + worlds + state + 2 * sample, segment=_total(run) + sample)
+
+
+def limit_bytes(device: jax.Device) -> int:
+    """Memory that one device can give: its own, or the machine's."""
+    stats = device.memory_stats() or {}
+    return int(stats.get("bytes_limit") or psutil.virtual_memory().total)
+
+
+def largest_tile(tile: int, needed: int, limit: int) -> int:
+    """Largest tile that fits, memory being proportional to the worlds."""
+    return max(int(tile * USABLE * limit / max(needed, 1)), 0)
+
+
+def too_large(tile: int, needed: int | None, limit: int, cause: str) -> RunError:
+    """The error that says what would fit."""
+    fits = 0 if needed is None else min(largest_tile(tile, needed, limit), tile - 1)
+    wants = "" if needed is None else f", {needed / 1e9:.3g} GB a device are needed"
+    advice = (
+        f"the largest tile that fits is about {fits} worlds"
+        if fits
+        else f"not one world is sure to fit; try a tile smaller than {tile}"
+    )
+    return RunError(
+        f"--tile {tile}: out of device memory ({cause}): a device has {limit / 1e9:.3g} GB{wants}; "
+        f"{advice}; the tile of an interrupted run cannot change, so begin a new one for that"
+    )
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether a run-time error of JAX says that device memory is used up."""
+    return isinstance(error, jax.errors.JaxRuntimeError) and "RESOURCE_EXHAUSTED" in str(error)
+
+
+def tree_bytes(tree: Any) -> int:
+    """Size of a tree of shapes."""
+    return sum(
+        int(np.prod(leaf.shape)) * np.dtype(leaf.dtype).itemsize for leaf in jax.tree.leaves(tree)
+    )
+
+
+def _total(part: Any) -> int:
+    whole = part.argument_size_in_bytes + part.output_size_in_bytes + part.temp_size_in_bytes
+    return int(whole - part.alias_size_in_bytes)

@@ -1,0 +1,230 @@
+"""Several processes, on one host or more, that share a run: who does what, and who is still there.
+
+They talk through the key-value store of JAX's coordinator. Every process shows a sign of life there
+from a thread of its own; one that shows none for a while, or that says it failed, ends the wait of
+all others with an error that names it.
+"""
+
+import atexit
+import json
+import threading
+import time
+from typing import Any, Protocol
+
+import jax
+from jax._src import distributed
+
+from angler_mjx.errors import ConfigError, RunError
+
+ROOT = "angler"
+BEAT_S = 2.0
+"""Between two signs of life of a process."""
+GONE_S = 60.0
+"""A process that showed none for this long is taken for dead. A busy host may be slow to answer."""
+DISCONNECT_S = 0.5
+"""From a process's last word to the end of its connection."""
+JOIN_S = 300
+"""For all processes to find the coordinator."""
+
+
+class Team(Protocol):
+    """The processes of a run."""
+
+    index: int
+    """Of this process."""
+    count: int
+
+    @property
+    def stopping(self) -> bool:
+        """Whether another process was interrupted, so that this one is to stop as well."""
+        ...
+
+    def check(self) -> None:
+        """Raise RunError if another process failed or is gone."""
+        ...
+
+    def meet(self, name: str, value: Any = None) -> list[Any]:
+        """Wait until every process is here; returns what each brought, in their order."""
+        ...
+
+    def stop(self) -> None:
+        """Ask the others to stop after what they are at."""
+        ...
+
+    def fail(self, reason: str) -> None:
+        """Tell the others that this process cannot go on."""
+        ...
+
+    def leave(self) -> None:
+        """Go apart after the last meeting; the coordinator goes last."""
+        ...
+
+
+class Alone:
+    """A team of one process."""
+
+    index, count, stopping = 0, 1, False
+
+    def check(self) -> None:
+        """See `Team`."""
+
+    def meet(self, name: str, value: Any = None) -> list[Any]:
+        """See `Team`."""
+        return [value]
+
+    def stop(self) -> None:
+        """See `Team`."""
+
+    def fail(self, reason: str) -> None:
+        """See `Team`."""
+
+    def leave(self) -> None:
+        """See `Team`."""
+
+
+def join(
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
+    *,
+    gone_s: float = GONE_S,
+) -> "Processes":
+    """Join the other processes; before JAX computes anything.
+
+    Args:
+        coordinator: host and port of process 0, "host:port".
+        processes: how many there are.
+        process: index of this one. Slurm and Open MPI tell what is left out.
+        gone_s: a process that shows no sign of life for this long is taken for dead.
+
+    Raises:
+        ConfigError: something was left out that the environment does not tell, or is wrong.
+        RunError: the others did not come in time.
+    """
+    # The others are watched here: JAX would abort them all, with finished worlds unwritten.
+    jax.config.update("jax_enable_recoverability", True)
+    # It would take SIGTERM for itself, which ends a run cleanly here.
+    jax.config.update("jax_enable_preemption_service", False)
+    try:
+        jax.distributed.initialize(coordinator, processes, process, initialization_timeout=JOIN_S)
+    except (ValueError, TypeError, IndexError) as error:
+        raise ConfigError(
+            f"--distributed: {error} Give --coordinator HOST:PORT, --processes N and --process I, "
+            "or start under Slurm or Open MPI"
+        ) from error
+    except RuntimeError as error:
+        raise RunError(
+            f"--distributed: process {process} of {processes} did not find the others at "
+            f"{coordinator} ({str(error).splitlines()[0]})"
+        ) from error
+    # Every process waits here until all have told each other their devices; after that, one may
+    # fail without another one waiting for it inside JAX.
+    jax.local_devices()
+    return Processes(distributed.global_state, gone_s)
+
+
+class Processes:
+    """A team of several processes."""
+
+    def __init__(self, state: Any, gone_s: float) -> None:
+        """Begin to show signs of life; see `join`."""
+        self.index: int = state.process_id
+        self.count: int = state.num_processes
+        self._client = state.client
+        self._gone_s = gone_s
+        self._seen: dict[int, tuple[str, float]] = {}
+        self._gone: set[int] = set()
+        self._trouble: str | None = None
+        self._stopping = False
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="angler-team", daemon=True)
+        self._thread.start()
+        # A thread inside JAX when the interpreter ends would take the process down.
+        atexit.register(self._end_watch)
+
+    @property
+    def stopping(self) -> bool:
+        """See `Team`."""
+        return self._stopping
+
+    def check(self) -> None:
+        """See `Team`."""
+        if self._trouble is not None:
+            raise RunError(
+                f"{self._trouble}; process {self.index} ends too, finished worlds are kept: go on "
+                "with --resume"
+            )
+
+    def meet(self, name: str, value: Any = None) -> list[Any]:
+        """See `Team`."""
+        self._client.key_value_set(f"{ROOT}/{name}/{self.index}", json.dumps(value))
+        while True:
+            there = self._read(name)
+            if len(there) == self.count:
+                return [json.loads(there[i]) for i in range(self.count)]
+            self.check()
+            time.sleep(0.05)
+
+    def stop(self) -> None:
+        """See `Team`."""
+        self._client.key_value_set(f"{ROOT}/stop/{self.index}", "", allow_overwrite=True)
+
+    def fail(self, reason: str) -> None:
+        """See `Team`."""
+        self._client.key_value_set(f"{ROOT}/failed/{self.index}", reason, allow_overwrite=True)
+
+    def leave(self) -> None:
+        """See `Team`."""
+        self._client.key_value_set(f"{ROOT}/left/{self.index}", "", allow_overwrite=True)
+        if self.index == 0:
+            # JAX aborts whoever is still connected when the coordinator ends.
+            while len(self._read("left").keys() | self._gone) < self.count:
+                time.sleep(0.05)
+            time.sleep(DISCONNECT_S)
+        self._end_watch()
+        jax.distributed.shutdown()
+
+    def _end_watch(self) -> None:
+        self._left.set()
+        self._thread.join()
+
+    def _read(self, name: str) -> dict[int, str]:
+        """Values under a name by process."""
+        try:
+            found = self._client.key_value_dir_get(f"{ROOT}/{name}/")
+        except jax.errors.JaxRuntimeError as error:
+            self._trouble = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
+            self._gone.add(0)
+            return {}
+        return {int(key.rsplit("/", 1)[1]): value for key, value in found}
+
+    def _watch(self) -> None:
+        """Show signs of life and look for those of the others, until this process leaves."""
+        beat = 0
+        while not self._left.is_set():
+            beat += 1
+            try:
+                self._client.key_value_set(
+                    f"{ROOT}/beat/{self.index}", str(beat), allow_overwrite=True
+                )
+            except jax.errors.JaxRuntimeError as error:
+                self._trouble = f"process 0 cannot be reached ({str(error).splitlines()[0]})"
+                return
+            self._stopping = self._stopping or bool(self._read("stop"))
+            for other, reason in self._read("failed").items():
+                self._trouble = self._trouble or f"process {other} failed: {reason}"
+            self._look_for_the_dead(self._read("beat"))
+            self._left.wait(min(BEAT_S, self._gone_s / 4))
+
+    def _look_for_the_dead(self, beats: dict[int, str]) -> None:
+        """Note who showed a new sign of life, and who has not for too long."""
+        now = time.monotonic()
+        for other in range(self.count):
+            beat = beats.get(other, "")
+            last, when = self._seen.get(other, ("", now))
+            self._seen[other] = (beat, now if beat != last else when)
+            if now - self._seen[other][1] > self._gone_s:
+                self._gone.add(other)
+                self._trouble = self._trouble or (
+                    f"process {other} is gone: no sign of life for {self._gone_s:g} s"
+                )

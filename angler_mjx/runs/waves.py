@@ -1,0 +1,146 @@
+"""The device's side of a run: waves of tiles from their keys to their results on the host.
+
+The device is always given the next thing to do before the host waits for the last one: segment
+i + 1 before the samples of segment i are taken, the next wave's worlds before this one's end is. So
+the host learns one segment late that every robot of a wave has ended; what was recorded of each
+tile is cut where that tile ended, whatever ran beside it.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from angler_mjx.runs import devices, harvest
+from angler_mjx.runs.harvest import FinishedTile
+from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim.state import Sample, World
+
+AHEAD = 2
+"""Segments that the device has been given and the host has not taken."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _InFlight:
+    """A segment that the device works on, by tile."""
+
+    number: int
+    samples: list[Sample]
+    running: list[jax.Array]
+
+
+def split(tiles: Sequence[int], devices: int) -> list[list[int]]:
+    """Tiles, given by their first worlds, in waves of up to one a device."""
+    return [list(tiles[i : i + devices]) for i in range(0, len(tiles), devices)]
+
+
+def simulate(
+    simulator: Simulator, tiles: Sequence[int], *, recorded: bool, progress: Progress
+) -> Iterator[list[FinishedTile]]:
+    """Run tiles, a wave at a time.
+
+    Args:
+        simulator: compiled.
+        tiles: first world of each.
+        recorded: whether samples are kept.
+        progress: what to tell.
+
+    Yields:
+        The finished tiles of each wave.
+
+    Raises:
+        RunError: a world cannot hold the fleet, or device memory is used up.
+    """
+    waves = split(tiles, simulator.devices)
+    try:
+        drawn = deque(_draw(simulator, firsts) for firsts in waves[:1])
+        for i, firsts in enumerate(waves):
+            flight = _Flight(simulator, firsts, recorded, progress)
+            flight.fly(drawn.popleft())
+            drawn.extend(_draw(simulator, following) for following in waves[i + 1 : i + 2])
+            yield flight.land()
+    except jax.errors.JaxRuntimeError as error:
+        simulator.explain(error)
+        raise
+
+
+def _draw(simulator: Simulator, firsts: list[int]) -> World:
+    """Worlds of a wave; devices without a tile repeat the last one, which is dropped."""
+    idle = simulator.devices - len(firsts)
+    return simulator.wave([*firsts, *firsts[-1:] * idle])
+
+
+class _Flight:
+    """One wave from its worlds to its end."""
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        firsts: list[int],
+        recorded: bool,
+        progress: Progress,
+    ) -> None:
+        self._sim = simulator
+        self._firsts = firsts
+        self._recorded = recorded
+        self._progress = progress
+        total = simulator.scenario.worlds
+        self._kept = [min(simulator.tile, total - first) for first in firsts]
+        self._parts: list[list[Sample]] = [[] for _ in firsts]
+        self._ended = [False] * len(firsts)
+        self._in_flight: deque[_InFlight] = deque()
+
+    def fly(self, worlds: World) -> None:
+        """Give the device all segments, taking the samples behind it; stop when all have ended."""
+        sim, count = self._sim, len(self._firsts)
+        self._constants = devices.shards(harvest.constants(worlds, recorded=self._recorded), count)
+        state = sim.reset(worlds)
+        for number in range(sim.segments):
+            state, sample, running = sim.advance(worlds, state)
+            self._in_flight.append(
+                _InFlight(
+                    number=number,
+                    samples=devices.shards(sample, count) if self._recorded else [],
+                    running=devices.shards(running, count),
+                )
+            )
+            if number == 0:
+                for at, first, kept in zip(self._constants, self._firsts, self._kept, strict=True):
+                    harvest.require_valid(at, first, kept)
+            if len(self._in_flight) == AHEAD:
+                self._take(self._in_flight.popleft())
+            if all(self._ended):
+                break
+        self._end = devices.shards(harvest.end(state), count)
+
+    def land(self) -> list[FinishedTile]:
+        """Take what is still in flight, and the end."""
+        while self._in_flight:
+            self._take(self._in_flight.popleft())
+        return [
+            FinishedTile(
+                first=first,
+                kept=self._kept[i],
+                constants=jax.tree.map(np.asarray, self._constants[i]),
+                end=jax.tree.map(np.asarray, self._end[i]),
+                parts=self._parts[i],
+            )
+            for i, first in enumerate(self._firsts)
+        ]
+
+    def _take(self, segment: _InFlight) -> None:
+        """Samples of a segment, of those tiles that had not ended before it."""
+        sim = self._sim
+        for i, kept in enumerate(self._kept):
+            if self._ended[i]:
+                continue
+            if self._recorded:
+                self._parts[i].append(jax.tree.map(np.asarray, segment.samples[i]))
+            running = int(np.asarray(segment.running[i])[:kept].sum())
+            self._ended[i] = running == 0
+            share = sim.segments - segment.number if running == 0 else 1
+            steps = running * sim.segment_steps * sim.spec.physics_steps
+            self._progress.advance(kept * share / sim.segments, steps)

@@ -1,0 +1,31 @@
+"""Runs the same scenario on 1, 2, 4 and 8 devices; a process of its own, for they are forced.
+
+Arguments: scenario file, folder for the runs. Prints the compiled segment of the last simulator.
+"""
+
+import sys
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.rollout import rollout
+from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.runs.simulator import Simulator
+
+
+def main(scenario_file, out):
+    scenario = load_scenario(scenario_file)
+    for devices in (1, 2, 4, 8):
+        simulator = Simulator(scenario, devices=devices)
+        simulator.compile()
+        for chunk in (2, 100) if devices == 2 else (100,):
+            name = f"{devices}_devices_{chunk}"
+            rollout(scenario, out=out / name, chunk=chunk, simulator=simulator)
+    print(simulator._segment.as_text())
+    try:
+        Simulator(scenario, devices=9)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
