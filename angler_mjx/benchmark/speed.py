@@ -1,24 +1,27 @@
-"""Speed of a scenario on this device: drawing and planning worlds, and simulating them.
+"""What a measurement of speed is: a row, how its calls are timed, and the file that keeps it.
 
-What is timed is said with every row. The simulation is timed in its first seconds, while all robots
-move; a result with NaN in it is refused.
+A row is one JSON line. It holds what was timed, where, and what the device itself can do, so that a
+number can be judged without asking who measured it. A row without a number says why it has none.
 """
 
 import json
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jax import monitoring
 
-from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
-from angler_mjx.runs.scenario import Scenario
-from angler_mjx.runs.simulator import Simulator
-from angler_mjx.sim.state import Outcome
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.provenance import peak_memory_bytes
+
+MIN_REPEATS = 10
+"""Fewer tell little about the spread."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,131 +34,145 @@ class Row:
     worlds: int
     robots: int
     unit: str
-    median: float
-    low: float
-    high: float
-    """Median, least and greatest rate over the repeats, in ``unit``."""
+    median: float | None
+    low: float | None
+    high: float | None
+    """Median, least and greatest rate over the repeats, in ``unit``; None if it was refused."""
     repeats: int
-    compile_s: float
+    compile_s: float | None
+    cached_programs: int = 0
+    """How many programs came out of the compile cache: above 0, ``compile_s`` is not the whole."""
+    devices: int = 1
+    """Each of them has ``worlds``; the rate is that of all together."""
+    engine: str | None = None
+    kernels: str | None = None
+    flops: float | None = None
+    """Floating-point operations for one of ``unit``; None where they cannot be counted."""
+    flops_from: str | None = None
+    """Which program they were counted in, or why they were not."""
+    least_bytes: float | None = None
+    """Device memory for one of ``unit`` that has to move whatever the program does between: its
+    arguments read once, its results written once."""
+    program_bytes: int | None = None
+    """Device memory of the program by XLA's account: arguments, results and temporaries."""
+    device_peak_bytes: int | None = None
+    """Most device memory in use in this process so far."""
+    host_peak_bytes: int = field(default_factory=peak_memory_bytes)
+    """Most host memory in use in this process so far."""
+    active_share: float | None = None
+    """Share of the counted steps in all that the robots could have lived in the timed region."""
+    refused: str | None = None
+    """Why there is no number."""
+    out_of_memory: bool = False
+    """Whether that was for want of memory."""
+    at_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
 
 
-def measure(scenario: Scenario, *, worlds: int, repeats: int) -> list[Row]:
-    """Time one scenario.
-
-    Args:
-        scenario: what to simulate; ``worlds`` of it in one tile.
-        worlds: worlds in one device call.
-        repeats: timed calls of each kind, after one that is not timed.
-
-    Returns:
-        A row for drawing and planning worlds (worlds/s), and one for simulating them
-        (vehicle-steps/s: physics steps of all robots).
+def check_repeats(repeats: int) -> None:
+    """Refuse to measure without a spread.
 
     Raises:
-        ConfigError: fewer than one repeat.
-        RunError: a result is not finite, or not every robot moved all the time.
+        ConfigError: there would be too few repeats.
     """
-    if repeats < 1:
-        raise ConfigError(f"--repeats {repeats}: must be at least 1")
-    simulator = Simulator(scenario, tile=worlds)
-    compiled = simulator.compile()
-    robots = len(scenario.members())
-    prepare = _seconds(lambda i: simulator.worlds(i * worlds), repeats)
-    tile = simulator.worlds(0)
-    steps = worlds * robots * simulator.segment_steps * simulator.spec.physics_steps
-
-    def simulate(_: int) -> Any:
-        return simulator.segment(tile, fresh.pop())
-
-    fresh = [simulator.reset(tile) for _ in range(repeats + 1)]
-    jax.block_until_ready(fresh)
-    segment = _seconds(simulate, repeats, check=_require_moving)
-    seconds = simulator.segment_steps * simulator.spec.control_dt_s
-    return [
-        _row(
-            "worlds",
-            "drawing cells, obstacles, currents, starts and goals; planning all robots",
-            scenario,
-            worlds,
-            compiled.prepare_s,
-            "worlds/s",
-            [worlds / s for s in prepare],
-        ),
-        _row(
-            "simulation",
-            f"{seconds:g} s of simulated time from the start: current, water, MJX, control, "
-            "obstacles, detection, samples left on the device",
-            scenario,
-            worlds,
-            compiled.segment_s,
-            "vehicle-steps/s",
-            [steps / s for s in segment],
-        ),
-    ]
+    if repeats < MIN_REPEATS:
+        raise ConfigError(
+            f"--repeats {repeats}: must be at least {MIN_REPEATS}, for a median and a spread"
+        )
 
 
-def record(rows: list[Row], out: Path) -> None:
-    """Append rows to a JSON-lines file, each with device, versions and commit.
+def seconds_of(call: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    """Wall time until the result of a call is complete on the device, and the result."""
+    begun = time.perf_counter()
+    result = jax.block_until_ready(call(*arguments))
+    return time.perf_counter() - begun, result
+
+
+def spread(rates: list[float]) -> dict[str, Any]:
+    """The fields of a row that come from the rates of its repeats."""
+    return {
+        "median": float(np.median(rates)),
+        "low": min(rates),
+        "high": max(rates),
+        "repeats": len(rates),
+    }
+
+
+@cache
+def cache_hits() -> list[int]:
+    """One number: programs that came out of the compile cache since this was first called."""
+    hits = [0]
+
+    def count(event: str, **_: Any) -> None:
+        hits[0] += event == "/jax/compilation_cache/cache_hits"
+
+    monitoring.register_event_listener(count)
+    return hits
+
+
+def peak_device_bytes() -> int | None:
+    """Most memory of the first device in use so far; None where the backend does not say."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    peak = stats.get("peak_bytes_in_use")
+    return None if peak is None else int(peak)
+
+
+def record(row: Row, around: dict[str, Any], out: Path) -> None:
+    """Append a row to a JSON-lines file.
+
+    Args:
+        row: what was measured.
+        around: device, versions and commit.
+        out: file; made if there is none.
 
     Raises:
         ConfigError: the file cannot be written.
     """
-    around = {**describe_environment(), "peak_host_memory_bytes": peak_memory_bytes()}
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("a", encoding="utf-8") as file:
-            for row in rows:
-                file.write(json.dumps({**asdict(row), **around}) + "\n")
+            file.write(json.dumps({**asdict(row), **around}, allow_nan=False) + "\n")
     except OSError as error:
         raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
 
 
-def _row(
-    name: str,
-    inside: str,
-    scenario: Scenario,
-    worlds: int,
-    compile_s: float,
-    unit: str,
-    rates: list[float],
-) -> Row:
-    return Row(
-        workload=f"{scenario.engine}/{scenario.name}/{name}",
-        inside=inside,
-        worlds=worlds,
-        robots=len(scenario.members()),
-        unit=unit,
-        median=float(np.median(rates)),
-        low=min(rates),
-        high=max(rates),
-        repeats=len(rates),
-        compile_s=compile_s,
-    )
+def read(path: Path) -> list[dict[str, Any]]:
+    """All rows of a file, oldest first, each with all fields of `Row` and where it was measured.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line of it is no row.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return list(_rows(text, path))
 
 
-def _seconds(
-    call: Callable[[int], Any], repeats: int, check: Callable[[Any], None] | None = None
-) -> list[float]:
-    """Wall time of ``repeats`` calls, each blocked on its result, after one untimed call."""
-    jax.block_until_ready(call(0))
-    taken = []
-    for i in range(1, repeats + 1):
-        start = time.perf_counter()
-        result = jax.block_until_ready(call(i))
-        taken.append(time.perf_counter() - start)
-        if check is not None:
-            check(result)
-    return taken
+def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
+    absent = {name: None for name in Row.__dataclass_fields__} | {
+        "out_of_memory": False,
+        "devices": 1,
+    }
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            found = json.loads(line)
+            row = absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
+            row["worlds"], row["robots"] = int(found["worlds"]), int(found["robots"])
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigError(
+                f"{path}, line {number}: is no row of a benchmark ({error})"
+            ) from error
+        yield row
 
 
-def _require_moving(result: Any) -> None:
-    """Refuse a timed segment with a NaN in it, or with robots that had ended before it did."""
-    state, sample = result
-    if not np.isfinite(np.asarray(sample.p)).all():
-        raise RunError("the timed run holds NaN: no number is given")
-    running = float(np.mean(np.asarray(state.tally.outcome) == Outcome.RUNNING))
-    if running < 0.9:
-        raise RunError(
-            f"only {running:.0%} of the robots were still on their way at the end of the timed "
-            "region: no number is given"
-        )
+def _renamed(workload: str) -> dict[str, Any]:
+    """Rows of the first version named the engine in the workload, and no kernels."""
+    engine, _, rest = workload.partition("/")
+    name, _, part = rest.partition("/")
+    if engine != "mjx" or part not in ("simulation", "worlds"):
+        return {}
+    if part == "worlds":
+        return {"workload": f"preparation/{name}"}
+    return {"workload": name, "engine": engine, "kernels": "xla"}

@@ -1,46 +1,183 @@
-"""`angler bench`: how fast this machine is, as a table and as JSON lines."""
+"""`angler bench`: how fast this machine is, as a table and as JSON lines; and what became of it."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from angler_mjx.cli.device import Device, choose
+from angler_mjx.errors import ConfigError, RunError
+
+if TYPE_CHECKING:
+    from angler_mjx.benchmark.speed import Row
+
+RESULTS = Path("benchmarks/results.jsonl")
+CHART = Path("docs/images/performance.png")
 
 
 def bench(
-    scenario: str = "reef_fleet",
-    worlds: int = 256,
+    workload: tuple[str, ...] = (),
+    worlds: tuple[int, ...] = (),
+    robots: tuple[int, ...] = (),
+    engine: Literal["mjx", "fused"] | None = None,
+    kernels: Literal["xla", "triton"] | None = None,
+    profile: Literal["quick", "full", "paper"] = "quick",
     repeats: int = 10,
     device: Device | None = None,
-    out: Path = Path("benchmarks/results.jsonl"),
+    devices: int = 1,
+    out: Path | None = None,
+    compare: tuple[str, str] | None = None,
+    chart: Path | None = None,
+    table: Path | None = None,
 ) -> None:
-    """Measure how fast worlds are drawn, planned and simulated on this machine.
+    """Measure how fast this machine is; or compare, draw or tabulate what was measured.
 
     Args:
-        scenario: Name of a shipped scenario, or path of a scenario file.
-        worlds: Worlds in one device call.
-        repeats: Timed calls; median, least and greatest are given.
+        workload: closed_loop_8, reef_fleet, mjx, preparation, env_generation, clearance, or
+            scenarios by name or path; the profile's if left out.
+        worlds: Worlds in one device call; one row for each number.
+        robots: Robots in each world; the workload's own if left out.
+        engine: Engine of the simulations; the workload's own if left out.
+        kernels: What the fused engine is compiled by.
+        profile: Workloads and sizes where none are given: quick takes minutes on a laptop, full
+            and paper want a GPU.
+        repeats: Timed calls of each row, at least 10.
         device: Where to compute; JAX's choice if left out.
-        out: File to which one JSON line a row is appended.
+        devices: Devices for the simulations; each has as many worlds as are asked for.
+        out: File to write: of rows (appended; benchmarks/results.jsonl if left out), the picture
+            of --chart, or the document of --table.
+        compare: Two files of rows, or two commits with rows in --out: print second over first.
+        chart: Draw a file of rows.
+        table: Print a file of rows as Markdown, or put it into the document --out.
     """
-    choose(device)
+    if [compare, chart, table].count(None) < 2:
+        raise ConfigError("--compare, --chart, --table: give one of them")
+    if compare is not None:
+        _compare(*compare, out or RESULTS)
+    elif chart is not None:
+        _chart(chart, out or CHART)
+    elif table is not None:
+        _table(table, out)
+    else:
+        choose(device)
+        from angler_mjx.benchmark.workloads import Request
+
+        asked = Request(
+            profile=profile,
+            workloads=workload,
+            worlds=worlds,
+            robots=robots,
+            engine=engine,
+            kernels=kernels,
+            repeats=repeats,
+            devices=devices,
+        )
+        _measure(asked, out or RESULTS)
+
+
+def _measure(asked: Any, out: Path) -> None:
+    from rich.console import Console
+
+    from angler_mjx.benchmark import measuring, roofline, workloads
+    from angler_mjx.benchmark.report import around, complete
+    from angler_mjx.benchmark.speed import record
+
+    chosen = workloads.cases(asked)
+    console = Console(stderr=True)
+    console.print("the device itself ...", style="dim")
+    device = roofline.measure()
+    print(
+        f"device: copies {device.copy_bytes_per_s:.3g} bytes/s, "
+        f"{device.fma_flops_per_s:.3g} multiply-add flops/s, both measured"
+    )
+    about = around(device)
+
+    def begin(case: Any) -> None:
+        console.print(f"{case.label}, {case.worlds} x {case.robots} ...", style="dim")
+
+    rows = []
+    for row in measuring.run(chosen, begin):
+        record(row, {**about, **complete(row, device)}, out)
+        rows.append(row)
+    _show(rows, device)
+    print(out)
+    refused = [row for row in rows if row.refused and not row.out_of_memory]
+    if refused:
+        raise RunError(f"{len(refused)} of {len(rows)} rows were refused; the reasons stand above")
+
+
+def _show(rows: "list[Row]", device: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.benchmark import speed
-    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.benchmark.report import complete
 
-    loaded = load_scenario(scenario)
-    rows = speed.measure(loaded, worlds=worlds, repeats=repeats)
-    speed.record(rows, out)
-    table = Table("workload", "worlds x robots", "median (spread)", "compile")
-    for row in rows:
-        table.add_row(
-            row.workload,
-            f"{row.worlds} x {row.robots}",
-            f"{row.median:.2e} {row.unit} ({(row.high - row.low) / row.median:.0%})",
-            f"{row.compile_s:.1f} s",
-        )
+    shown = Table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
-    console.print(table)
     for row in rows:
-        console.print(f"{row.workload}: timed is {row.inside}", highlight=False)
+        engine = "/".join(part for part in (row.engine, row.kernels) if part)
+        size = _size(row)
+        if row.median is None or row.low is None or row.high is None:
+            shown.add_row(f"{row.workload}\n{engine}", size, "refused, see below", "", "")
+            continue
+        share = complete(row, device)["share_of_bound"]
+        shown.add_row(
+            f"{row.workload}\n{engine}",
+            size,
+            f"{row.median:.2e} ({(row.high - row.low) / row.median:.0%})\n{row.unit}",
+            "" if share is None else f"{share:.1%}",
+            _compiled(row),
+        )
+    console.print(shown)
+    said = dict.fromkeys(f"{row.workload}: timed is {row.inside}" for row in rows if row.inside)
+    refusals = [f"{r.workload}, {r.worlds} x {r.robots}: {r.refused}" for r in rows if r.refused]
+    for line in [*said, *refusals]:
+        console.print(line, highlight=False)
+
+
+def _size(row: Any) -> str:
+    """Worlds and robots of a row or a ratio."""
+    size = f"{row.worlds:,} x {row.robots}"
+    return size if row.devices == 1 else f"{row.devices} devices x {size}"
+
+
+def _compiled(row: "Row") -> str:
+    if row.compile_s is None:
+        return ""
+    return f"{row.compile_s:.1f} s" + (" (cached)" if row.cached_programs else "")
+
+
+def _compare(a: str, b: str, results: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.benchmark.compare import compare
+
+    shown = Table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
+    for row in compare(a, b, results):
+        engine = "/".join(part for part in (row.engine, row.kernels) if part)
+        shown.add_row(
+            f"{row.workload} {engine}".strip(),
+            _size(row),
+            f"{row.before:.2e} {row.unit}",
+            f"{row.after:.2e} {row.unit}",
+            f"{row.ratio:.3f}",
+            f"{row.low:.2f} to {row.high:.2f}" + ("" if row.beyond_spread else ": no difference"),
+        )
+    Console().print(shown)
+
+
+def _chart(rows: Path, out: Path) -> None:
+    from angler_mjx.benchmark import chart
+    from angler_mjx.viewing import style
+
+    style.save(chart.draw(rows), out)
+    print(out)
+
+
+def _table(rows: Path, out: Path | None) -> None:
+    from angler_mjx.benchmark import chart
+
+    if out is None:
+        print(chart.table(rows))
+        return
+    chart.write_table(rows, out)
     print(out)

@@ -376,7 +376,7 @@ def _scene(fleet: Fleet, worlds: World) -> _Scene:
         obstacles=obstacles,
         reach=lane_steps.reach(obstacles),
         n_robot=environment.start_m.shape[1],
-        n_obstacle=environment.obstacles.kind.shape[1],
+        n_obstacle=environment.obstacles.kind.shape[1] if environment.obstacles.kinds else 0,
     )
 
 

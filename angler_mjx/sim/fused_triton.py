@@ -3,8 +3,7 @@
 Four kernels make a control step: controller, physics steps, obstacles, and detection with the
 tally. A program works on neighbouring worlds of one robot of the fleet; its state stays in
 registers over all physics steps of the control period, and it writes the record itself. Other
-shapes are read from memory, so fleets of any size fit. Robots of one vehicle share a program. This
-file is the only one that knows Triton.
+shapes are read from memory, so fleets of any size fit. Robots of one vehicle share a program.
 """
 
 from collections.abc import Callable
@@ -15,18 +14,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton as plt
 
 from angler_kernels import clearance, lanes
 from angler_mjx.control.cascade import CascadeParams
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.sim import episode, lane_steps
+from angler_mjx.sim import episode, lane_steps, triton
 from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.fused import FusedEngine, grid_shape
 from angler_mjx.sim.lane_steps import Cells, Met, Others
-from angler_mjx.sim.planes import Layout, is_table, typed
+from angler_mjx.sim.planes import Layout, Shelf, is_table, typed
 from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.obstacle_types import bounding_radius
@@ -204,7 +201,18 @@ class TritonEngine:
         steps_per_sample: int,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, None)
+
+        def plain(fleet: Fleet, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
+            return FusedEngine().segment(
+                spec, fleet, worlds, state, n_sample=n_sample, steps_per_sample=steps_per_sample
+            )
+
+        def fast(fleet: Fleet, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
+            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, None)
+
+        both = triton.with_gradient_of(plain, fast)
+        after: tuple[WorldState, Sample] = both(fleet, worlds, state)
+        return after
 
     def _segment(
         self,
@@ -239,6 +247,7 @@ class _Scene:
         self._dtype = environment.start_m.dtype
         self._worlds, self._robots = environment.start_yaw_rad.shape
         self._obstacles = environment.obstacles.kind.shape[1]
+        self._some_obstacle = bool(environment.obstacles.kinds)
         self._grid = grid_shape(environment)
         self._groups = fleet.groups
         self._bank, self._fleet_data = _Bank.of(fleet, self._dtype)
@@ -287,106 +296,104 @@ class _Scene:
         self._tally, tally = self._pack(state.tally, 2)
         self._body_state, bodies = self._pack(state.obstacles, 2)
         self._signals = [] if command is None else [self._pack(command.pwm_us, 2)]
-        ahead = max(n for n in range(1, AHEAD + 1) if steps_per_sample % n == 0)
-        scratch = [self._zeros(layout) for layout in (self._order, self._deed)]
-        track = self._zeros(self._drift, ahead)
-        shelves = (self._said, self._moved, self._seen)
-        records = [self._zeros(layout, n_sample) for layout in shelves]
+        self._every = steps_per_sample
+        self._ahead = max(n for n in range(1, AHEAD + 1) if steps_per_sample % n == 0)
+        self._first = state.step[:1]
+        said, moved, seen = (
+            self._shelf(x, n_sample) for x in (self._said, self._moved, self._seen)
+        )
+        self._shelves = said, moved, seen
+        track = jnp.zeros(self._ahead * self._drift.planes * self._drift.lanes, self._dtype)
+        scratch = [self._zeros(self._order), self._zeros(self._deed), track]
+        records = [jnp.zeros(shelf.size, self._dtype) for shelf in self._shelves]
 
-        def one(carry: Any, clock: jax.Array) -> tuple[Any, None]:
-            step, robots, memory, tally, bodies, (order, deed, track), (said, moved, seen) = carry
-            clock = clock.at[0].add(step)
+        def one(carry: Any, _: None) -> tuple[Any, None]:
+            count, robots, memory, tally, bodies, (order, deed, track), (said, moved, seen) = carry
             for group in self._groups:
-                memory, order, said = self._control(group, clock, robots, memory, order, said)
-                robots, deed, moved = self._move(group, clock, robots, tally, order, deed, moved)
+                memory, order, said = self._control(group, count, robots, memory, order, said)
+                robots, deed, moved = self._move(group, count, robots, tally, order, deed, moved)
             for group in self._groups:
-                tally = self._judge(group, clock, robots, track, order, deed, tally)
+                tally = self._judge(group, count, robots, track, order, deed, tally)
             scratch, records = [order, deed, track], [said, moved, seen]
-            return (step, robots, memory, tally, bodies, scratch, records), None
+            return (count + 1, robots, memory, tally, bodies, scratch, records), None
 
-        def some(carry: Any, begun: jax.Array) -> tuple[Any, None]:
-            step, robots, memory, tally, bodies, (order, deed, track), (said, moved, seen) = carry
-            # now, steps since the sample, steps since the obstacles went ahead, sample
-            number = (step - first) // steps_per_sample
-            clock = jnp.array([1, 1, 1, 0]) * jnp.arange(ahead)[:, None]
-            clock = clock + jnp.stack([jnp.zeros_like(step), begun, jnp.zeros_like(step), number])
-            if self._obstacles:
-                start = jnp.stack([step, begun, 0 * step, number])
-                bodies, track, seen = self._go_ahead(start, ahead, bodies, track, seen)
+        def some(carry: Any, _: None) -> tuple[Any, None]:
+            count, robots, memory, tally, bodies, (order, deed, track), (said, moved, seen) = carry
+            if self._some_obstacle:
+                bodies, track, seen = self._go_ahead(count, bodies, track, seen)
             scratch, records = [order, deed, track], [said, moved, seen]
-            carry = (step, robots, memory, tally, bodies, scratch, records)
-            carry, _ = jax.lax.scan(one, carry, clock.astype(jnp.int32))
-            return (step + ahead, *carry[1:]), None
+            carry = (count, robots, memory, tally, bodies, scratch, records)
+            return jax.lax.scan(one, carry, length=self._ahead)
 
-        def recorded(carry: Any, _: None) -> tuple[Any, Any]:
-            begun = jnp.arange(0, steps_per_sample, ahead, dtype=jnp.int32)
-            return jax.lax.scan(some, carry, begun)
-
-        scratch.append(track)
-        first = state.step[0]
-        start = (first, robots, memory, tally, bodies, scratch, records)
-        end, _ = jax.lax.scan(recorded, start, length=n_sample)
-        step, robots, memory, tally, bodies, _, records = end
+        start = (jnp.zeros_like(self._first), robots, memory, tally, bodies, scratch, records)
+        chunks = n_sample * steps_per_sample // self._ahead
+        end, _ = jax.lax.scan(some, start, length=chunks)
+        count, robots, memory, tally, bodies, _, records = end
         of_robot = (self._worlds, self._robots)
         of_body = (self._worlds, self._obstacles)
-        said = self._said.unpack(records[0].reshape(n_sample, -1), of_robot)
-        moved = self._moved.unpack(records[1].reshape(n_sample, -1), of_robot)
-        seen = self._seen.unpack(records[2].reshape(n_sample, -1), of_body)
+        robot_said, robot_moved, body_seen = (
+            shelf.unpack(record) for shelf, record in zip(self._shelves, records, strict=True)
+        )
         after = WorldState(
             vehicles=self._vehicle.unpack(robots, of_robot),
             carry=self._memory.unpack(memory, of_robot),
             obstacles=self._body_state.unpack(bodies, of_body),
             tally=self._tally.unpack(tally, of_robot),
-            step=jnp.full_like(state.step, step),
+            step=state.step + count,
         )
-        return after, Sample(**vars(said), **vars(moved), **vars(seen))
+        if not self._some_obstacle:  # rows of padding stay where they are
+            body_seen = _ObstacleRecord(
+                obstacle_p=_repeated(state.obstacles.p, n_sample),
+                obstacle_q=_repeated(state.obstacles.q, n_sample),
+            )
+        return after, Sample(**vars(robot_said), **vars(robot_moved), **vars(body_seen))
 
     def _control(
-        self, group: Group, clock: Any, robots: Any, memory: Any, order: Any, said: Any
+        self, group: Group, count: Any, robots: Any, memory: Any, order: Any, said: Any
     ) -> Any:
         """The controller of one control step, and its record."""
 
         def kernel(*refs: Any) -> None:
-            clock, bank, robot, state, *command, _, _, _, memory, order, said = refs
-            _, lane, _, store = self._place(group.first)
-            constants = self._robot.read(_loader(robot), lane)
+            _, count, bank, robot, state, *command, _, _, _, memory, order, said = refs
+            row, lane, at, store = self._place(group.first)
+            constants = self._robot.read(triton.loader(robot), lane)
             carry, decision = lane_steps.control_robots(
                 self._spec,
                 self._params(bank, group, constants),
                 constants.path,
-                self._vehicle.read(_loader(state), lane),
-                self._memory.read(_loader(memory), lane),
-                self._signals[0][0].read(_loader(command[0]), lane) if command else None,
+                self._vehicle.read(triton.loader(state), lane),
+                self._memory.read(triton.loader(memory), lane),
+                self._signals[0][0].read(triton.loader(command[0]), lane) if command else None,
             )
 
-            @pl.when(clock[1] == 0)
             def record_control() -> None:
                 record = _ControlRecord(pwm_us=decision.pwm_us, target_m=decision.target_m)
-                self._said.write(store(said), _shelf(self._said, clock) + lane, record)
+                self._shelves[0].write(store(said), count[0] // self._every, row, at, record)
+
+            triton.when(count[0] % self._every == 0, record_control)
 
             self._memory.write(store(memory), lane, carry)
             given = _Order(thrust_n=decision.thrust_n, power_w=decision.power_w)
             self._order.write(store(order), lane, given)
 
         command = [data for _, data in self._signals]
-        constant = [clock, self._fleet_data, self._robot_data, robots, *command]
+        constant = [self._first, count, self._fleet_data, self._robot_data, robots, *command]
         return self._run(kernel, group.count, constant, [memory, order, said])
 
     def _move(
-        self, group: Group, clock: Any, robots: Any, tally: Any, order: Any, deed: Any, moved: Any
+        self, group: Group, count: Any, robots: Any, tally: Any, order: Any, deed: Any, moved: Any
     ) -> Any:
         """The physics of one control step; the record of its beginning."""
 
         def kernel(*refs: Any) -> None:
-            clock, bank, robot, world, tally, order, _, _, _, state, deed, moved = refs
-            _, lane, at, store = self._place(group.first)
-            params = self._params(bank, group, self._robot.read(_loader(robot), lane))
-            current = self._world.read(_loader(world), at).current
-            before = self._vehicle.read(_loader(state), lane)
-            outcome = self._tally.read(_loader(tally), lane).outcome
-            t = self._time(clock)
+            first, count, bank, robot, world, tally, order, _, _, _, state, deed, moved = refs
+            row, lane, at, store = self._place(group.first)
+            params = self._params(bank, group, self._robot.read(triton.loader(robot), lane))
+            current = self._world.read(triton.loader(world), at).current
+            before = self._vehicle.read(triton.loader(state), lane)
+            outcome = self._tally.read(triton.loader(tally), lane).outcome
+            t = self._time(first, count)
 
-            @pl.when(clock[1] == 0)
             def record_motion() -> None:
                 record = _MotionRecord(
                     p=before.p,
@@ -395,59 +402,70 @@ class _Scene:
                     current_mps=lane_steps.flow_at(current, before.p, t),
                     outcome=outcome,
                 )
-                self._moved.write(store(moved), _shelf(self._moved, clock) + lane, record)
+                self._shelves[1].write(store(moved), count[0] // self._every, row, at, record)
 
-            thrust = self._order.read(_loader(order), lane).thrust_n
+            triton.when(count[0] % self._every == 0, record_motion)
+
+            thrust = self._order.read(triton.loader(order), lane).thrust_n
             after, broken = lane_steps.move_robots(
                 self._spec, params.vehicle, current, before, outcome, thrust, t
             )
             self._deed.write(store(deed), lane, _Deed(before_m=before.p, broken=broken))
             self._vehicle.write(store(state), lane, after)
 
-        constant = [clock, self._fleet_data, self._robot_data, self._world_data, tally, order]
+        constant = [
+            self._first,
+            count,
+            self._fleet_data,
+            self._robot_data,
+            self._world_data,
+            tally,
+            order,
+        ]
         return self._run(kernel, group.count, constant, [robots, deed, moved])
 
-    def _go_ahead(self, clock: Any, steps: int, bodies: Any, track: Any, seen: Any) -> Any:
+    def _go_ahead(self, count: Any, bodies: Any, track: Any, seen: Any) -> Any:
         """Control steps of the obstacles, which no robot can change, and their record.
 
         The track holds where they are after each step.
         """
 
         def kernel(*refs: Any) -> None:
-            clock, body, world, cells, *_, state, track, seen = refs
-            _, lane, at, store = self._place(0)
-            start = self._body_state.read(_loader(state), lane)
-            water = self._world.read(_loader(world), at)
-            given = self._body.read(_loader(body), lane).given
+            first, count, body, world, cells, *_, state, track, seen = refs
+            row, lane, at, store = self._place(0)
+            start = self._body_state.read(triton.loader(state), lane)
+            water = self._world.read(triton.loader(world), at)
+            given = self._body.read(triton.loader(body), lane).given
             ground = self._ground(water, cells, at)
 
-            @pl.when(clock[1] == 0)
             def record_obstacle() -> None:
                 record = _ObstacleRecord(obstacle_p=start.p, obstacle_q=start.q)
-                self._seen.write(store(seen), _shelf(self._seen, clock) + lane, record)
+                self._shelves[2].write(store(seen), count[0] // self._every, row, at, record)
+
+            triton.when(count[0] % self._every == 0, record_obstacle)
 
             def one(i: jax.Array, now: Any) -> Any:
-                t = (clock[0] + i).astype(self._dtype) * self._spec.control_dt_s
+                t = (first[0] + count[0] + i).astype(self._dtype) * self._spec.control_dt_s
                 after = lane_steps.advance_obstacles(
                     self._spec, self._grid, given, now, water.current, ground, t
                 )
                 there = _Drift(p=after.p, q=after.q, v=lane_steps.velocity(after.q, after.nu))
-                self._drift.write(store(track), self._ahead(i) + lane, there)
+                self._drift.write(store(track), self._step(i) + lane, there)
                 return after
 
-            self._body_state.write(store(state), lane, lanes.repeat(steps, one, start))
+            self._body_state.write(store(state), lane, lanes.repeat(self._ahead, one, start))
 
-        constant = [clock, self._body_data, self._world_data, self._cell_data]
+        constant = [self._first, count, self._body_data, self._world_data, self._cell_data]
         return self._run(kernel, self._obstacles, constant, [bodies, track, seen])
 
-    def _ahead(self, i: jax.Array) -> jax.Array:
+    def _step(self, i: jax.Array) -> jax.Array:
         """Where in the track step i begins."""
         return i * (self._drift.planes * self._drift.lanes)
 
     def _judge(
         self,
         group: Group,
-        clock: Any,
+        count: Any,
         robots: Any,
         track: Any,
         order: Any,
@@ -457,7 +475,21 @@ class _Scene:
         """Detection and tally of one control step."""
 
         def kernel(*refs: Any) -> None:
-            clock, bank, robot, body_ref, world, cells, state, track, order, deed, _, tally = refs
+            (
+                first,
+                count,
+                bank,
+                robot,
+                body_ref,
+                world,
+                cells,
+                state,
+                track,
+                order,
+                deed,
+                _,
+                tally,
+            ) = refs
             row, lane, at, store = self._place(group.first)
 
             def robots_of(other: Group) -> Others:
@@ -465,50 +497,58 @@ class _Scene:
                     place = (other.first + i) * self._worlds + at
 
                     def params() -> VehicleParams:
-                        variant = self._robot.read(_loader(robot), place, lambda x: x.variant)
-                        return self._bank.read(_loader(bank), other, variant[()]).vehicle
+                        load = triton.loader(robot)
+                        variant = self._robot.read(load, place, lambda x: x.variant)
+                        return self._bank.read(triton.loader(bank), other, variant[()]).vehicle
 
                     def details() -> Any:
-                        q, nu = self._vehicle.read(_loader(state), place, lambda x: (x.q, x.nu))
+                        q, nu = self._vehicle.read(
+                            triton.loader(state), place, lambda x: (x.q, x.nu)
+                        )
                         return params(), q, lane_steps.velocity(q, nu)
 
-                    p = self._vehicle.read(_loader(state), place, lambda x: x.p)
+                    p = self._vehicle.read(triton.loader(state), place, lambda x: x.p)
                     return Met(p=p, reach=params().radius_m[()], details=details)
 
                 return Others(count=other.count, load=load, first=other.first)
 
             def obstacle(i: jax.Array) -> Met:
                 place = i * self._worlds + at
-                now = partial(self._drift.read, _loader(track), self._ahead(clock[2]) + place)
-                body = partial(self._body.read, _loader(body_ref), place)
+                now = partial(
+                    self._drift.read,
+                    triton.loader(track),
+                    self._step(count[0] % self._ahead) + place,
+                )
+                body = partial(self._body.read, triton.loader(body_ref), place)
 
                 def details() -> Any:
                     return body(lambda x: x.given), *now(lambda x: (x.q, x.v))
 
                 return Met(p=now(lambda x: x.p), reach=body(lambda x: x.reach)[()], details=details)
 
-            constants = self._robot.read(_loader(robot), lane)
-            done = self._deed.read(_loader(deed), lane)
+            constants = self._robot.read(triton.loader(robot), lane)
+            done = self._deed.read(triton.loader(deed), lane)
             after = lane_steps.judge(
                 self._spec,
                 self._grid,
                 self._params(bank, group, constants).vehicle,
                 constants.goal_m,
-                self._ground(self._world.read(_loader(world), at), cells, at),
-                self._tally.read(_loader(tally), lane),
+                self._ground(self._world.read(triton.loader(world), at), cells, at),
+                self._tally.read(triton.loader(tally), lane),
                 done.before_m,
-                self._vehicle.read(_loader(state), lane),
-                self._order.read(_loader(order), lane).power_w,
+                self._vehicle.read(triton.loader(state), lane),
+                self._order.read(triton.loader(order), lane).power_w,
                 done.broken,
-                Others(count=self._obstacles, load=obstacle),
+                Others(count=self._obstacles if self._some_obstacle else 0, load=obstacle),
                 [robots_of(other) for other in self._groups] if self._robots > 1 else [],
                 row,
-                self._time(clock),
+                self._time(first, count),
             )
             self._tally.write(store(tally), lane, after)
 
         constant = [
-            clock,
+            self._first,
+            count,
             self._fleet_data,
             self._robot_data,
             self._body_data,
@@ -522,45 +562,36 @@ class _Scene:
         return self._run(kernel, group.count, constant, [tally])[0]
 
     def _run(self, kernel: Any, rows: int, constant: list[Any], changed: list[Any]) -> Any:
-        """Run a kernel on ``rows`` x worlds.
-
-        It sees the changed arrays twice, to be written to under the second name.
-        """
-        engine, n = self._engine, len(constant)
-        return pl.pallas_call(
+        """Run a kernel on ``rows`` x worlds."""
+        engine = self._engine
+        return triton.call(
             kernel,
-            out_shape=[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in changed],
-            grid=(self._worlds // engine.lanes, rows),
-            input_output_aliases={n + k: k for k in range(len(changed))},
-            compiler_params=plt.CompilerParams(num_warps=engine.warps, num_stages=1),
+            (self._worlds // engine.lanes, rows),
+            constant,
+            changed,
+            warps=engine.warps,
             interpret=engine.interpret,
-        )(*constant, *changed)
+        )
 
     def _place(self, first: int) -> tuple[Any, Any, Any, Any]:
         """Row, lanes and worlds of this program, and how its lanes are stored."""
-        row = first + pl.program_id(1)
-        at = pl.program_id(0) * self._engine.lanes + jnp.arange(self._engine.lanes)
+        at, row = triton.place(self._engine.lanes)
+        row = first + row
+        return row, row * self._worlds + at, at, partial(triton.storer, like=at)
 
-        def store(ref: Any) -> Callable[[Any, Any], None]:
-            def put(place: Any, value: Any) -> None:
-                ref[place] = jnp.broadcast_to(jnp.asarray(value, ref.dtype), at.shape)
-
-            return put
-
-        return row, row * self._worlds + at, at, store
-
-    def _time(self, clock: Any) -> jax.Array:
-        t: jax.Array = clock[0].astype(self._dtype) * self._spec.control_dt_s
+    def _time(self, first: Any, count: Any) -> jax.Array:
+        """Time at the beginning of the control step."""
+        t: jax.Array = (first[0] + count[0]).astype(self._dtype) * self._spec.control_dt_s
         return t
 
     def _params(self, bank: Any, group: Group, constants: _RobotConstants) -> CascadeParams:
-        params = self._bank.read(_loader(bank), group, constants.variant[()])
+        params = self._bank.read(triton.loader(bank), group, constants.variant[()])
         return replace(params, cruise_speed_mps=constants.cruise_speed_mps)
 
     def _ground(self, water: "_WorldConstants", cells: Any, at: Any) -> Cells:
         return Cells(
             neighbours=lanes.Table(
-                _loader(cells), (self._cells,), np.int32, base=at * np.int32(self._cells)
+                triton.loader(cells), (self._cells,), np.int32, base=at * np.int32(self._cells)
             ),
             origin_m=water.origin_m,
             cell_m=water.cell_m,
@@ -573,8 +604,12 @@ class _Scene:
         layout = Layout.of(tree, lead)
         return layout, layout.pack(tree, self._dtype)
 
-    def _zeros(self, layout: Layout, times: int = 1) -> jax.Array:
-        return jnp.zeros(times * layout.planes * layout.lanes, self._dtype)
+    def _zeros(self, layout: Layout) -> jax.Array:
+        return jnp.zeros(layout.planes * layout.lanes, self._dtype)
+
+    def _shelf(self, layout: Layout, samples: int) -> Shelf:
+        rows = layout.lanes // self._worlds
+        return Shelf(layout=layout, samples=samples, rows=rows, worlds=self._worlds)
 
     def _layout(self, tails: Any, rows: int) -> Layout:
         """Layout of arrays [W, rows, ...] given by their shapes of one body."""
@@ -586,10 +621,6 @@ class _Scene:
         return Layout.of(type(tails)(**shapes), 2)
 
 
-def _shelf(layout: Layout, clock: Any) -> Any:
-    """Where the record of the present sample begins."""
-    return clock[3] * (layout.planes * layout.lanes)
-
-
-def _loader(ref: Any) -> Callable[[Any], Any]:
-    return lambda place: ref[place]
+def _repeated(values: jax.Array, times: int) -> jax.Array:
+    """Arrays [W, ...] as samples [W, times, ...]."""
+    return jnp.broadcast_to(values[:, None], (values.shape[0], times, *values.shape[1:]))

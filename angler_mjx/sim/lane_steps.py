@@ -25,7 +25,7 @@ from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
@@ -149,7 +149,8 @@ def move_robots(
 
     def one(i: jax.Array, state: VehicleState) -> Any:
         now = t + i.astype(t.dtype) * spec.physics_dt_s
-        return lanes.apply(partial(_physics_step, spec), params, state, thrust_n, current, now)
+        step = partial(physics_step, spec.physics_dt_s, spec.water)
+        return lanes.apply(step, params, state, thrust_n, current, now)
 
     after = lanes.repeat(spec.physics_steps, one, vehicle)
     held, broken = lanes.apply(robot.hold_if_ended, outcome, vehicle, after)
@@ -161,8 +162,9 @@ def flow_at(current: Current, p: Lanes, t: jax.Array) -> Lanes:
     return lanes.apply(currents.velocity, current, p, t)
 
 
-def _physics_step(
-    spec: SimSpec,
+def physics_step(
+    dt_s: float,
+    water: Water,
     vehicle: VehicleParams,
     state: VehicleState,
     settled: jax.Array,
@@ -170,10 +172,8 @@ def _physics_step(
     t: jax.Array,
 ) -> VehicleState:
     """One physics step of one robot in closed form."""
-    engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
-    return physics.step(
-        engine, vehicle, vehicle, state, settled, current, t, spec.physics_dt_s, spec.water
-    )
+    engine = ClosedForm(gravity_mps2=water.gravity_mps2)
+    return physics.step(engine, vehicle, vehicle, state, settled, current, t, dt_s, water)
 
 
 def advance_obstacles(

@@ -114,6 +114,46 @@ class Layout:
                 store((leaf.first + k) * self.lanes + lane, x)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Shelf:
+    """Samples of a tree in one flat array: for each leaf [samples, rows, elements, worlds].
+
+    Every leaf is one block, so that a plain transposition gives its array.
+    """
+
+    layout: Layout
+    """Of one sample."""
+    samples: int
+    rows: int
+    worlds: int
+
+    @property
+    def size(self) -> int:
+        """Numbers of all samples."""
+        return self.samples * self.layout.planes * self.rows * self.worlds
+
+    def write(
+        self, store: Callable[[Any, Any], None], sample: Any, row: Any, world: Any, tree: Any
+    ) -> None:
+        """Store lanes of one row as a sample."""
+        for leaf, value in zip(self.layout.leaves, jax.tree.leaves(tree), strict=True):
+            block = leaf.first * self.samples * self.rows * self.worlds
+            first = (sample * self.rows + row) * leaf.size
+            for k, x in enumerate(value.ravel()):
+                store(block + (first + k) * self.worlds + world, x)
+
+    def unpack(self, flat: jax.Array) -> Any:
+        """Arrays [worlds, samples, rows, ...]."""
+        each = self.samples * self.rows * self.worlds
+        out = []
+        for leaf in self.layout.leaves:
+            block = flat[leaf.first * each : (leaf.first + leaf.size) * each]
+            by_world = block.reshape(-1, self.worlds).T
+            shape = (self.worlds, self.samples, self.rows, *leaf.shape)
+            out.append(by_world.reshape(shape).astype(leaf.dtype))
+        return jax.tree.unflatten(self.layout.tree, out)
+
+
 def typed(value: Any, dtype: Any) -> Any:
     """A number read from an array of floats, with its own type."""
     if value.dtype == dtype:

@@ -24,7 +24,7 @@ _REDRAWN_SHARE = 16
 """A group of worlds to be drawn again is this part of a tile."""
 _TILE_NUMBERS = {"cpu": 1 << 21}
 """Lengths of ways that a tile may hold, by platform: 8 MiB, what caches hold, on a CPU."""
-_TILE_NUMBERS_ELSEWHERE = 1 << 27
+_TILE_NUMBERS_ELSEWHERE = 1 << 28
 """512 MiB: enough work for every thread of a GPU, and a small part of its memory."""
 
 

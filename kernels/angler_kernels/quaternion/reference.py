@@ -1,5 +1,7 @@
 """Quaternion algebra for one quaternion [4] (w, x, y, z); the batch is the caller's ``vmap``."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 
@@ -71,10 +73,10 @@ def exp_small(rotation: jax.Array) -> jax.Array:
     """
     h2 = 0.25 * jnp.sum(rotation * rotation)
     terms = 7 if rotation.dtype.itemsize > 4 else 5
-    sinc, cosine = jnp.ones_like(h2), jnp.ones_like(h2)
-    for k in range(terms, 0, -1):
-        sinc = 1.0 - (1.0 / (2 * k * (2 * k + 1))) * h2 * sinc
-        cosine = 1.0 - (1.0 / (2 * k * (2 * k - 1))) * h2 * cosine
+    sinc, cosine = jnp.zeros_like(h2), jnp.zeros_like(h2)
+    for k in range(terms, -1, -1):
+        sinc = sinc * h2 + (-1.0) ** k / math.factorial(2 * k + 1)
+        cosine = cosine * h2 + (-1.0) ** k / math.factorial(2 * k)
     return jnp.concatenate([cosine[None], 0.5 * sinc * rotation])
 
 

@@ -178,7 +178,7 @@ def advance_damped_velocity(
     """
     slope = damping_slope(D_l, D_q, nu_r)
     implicit = M + 0.5 * dt * slope[:, None] * jnp.eye(slope.shape[0], dtype=slope.dtype)
-    impulse = dt * (1.5 * force - 0.5 * force_before + mean_thrust)
+    impulse = (1.5 * dt) * force - (0.5 * dt) * force_before + dt * mean_thrust
     change = spd_solve.solve(implicit, impulse[:, None])[:, 0]
     now = damping_wrench(D_l, D_q, nu_r)
     # Newton again: what the slope has missed of the change of damping.

@@ -1,0 +1,20 @@
+"""What is written beside every row: where it was measured, and how far from the device's limits."""
+
+from dataclasses import asdict
+from typing import Any
+
+from angler_mjx.benchmark.roofline import DeviceSpeed, bound
+from angler_mjx.benchmark.speed import Row
+from angler_mjx.runs.provenance import describe_environment
+
+
+def around(device: DeviceSpeed) -> dict[str, Any]:
+    """Device with its measured limits and driver, versions, machine, commit and command."""
+    return {**describe_environment(), **asdict(device)}
+
+
+def complete(row: Row, device: DeviceSpeed) -> dict[str, Any]:
+    """The roofline of a row in its own unit, and the share of it that was reached."""
+    highest = bound(row, device)
+    reached = None if highest is None or row.median is None else row.median / highest
+    return {"bound": highest, "share_of_bound": reached}

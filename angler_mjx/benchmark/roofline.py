@@ -1,0 +1,92 @@
+"""What the device itself can do, measured, and how far from it a rate is.
+
+Memory: a large array is read and written once, element by element. Arithmetic: chains of fused
+multiply-adds of float32 in registers, eight of them side by side so that none waits for itself. A
+rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes and operations
+that one step needs: the lower of the two is its roofline (Williams, Waterman and Patterson, 2009).
+"""
+
+import subprocess
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.benchmark.speed import Row, seconds_of
+
+CHAINS, LINKS = 8, 64
+"""Chains an element, multiply-adds a chain."""
+_LARGE = {"cpu": (2**26, 2**20)}
+"""Elements copied, elements with chains: about 20 ms each on two cores."""
+_LARGE_ELSEWHERE = (2**28, 2**25)
+"""About 1 ms each on a device of some TB/s and some 10 TFLOP/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceSpeed:
+    """Measured limits of one device."""
+
+    copy_bytes_per_s: float
+    """Bytes read plus bytes written."""
+    fma_flops_per_s: float
+    """A multiply-add counts two."""
+    driver: str | None
+    """Of an NVIDIA device, as ``nvidia-smi`` says."""
+
+
+def measure(repeats: int = 10) -> DeviceSpeed:
+    """Measure the default device; medians of the repeats."""
+    backend = jax.default_backend()
+    to_copy, to_chain = _LARGE.get(backend, _LARGE_ELSEWHERE)
+    copy = _median_s(to_copy, jax.jit(lambda x, a, b: x + b), repeats)
+    chain = _median_s(to_chain, jax.jit(_chains), repeats)
+    return DeviceSpeed(
+        copy_bytes_per_s=2 * 4 * to_copy / copy,
+        fma_flops_per_s=2 * CHAINS * LINKS * to_chain / chain,
+        driver=None if backend == "cpu" else driver(),
+    )
+
+
+def bound(row: Row, device: DeviceSpeed) -> float | None:
+    """Highest rate that the row's devices allow; None if neither of its needs is known."""
+    limits = []
+    if row.flops:
+        limits.append(device.fma_flops_per_s / row.flops)
+    if row.least_bytes:
+        limits.append(device.copy_bytes_per_s / row.least_bytes)
+    return row.devices * min(limits) if limits else None
+
+
+def driver() -> str | None:
+    """Version of the NVIDIA driver; None where there is none."""
+    try:
+        said = subprocess.run(
+            ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=20,
+        ).stdout.split()
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return said[0] if said else None
+
+
+def _chains(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+    """The sum of ``CHAINS`` chains; nothing in them is known before the call."""
+    links = [x + k for k in range(CHAINS)]
+    for _ in range(LINKS):
+        links = [link * a + b for link in links]
+    total = links[0]
+    for link in links[1:]:
+        total = total + link
+    return total
+
+
+def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> float:
+    x = jnp.ones(elements, jnp.float32)
+    a, b = jnp.float32(0.999), jnp.float32(0.001)
+    program = function.lower(x, a, b).compile()
+    seconds_of(program, x, a, b)
+    return float(np.median([seconds_of(program, x, a, b)[0] for _ in range(repeats)]))

@@ -1,0 +1,226 @@
+"""The workloads of `angler bench` as data, and the rows that a request asks for."""
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from angler_mjx.benchmark.speed import check_repeats
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs import devices
+from angler_mjx.runs.scenario import FleetEntry, Scenario, load_scenario, shipped
+
+type Kind = Literal["simulation", "preparation", "generation", "clearance"]
+type Engine = Literal["mjx", "fused"]
+type Kernels = Literal["xla", "triton"]
+type Profile = Literal["quick", "full", "paper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workload:
+    """Something to measure."""
+
+    about: str
+    kind: Kind
+    source: str = ""
+    """Scenario, by name or path, or preset."""
+    engine: Engine | None = None
+    """Where none is asked for."""
+    robots: int
+    """In each world where no number is asked for."""
+    label: str
+    """Name in the rows; ``{robots}`` stands for their number."""
+
+
+WORKLOADS: dict[str, Workload] = {
+    "closed_loop_8": Workload(
+        about="eight BlueROV2 Heavy, one parameter set, four vortices, 24 cells of rock",
+        kind="simulation",
+        source="closed_loop_8",
+        engine="fused",
+        robots=8,
+        label="closed_loop_{robots}",
+    ),
+    "reef_fleet": Workload(
+        about="the demo: two kinds, drawn parameters, twelve drifting obstacles",
+        kind="simulation",
+        source="reef_fleet",
+        engine="fused",
+        robots=4,
+        label="reef_fleet",
+    ),
+    "mjx": Workload(
+        about="the demo on MuJoCo MJX",
+        kind="simulation",
+        source="reef_fleet",
+        engine="mjx",
+        robots=4,
+        label="reef_fleet",
+    ),
+    "preparation": Workload(
+        about="drawing and planning the worlds of the demo",
+        kind="preparation",
+        source="reef_fleet",
+        robots=4,
+        label="preparation/reef_fleet",
+    ),
+    "env_generation": Workload(
+        about="drawing worlds of the paper, 12^3 cells, with starts and goals",
+        kind="generation",
+        source="angler2024",
+        robots=4,
+        label="env_generation",
+    ),
+    "clearance": Workload(
+        about="exact distances of hulls to cells",
+        kind="clearance",
+        robots=8,
+        label="clearance",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Sizes of a profile; an empty tuple stands for a workload's own number of robots."""
+
+    workloads: tuple[str, ...]
+    worlds: tuple[int, ...]
+    robots: tuple[int, ...] = ()
+
+
+PROFILES: dict[Profile, Grid] = {
+    "quick": Grid(workloads=("closed_loop_8", "reef_fleet", "mjx", "clearance"), worlds=(64,)),
+    "full": Grid(workloads=tuple(WORKLOADS), worlds=(1, 64, 1024, 16384)),
+    "paper": Grid(
+        workloads=tuple(WORKLOADS),
+        worlds=(1, 64, 1024, 16384, 262144),
+        robots=(1, 4, 16, 64),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is asked for; empty tuples stand for the profile's."""
+
+    profile: Profile = "quick"
+    workloads: tuple[str, ...] = ()
+    worlds: tuple[int, ...] = ()
+    robots: tuple[int, ...] = ()
+    engine: Engine | None = None
+    kernels: Kernels | None = None
+    repeats: int = 10
+    devices: int = 1
+    """Of simulations; other workloads use one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One row to be measured."""
+
+    workload: Workload
+    worlds: int
+    robots: int
+    scenario: Scenario | None
+    """Of the workloads that have one."""
+    repeats: int
+    devices: int
+
+    @property
+    def label(self) -> str:
+        """Name in the row."""
+        return self.workload.label.format(robots=self.robots)
+
+
+def cases(request: Request) -> list[Case]:
+    """All rows of a request; worlds grow fastest.
+
+    Raises:
+        ConfigError: an unknown workload, a number below 1, or what cannot go together.
+    """
+    check_repeats(request.repeats)
+    grid = PROFILES[request.profile]
+    devices.mesh(request.devices)
+    for flag, numbers in (("worlds", request.worlds), ("robots", request.robots)):
+        if any(n < 1 for n in numbers):
+            raise ConfigError(f"--{flag} {min(numbers)}: must be at least 1")
+    found = []
+    for name in request.workloads or grid.workloads:
+        workload = find(name)
+        for robots in request.robots or grid.robots or (workload.robots,):
+            scenario = _scenario(workload, robots, request)
+            found += [
+                Case(
+                    workload=workload,
+                    worlds=worlds,
+                    robots=robots,
+                    scenario=scenario,
+                    repeats=request.repeats,
+                    devices=request.devices if workload.kind == "simulation" else 1,
+                )
+                for worlds in sorted(request.worlds or grid.worlds)
+            ]
+    return found
+
+
+def find(name: str) -> Workload:
+    """A workload by its name, or the simulation of a scenario by its name or path.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    if name in WORKLOADS:
+        return WORKLOADS[name]
+    if name not in shipped() and not name.endswith(".toml"):
+        raise ConfigError(
+            f"--workload {name}: there is {', '.join(WORKLOADS)}; also the scenarios "
+            f"{', '.join(shipped())}, and any path of a .toml file"
+        )
+    scenario = load_scenario(name)
+    return Workload(
+        about=scenario.description,
+        kind="simulation",
+        source=name,
+        robots=len(scenario.members()),
+        label=scenario.name,
+    )
+
+
+def _scenario(workload: Workload, robots: int, request: Request) -> Scenario | None:
+    """The scenario of a workload with this many robots; None for workloads without one."""
+    if workload.kind not in ("simulation", "preparation"):
+        return None
+    changes: dict[str, Any] = {}
+    if engine := request.engine or workload.engine:
+        changes["engine"] = engine
+    if request.kernels is not None and engine != "mjx":
+        changes["kernels"] = request.kernels
+    name = workload.source
+    if name in shipped() or name.endswith(".toml"):
+        return _resized(name, robots, changes)
+    file = resources.files("angler_mjx.benchmark") / "data" / f"{name}.toml"
+    with resources.as_file(file) as path:
+        return _resized(path, robots, changes)
+
+
+def _resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Scenario:
+    scenario = load_scenario(name, **changes)
+    if len(scenario.members()) == robots:
+        return scenario
+    return load_scenario(name, **changes, fleet=_fleet(scenario.fleet, robots))
+
+
+def _fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:
+    """The entries of a fleet with ``robots`` in all, in about the same proportions."""
+    before = sum(entry.count for entry in entries)
+    # Whole numbers by cumulative rounding: they add up, and the first entry is served first.
+    ends, placed, fleet = 0, 0, []
+    for entry in entries:
+        ends += entry.count
+        count = math.ceil(robots * ends / before) - placed
+        placed += count
+        if count > 0:
+            fleet.append({**entry.model_dump(exclude_unset=True), "count": count})
+    return fleet

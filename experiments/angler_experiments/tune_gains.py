@@ -1,0 +1,155 @@
+"""Tune the gains of the cascade by gradient: descend the tracking cost of closed-loop rollouts.
+
+    python -m angler_experiments.tune_gains
+
+The cost is that of `angler_mjx.sim.gradients.tracking_cost`: how far robots are from where their
+paths want them. Adam works on the logarithms of the gains, which keeps them positive. What is
+printed at the end was measured on worlds that the gains were not tuned on.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import tyro
+
+from angler_mjx.control.cascade import Gains
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim.fused import FusedEngine
+from angler_mjx.sim.gradients import tracking_cost
+
+TUNED = ("position_per_s", "attitude_per_s", "velocity_per_s", "rate_per_s", "integral_per_s2")
+MEMORY = (0.9, 0.99)
+"""Adam's averages of the gradient and of its square: shares kept from one iteration to the next."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning:
+    """What came of it."""
+
+    before: Gains
+    after: Gains
+    costs_m2: list[float]
+    """Cost on the worlds tuned on, before each iteration."""
+    unseen_m2: tuple[float, float]
+    """Cost on other worlds, before and after."""
+    compile_s: float
+    tune_s: float
+
+
+def tune(
+    scenario: str = "reef_fleet",
+    worlds: int = 16,
+    seconds: float = 10.0,
+    iterations: int = 40,
+    rate: float = 0.1,
+) -> Tuning:
+    """Tune the gains of a scenario.
+
+    Args:
+        scenario: name of a shipped scenario, or path of a file.
+        worlds: how many to tune on.
+        seconds: length of the rollouts.
+        iterations: of Adam.
+        rate: greatest change of a gain's logarithm in an iteration.
+    """
+    if worlds < 1 or iterations < 1 or rate <= 0:
+        raise ConfigError(
+            f"worlds = {worlds}, iterations = {iterations}, rate = {rate}: all must be positive"
+        )
+    simulator = Simulator(load_scenario(scenario, engine="fused", kernels="xla"), tile=worlds)
+    spec, engine = simulator.spec, FusedEngine()
+    steps = max(1, round(seconds / spec.control_dt_s))
+
+    @jax.jit
+    def evaluate(theta: jax.Array, kinds: Any, some: Any, start: Any) -> Any:
+        def cost(theta: jax.Array) -> jax.Array:
+            return tracking_cost(
+                with_logs(spec.gains, theta), engine, spec, kinds, some, start, control_steps=steps
+            )
+
+        return jax.value_and_grad(cost)(theta)
+
+    theta = jnp.log(jnp.array([getattr(spec.gains, name) for name in TUNED]))
+    seen, unseen = simulator.worlds(0), simulator.worlds(worlds)
+    start, other = simulator.reset(seen), simulator.reset(unseen)
+    clock = time.perf_counter()
+    compiled = evaluate.lower(theta, simulator.fleet, seen, start).compile()
+    compile_s = time.perf_counter() - clock
+    first, _ = compiled(theta, simulator.fleet, unseen, other)
+    clock = time.perf_counter()
+    costs, theta = _descend(
+        lambda theta: compiled(theta, simulator.fleet, seen, start), theta, iterations, rate
+    )
+    tune_s = time.perf_counter() - clock
+    last, _ = compiled(theta, simulator.fleet, unseen, other)
+    numbers = [float(x) for x in jnp.exp(theta)]
+    return Tuning(
+        before=spec.gains,
+        after=replace(spec.gains, **dict(zip(TUNED, numbers, strict=True))),
+        costs_m2=costs,
+        unseen_m2=(float(first), float(last)),
+        compile_s=compile_s,
+        tune_s=tune_s,
+    )
+
+
+def with_logs(gains: Gains, theta: jax.Array) -> Gains:
+    """The gains with those in `TUNED` replaced by exp(theta) [5]."""
+    tuned: dict[str, Any] = {name: jnp.exp(theta[i]) for i, name in enumerate(TUNED)}
+    return replace(gains, **tuned)
+
+
+def _descend(
+    evaluate: Callable[[jax.Array], tuple[jax.Array, jax.Array]],
+    theta: jax.Array,
+    iterations: int,
+    rate: float,
+) -> tuple[list[float], jax.Array]:
+    """Adam (Kingma and Ba 2015) with a rate that falls to zero; costs before each iteration."""
+    mean, square = jnp.zeros_like(theta), jnp.zeros_like(theta)
+    slow, slower = MEMORY
+    costs = []
+    for i in range(iterations):
+        cost, gradient = evaluate(theta)
+        costs.append(float(cost))
+        mean = slow * mean + (1 - slow) * gradient
+        square = slower * square + (1 - slower) * gradient**2
+        unbiased = mean / (1 - slow ** (i + 1))
+        scale = jnp.sqrt(square / (1 - slower ** (i + 1))) + 1e-12
+        theta = theta - rate * (1 - i / iterations) * unbiased / scale
+    return costs, theta
+
+
+def main(
+    scenario: str = "reef_fleet",
+    worlds: int = 16,
+    seconds: float = 10.0,
+    iterations: int = 40,
+    rate: float = 0.1,
+) -> Tuning:
+    """Tune the gains of a scenario's cascade, and print them before and after.
+
+    Args:
+        scenario: name of a shipped scenario, or path of a file.
+        worlds: how many to tune on.
+        seconds: length of the rollouts.
+        iterations: of Adam.
+        rate: greatest change of a gain's logarithm in an iteration.
+    """
+    result = tune(scenario, worlds, seconds, iterations, rate)
+    print(f"compiled in {result.compile_s:.0f} s, tuned in {result.tune_s:.1f} s")
+    for name in TUNED:
+        print(f"{name}: {getattr(result.before, name):.3g} -> {getattr(result.after, name):.3g}")
+    rms = [1e2 * cost**0.5 for cost in result.unseen_m2]
+    print(f"root mean square tracking error, other worlds: {rms[0]:.2f} cm -> {rms[1]:.2f} cm")
+    return result
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

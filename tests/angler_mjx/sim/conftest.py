@@ -1,0 +1,229 @@
+"""Random worlds for the engines, without planner or file: every vehicle and set, every obstacle."""
+
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.sim import fleet
+from angler_mjx.sim.engines import MjxEngine
+from angler_mjx.sim.fleet import Fleet, Member, Variant
+from angler_mjx.sim.fused import FusedEngine
+from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.vehicles import library
+from angler_mjx.world import currents, obstacles
+from angler_mjx.world.currents import GaussMarkovConfig, UniformConfig, VorticesConfig
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.grid import Grid
+from angler_mjx.world.obstacles import ObstaclesConfig
+
+CELLS, CELL_M = 6, 1.5
+ORIGIN_M = np.array([-4.5, -4.5, -12.0])
+POINTS = 20
+"""Way-points of a path: so many that engines keep them in memory, as they do a planner's."""
+HORIZON_S = 20.0
+NO_OBSTACLES = ObstaclesConfig()
+ALL_OBSTACLES = ObstaclesConfig.model_validate(
+    {
+        "dynamic": {"count": 3, "cube_share": 0.5},
+        "explicit": [
+            {"type": "box", "position_m": [3.0, 3.0, -5.0], "size_m": [0.5, 1.0, 0.4]},
+            {
+                "type": "capsule",
+                "position_m": [-3.0, 2.0, -8.0],
+                "radius_m": 0.2,
+                "length_m": 0.5,
+                "motion": {"type": "straight", "velocity_mps": [0.3, 0.1, -0.1]},
+            },
+            {
+                "type": "sphere",
+                "position_m": [0.0, -3.0, -6.0],
+                "radius_m": 0.4,
+                "motion": {"type": "sine", "amplitude_m": [1.0, 0.0, 0.5], "period_s": 9.0},
+            },
+            {
+                "type": "box",
+                "position_m": [2.0, -1.0, -9.0],
+                "size_m": [0.6, 0.6, 0.6],
+                "motion": {"type": "circle", "radius_m": 1.0, "period_s": 12.0},
+            },
+        ],
+    }
+)
+CURRENT = (
+    UniformConfig(velocity_mps=(0.05, -0.1, 0.02)),
+    GaussMarkovConfig(max_speed_mps=0.2, knot_dt_s=1.0),
+    VorticesConfig(count=2, peak_speed_mps=(0.2, 0.4), core_radius_m=(1.0, 2.0)),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What the engines take."""
+
+    spec: SimSpec
+    fleet: Fleet
+    worlds: World
+    """[n] leads."""
+
+
+def every_variant() -> list[Member]:
+    """A robot for each parameter set of each shipped vehicle, and one that draws its set."""
+    members = []
+    for vehicle in reversed(library.available()):
+        kinds = [
+            Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
+            for chosen in sorted(library.load(vehicle).parameter_sets)
+        ]
+        members += [
+            Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.5) for kind in kinds
+        ]
+    heavy = members[0].variants[0].vehicle
+    mix = tuple(kind for kind in fleet.variants(members) if kind.vehicle == heavy)
+    return [Member(variants=mix, weights=(1.0,) * len(mix), cruise_speed_mps=0.4), *members]
+
+
+def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
+    """A world of random cells, obstacles, current, starts and paths. Nothing keeps robots apart."""
+    n = kinds.cruise_mps.shape[0]
+    keys = iter(jax.random.split(key, 8))
+    lo = jnp.asarray(ORIGIN_M, float)
+    hi = lo + CELLS * CELL_M
+    points = jax.random.uniform(next(keys), (n, 3, 3), float, lo + 0.8, hi - 0.8)
+    # Starts on a lattice of 3 m, a little off: robots do not begin in each other, nor in a cell.
+    sites = 3.0 * np.stack(np.unravel_index(np.arange(n), (3, 3, 3)), axis=1)
+    off = jax.random.uniform(next(keys), (n, 3), float, 1.0, 2.0)
+    points = points.at[:, 0].set(lo + sites + off)
+    cell = jnp.floor((points[:, 0] - lo) / CELL_M).astype(jnp.int32)
+    near = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    free = jnp.clip(cell[:, None] + near, 0, CELLS - 1).reshape(-1, 3)
+    occupied = jax.random.bernoulli(next(keys), 0.3, (CELLS,) * 3)
+    grid = Grid(
+        occupied=occupied.at[free[:, 0], free[:, 1], free[:, 2]].set(False),
+        origin_m=lo,
+        cell_m=jnp.asarray(CELL_M, float),
+    )
+    path = jax.vmap(_polyline)(points)
+    rows = obstacles.draw(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
+    variant, cascade, body = fleet.draw(kinds, next(keys))
+    environment = Environment(
+        grid=grid,
+        floor_z_m=lo[2],
+        obstacles=rows,
+        current=currents.draw(CURRENT, next(keys), lo, hi, HORIZON_S),
+        start_m=points[:, 0],
+        start_yaw_rad=jax.random.uniform(next(keys), (n,), float, -3.0, 3.0),
+        goal_m=points[:, -1],
+        density=jnp.zeros(()),
+        path_ratio=jnp.ones(n),
+        line_free=jnp.ones(n, bool),
+        redraws=jnp.zeros((), jnp.int32),
+        valid=jnp.asarray(True),
+    )
+    return World(environment=environment, variant=variant, body=body, cascade=cascade, path=path)
+
+
+def _polyline(corners: jax.Array) -> Trajectory:
+    """Two straight lines at half a metre a second; some of the `POINTS` points are padding."""
+    share = jnp.clip(jnp.linspace(0.0, 2.4, POINTS), 0.0, 2.0)
+    at = jnp.minimum(share.astype(jnp.int32), 1)
+    point = corners[at] + (share - at)[:, None] * (corners[at + 1] - corners[at])
+    leg = jnp.sqrt(jnp.sum(jnp.diff(point, axis=0) ** 2, axis=1))
+    time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(leg) / 0.5])
+    return Trajectory(time_s=time, position_m=point, found=jnp.asarray(True))
+
+
+def build_scene(
+    n: int, *, seed: int = 0, members: Any = None, config: ObstaclesConfig = ALL_OBSTACLES
+) -> Scene:
+    """``n`` random worlds, in JAX's present float type."""
+    kinds = fleet.build(every_variant() if members is None else members)
+    worlds = jax.jit(jax.vmap(partial(one_world, kinds, config)))(
+        jax.random.split(jax.random.key(seed), n)
+    )
+    return Scene(spec=SimSpec(), fleet=kinds, worlds=worlds)
+
+
+def one_robot(vehicle: str) -> list[Member]:
+    """A fleet of one that draws its parameter set."""
+    kinds = tuple(
+        Variant(vehicle=vehicle, parameter_set=chosen, battery_v=16.0)
+        for chosen in sorted(library.load(vehicle).parameter_sets)
+    )
+    return [Member(variants=kinds, weights=(1.0,) * len(kinds), cruise_speed_mps=0.5)]
+
+
+@pytest.fixture(scope="session")
+def scenes():
+    """The functions that build a scene and a fleet of one, and the two sets of obstacles."""
+    return build_scene, one_robot, {"all": ALL_OBSTACLES, "none": NO_OBSTACLES}
+
+
+STEPS = 200
+"""Control steps of the comparisons: ten seconds, in which robots arrive, collide and go astray."""
+
+
+@pytest.fixture(scope="session")
+def engines_by_name():
+    """The engines that are compared."""
+    return {"mjx": MjxEngine(), "fused": FusedEngine()}
+
+
+@pytest.fixture(scope="session")
+def double():
+    """Worlds with everything, in float64."""
+    with jax.enable_x64(True):
+        return build_scene(8)
+
+
+@pytest.fixture(scope="session")
+def play(engines_by_name):
+    """A function (scene, engine, commanded) -> final state, samples of all steps; kept."""
+
+    @cache
+    def run(name: str, commanded: bool, scene: "Hashed") -> Any:
+        with jax.enable_x64(True):
+            engine, spec = engines_by_name[name], scene.scene.spec
+            worlds, kinds = scene.scene.worlds, scene.scene.fleet
+            start = jax.jit(partial(engine.reset, spec))(kinds, worlds)
+            signals = random_signals(worlds) if commanded else None
+            return jax.jit(partial(_steps, engine, spec))(kinds, worlds, start, signals)
+
+    return lambda scene, name, commanded: run(name, commanded, Hashed(scene))
+
+
+class Hashed:
+    """A scene as a key: by identity."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    def __hash__(self) -> int:
+        return id(self.scene)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Hashed) and self.scene is other.scene
+
+
+def random_signals(worlds: World) -> ThrusterPwm:
+    """PWM [steps, W, R, 8] that changes every fifth step, dead band and full thrust included."""
+    shape = (STEPS // 5, *worlds.variant.shape, 8)
+    signals = np.random.default_rng(0).uniform(1300.0, 1700.0, shape)
+    signals[::9] = 1500.0
+    signals[4::9] = 1900.0
+    return ThrusterPwm(pwm_us=jnp.asarray(np.repeat(signals, 5, axis=0), float))
+
+
+def _steps(
+    engine: Any, spec: SimSpec, kinds: Fleet, worlds: World, start: Any, signals: Any
+) -> Any:
+    def one(state: Any, command: Any) -> Any:
+        return engine.control_step(spec, kinds, worlds, state, command)
+
+    return jax.lax.scan(one, start, signals, length=STEPS)

@@ -1,0 +1,117 @@
+"""The Pallas kernels against the other engines, interpreted here; and that they lower for CUDA."""
+
+from functools import partial
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.sim.engines import by_name, default_kernels
+from angler_mjx.sim.fused import FusedEngine
+from angler_mjx.sim.fused_triton import TritonEngine
+from angler_mjx.sim.state import Touched
+
+EVERY = 4
+"""Control steps from one sample to the next."""
+
+
+def assert_close(ours, theirs, tolerance):
+    for (path, x), y in zip(
+        jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True
+    ):
+        name = jax.tree_util.keystr(path)
+        if jnp.issubdtype(y.dtype, jnp.floating):
+            np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance, err_msg=name)
+        else:
+            np.testing.assert_array_equal(x, y, err_msg=name)
+
+
+def test_segment_is_that_of_mjx(double, play):
+    """A mixed fleet among obstacles; 6 worlds in programs of 4, so that two lanes are padding."""
+    n, engine = 6, TritonEngine(lanes=4, interpret=True)
+    after, samples = play(double, "mjx", False)
+    steps = samples.p.shape[0]
+    theirs = jax.tree.map(lambda x: x[:n], after)
+    theirs_seen = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1)[:n, ::EVERY], samples)
+    with jax.enable_x64(True):
+        worlds = jax.tree.map(lambda x: x[:n], double.worlds)
+        start = jax.jit(partial(engine.reset, double.spec))(double.fleet, worlds)
+        count = {"n_sample": steps // EVERY, "steps_per_sample": EVERY}
+        run = jax.jit(partial(engine.segment, double.spec, **count))
+        ours, seen = run(double.fleet, worlds, start)
+    # As for the fused engine: float64 leaves rounding no room; found is 1e-13.
+    assert_close(ours, theirs, 1e-9)
+    assert_close(seen, theirs_seen, 1e-9)
+    assert {Touched.CELL, Touched.OBSTACLE} <= set(np.unique(theirs.tally.touched))
+
+
+def test_control_step_takes_signals(scenes):
+    """One kind of robot, nothing to meet, float32, signals from outside."""
+    build, members, obstacles = scenes
+    scene = build(3, members=members("bluerov2"), config=obstacles["none"])
+    shape = (8, *scene.worlds.variant.shape, scene.fleet.cascade.vehicle.B.shape[-1])
+    signals = np.random.default_rng(0).uniform(1300, 1700, shape)
+    ends = []
+    for engine in (TritonEngine(lanes=2, interpret=True), by_name("mjx", "xla")):
+        state = jax.jit(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+        step = jax.jit(partial(engine.control_step, scene.spec))
+        for row in signals:
+            command = ThrusterPwm(pwm_us=jnp.asarray(row, jnp.float32))
+            state, sample = step(scene.fleet, scene.worlds, state, command)
+        ends.append((state.vehicles, state.step, sample))
+    # Eight steps: an ulp or two of 12 m, and as much of forces of 120 N.
+    assert_close(ends[0][0].p, ends[1][0].p, 4e-6)
+    assert_close(ends[0][0].nu, ends[1][0].nu, 4e-6)
+    np.testing.assert_array_equal(ends[0][1], ends[1][1])
+    np.testing.assert_array_equal(ends[0][2].pwm_us, signals[-1].astype(np.float32))
+    assert np.abs(ends[0][0].nu).max() > 0.1
+
+
+def test_kernels_lower_for_cuda(scenes, monkeypatch):
+    """Triton's part of the compiler knows every operation in them; no device is needed for that."""
+    try:
+        from jax._src.pallas.triton import pallas_call_registration as registration
+
+        monkeypatch.setattr(
+            registration,
+            "gpu_info_lib",
+            SimpleNamespace(get_gpu_info=lambda: SimpleNamespace(compute_capability="9.0")),
+        )
+    except (ImportError, AttributeError) as error:
+        pytest.skip(f"this version of JAX asks the device in another way: {error}")
+    build, _, _ = scenes
+    scene, engine = build(2), TritonEngine()
+    state = jax.eval_shape(partial(engine.reset, scene.spec), scene.fleet, scene.worlds)
+    segment = partial(engine.segment, scene.spec, n_sample=2, steps_per_sample=2)
+    traced = jax.jit(segment).trace(scene.fleet, scene.worlds, state)
+    text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    # Control, motion and judgement of each of two groups, and the obstacles.
+    assert text.count("__gpu$xla.gpu.triton") == 7
+
+
+def test_chosen_by_name():
+    assert isinstance(by_name("fused", "triton"), TritonEngine)
+    assert isinstance(by_name("fused", "xla"), FusedEngine)
+    assert default_kernels("fused", "cpu") == "xla"
+    assert default_kernels("fused", "gpu") == "triton"
+    assert default_kernels("mjx", "gpu") == "xla"
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs a CUDA device")
+def test_segment_on_the_device_is_that_of_xla(scenes):
+    build, _, _ = scenes
+    scene = build(100)
+    ends = []
+    for engine in (TritonEngine(), FusedEngine()):
+        state = jax.jit(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+        run = jax.jit(partial(engine.segment, scene.spec, n_sample=2, steps_per_sample=5))
+        ends.append(run(scene.fleet, scene.worlds, state))
+    (ours, _), (theirs, _) = ends
+    # Half a second: 50 roundings of the position, ulp 1e-6 m; see engine_parity for the bound.
+    np.testing.assert_allclose(ours.vehicles.p, theirs.vehicles.p, atol=2e-5)
+    same = np.asarray(ours.tally.outcome) == np.asarray(theirs.tally.outcome)
+    assert same.mean() > 0.99

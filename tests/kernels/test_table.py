@@ -1,0 +1,34 @@
+"""Look-ups by bisection against numpy's."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_kernels import table
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 16, 17, 201])
+def test_counts_are_those_of_searchsorted(n):
+    rng = np.random.default_rng(n)
+    # Whole numbers: many ties among the entries, and most values are entries.
+    entries = np.sort(rng.integers(0, max(2, n // 2), n)).astype(np.float32)
+    values = np.concatenate([entries, entries + 0.5, [-1.0, 1e6, -np.inf, np.inf]])
+    below, not_above = jax.jit(
+        jax.vmap(lambda v: (table.count_below(entries, v), table.count_not_above(entries, v)))
+    )(jnp.asarray(values, jnp.float32))
+    np.testing.assert_array_equal(below, np.searchsorted(entries, values, "left"))
+    np.testing.assert_array_equal(not_above, np.searchsorted(entries, values, "right"))
+    assert below.dtype == not_above.dtype == jnp.int32
+
+
+def test_nothing_is_below_nan():
+    entries = jnp.arange(5.0)
+    assert table.count_below(entries, jnp.nan) == 0
+    assert table.count_not_above(entries, jnp.nan) == 0
+
+
+def test_takes_rows_of_any_shape():
+    rows = np.random.default_rng(0).normal(size=(7, 2, 3)).astype(np.float32)
+    for i in range(7):
+        np.testing.assert_array_equal(table.take(jnp.asarray(rows), jnp.int32(i)), rows[i])
