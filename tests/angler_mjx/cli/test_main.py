@@ -115,8 +115,8 @@ def test_json_holds_the_documented_keys(tmp_path):
     assert sorted(summary) == sorted(
         [
             "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
-            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s", "path_length_m",
-            "energy_j",
+            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s",
+            "path_length_m", "energy_j",
             "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
         ]
     )  # fmt: skip
