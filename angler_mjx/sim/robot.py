@@ -125,8 +125,8 @@ def account(
         energy_j=tally.energy_j + jnp.where(running, power * dt, 0.0),
         min_clearance_m=jnp.where(running, clearance, tally.min_clearance_m),
         min_separation_m=jnp.where(running, separation, tally.min_separation_m),
-        touched=jnp.where(hit, contact.nearest, tally.touched),
-        touched_index=jnp.where(hit, contact.nearest_index, tally.touched_index),
+        touched=jnp.where(hit, contact.nearest, tally.touched).astype(jnp.int32),
+        touched_index=jnp.where(hit, contact.nearest_index, tally.touched_index).astype(jnp.int32),
         impact_speed_mps=jnp.where(hit, contact.closing_speed_mps, tally.impact_speed_mps),
     )
 

@@ -67,37 +67,28 @@ def _all_constant(eqn: Any, operands: Sequence[Any]) -> Any:
         return np.asarray(value, dtype)[()]
 
 
+_LEAVES_OTHER = {("add", 0), ("sub", 0), ("mul", 1), ("div", 1)}
+"""Operations with a second constant that give their first operand."""
+
+_DECIDES = {("mul", 0), ("div", 0)}
+"""Operations with a first constant that give that constant."""
+
+
 def _with_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> Any:
     """What follows from a constant operand alone; None if nothing does."""
     if name == "select_n" and constant[0]:
         return x[1 + int(x[0])]
-    if name not in ("add", "sub", "mul", "div", "and", "or"):
+    if name not in ("add", "sub", "mul", "div", "and", "or") or not any(constant):
         return None
-    if constant[0]:
-        return _first_constant(name, *x)
-    if constant[1]:
-        return _second_constant(name, *x)
-    return None
-
-
-def _first_constant(name: str, c: Any, x: Any) -> Any:
-    match name, c:
-        case ("add", 0) | ("mul", 1) | ("and", True) | ("or", False):
-            return x
-        case ("mul", 0) | ("div", 0) | ("and", False) | ("or", True):
-            return c
-        case ("sub", 0):
-            return -x
-    return None
-
-
-def _second_constant(name: str, x: Any, c: Any) -> Any:
-    match name, c:
-        case ("add", 0) | ("sub", 0) | ("mul", 1) | ("div", 1) | ("and", True) | ("or", False):
-            return x
-        case ("mul", 0) | ("and", False) | ("or", True):
-            return c
-    return None
+    c, other = (x[0], x[1]) if constant[0] else (x[1], x[0])
+    if isinstance(c, np.bool_):
+        return other if bool(c) == (name == "and") else c
+    commutes = name in ("add", "mul")
+    if (name, c) in _LEAVES_OTHER and (constant[1] or commutes):
+        return other
+    if (name, c) in _DECIDES and (constant[0] or commutes):
+        return c
+    return -other if (name, c) == ("sub", 0) and constant[0] else None
 
 
 def _bind(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:

@@ -146,7 +146,7 @@ def _dtype(leaf: Elements) -> Any:
 
 def _follow(closed: ClosedJaxpr, args: Sequence[Elements]) -> list[Elements]:
     """Evaluate a closed jaxpr on object arrays."""
-    consts = [_from_array(np.asarray(const)) for const in closed.consts]
+    consts = [_closed_over(const) for const in closed.consts]
     return _follow_open(closed.jaxpr, consts, args)
 
 
@@ -176,15 +176,33 @@ def _follow_open(
     return [read(var) for var in jaxpr.outvars]
 
 
+_AXES = {"axis", "axes", "dimension", "dimensions", "dimension_numbers"}
+"""What parameters are called that name an axis."""
+
+
 def _is_elementwise(eqn: Any) -> bool:
-    """Whether the result has the shape that numpy would broadcast the operands to."""
-    if len(eqn.outvars) != 1 or not eqn.invars:
+    """Whether it is an operation on numbers, done to each element of operands as numpy would.
+
+    The shapes do not tell: a running sum has those of its operand. But it names an axis, and a
+    factorisation does not take a number.
+    """
+    if len(eqn.outvars) != 1 or not eqn.invars or _AXES & eqn.params.keys():
         return False
+    numbers = [jax.ShapeDtypeStruct((), var.aval.dtype) for var in eqn.invars]
     try:
         shape = np.broadcast_shapes(*(var.aval.shape for var in eqn.invars))
-    except ValueError:
+        if shape != ():
+            jax.eval_shape(partial(eqn.primitive.bind, **eqn.params), *numbers)
+    except (TypeError, ValueError, IndexError):
         return False
     return bool(shape == eqn.outvars[0].aval.shape)
+
+
+def _closed_over(value: Any) -> Elements:
+    """What a function holds beside its arguments: numbers, or arrays that are the same for all."""
+    if isinstance(value, jax.core.Tracer):
+        return split(value, 0)
+    return _from_array(np.asarray(value))
 
 
 def _from_array(value: np.ndarray) -> Elements:
