@@ -158,6 +158,7 @@ class Recorder:
             values = arrays[name]()
             if 0 in values.shape[1:]:
                 return 0
+            values = values.astype(group[name].dtype, copy=False)
             place = self._path / name / "c" / "/".join([str(number), *"0" * (values.ndim - 1)])
             return shards.write(place, values, shard=self._tile, codec=_ENCODER)
 

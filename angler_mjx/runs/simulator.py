@@ -17,6 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 
 from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices as on_devices
 from angler_mjx.runs.devices import (
     EACH,
@@ -111,6 +112,11 @@ class Simulator:
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
+        if self.kernels == "triton" and jax.default_backend() != "gpu":
+            raise ConfigError(
+                'kernels = "triton": needs an NVIDIA GPU, and JAX computes on '
+                f'{jax.default_backend()} here; use kernels = "xla"'
+            )
         self._engine = engines.by_name(scenario.engine, self.kernels)
         self._memory: Memory | None = None
         self._compiled = False

@@ -65,7 +65,7 @@ def test_holds_one_row_per_robot_per_world(run, scenario):
     assert run.summary["complete"]
     assert run.summary["robots"] == 10
     assert sum(row["count"] for row in run.summary["outcomes"].values()) == 10
-    assert run.scenario == scenario.model_copy(update={"tile": 2})
+    assert run.scenario == scenario.model_copy(update={"tile": 2, "kernels": "xla"})
     environment = json.loads((run.path / "environment.json").read_text())
     assert environment["versions"]["mujoco"] == environment["versions"]["mujoco-mjx"]
 
@@ -253,3 +253,11 @@ def test_an_existing_folder_is_refused_and_kept(scenario, tmp_path):
         rollout(scenario, out=tmp_path / "here")
     assert (tmp_path / "here" / "mine.txt").read_text() == "mine"
     assert not partial_path(tmp_path / "here").exists()
+
+
+def test_triton_kernels_without_a_gpu_are_refused(scenario):
+    if jax.default_backend() == "gpu":
+        pytest.skip("there is a GPU here")
+    fused = scenario.model_copy(update={"engine": "fused", "kernels": "triton"})
+    with pytest.raises(ConfigError, match='use kernels = "xla"'):
+        Simulator(fused)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -162,7 +163,8 @@ def make_run(path, scenes, worlds):
     recorder = Recorder.create(
         path / "trajectories.zarr", shape, environment, tile=worlds, sample_dt_s=0.2
     )
-    recorder.write(0, _arrays(scenes), environment)
+    arrays = _arrays(scenes)
+    recorder.write(0, {name: partial(arrays.get, name) for name in arrays}, environment)
     pq.write_table(
         pa.concat_tables([_episodes(i, scene) for i, scene in enumerate(scenes)]),
         path / "episodes.parquet",
