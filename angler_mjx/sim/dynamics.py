@@ -1,7 +1,7 @@
 """Many vehicles of one kind in still water under constant thrust: the equations of motion alone.
 
-What remains of a simulation without control, currents, worlds and detection. It measures how fast
-the physics can be, and identifies vehicles from data.
+What remains of a simulation without control, currents, worlds and detection: it shows how fast the
+physics can be.
 """
 
 from dataclasses import dataclass, replace

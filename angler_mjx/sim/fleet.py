@@ -16,6 +16,7 @@ from angler_mjx.control import allocation
 from angler_mjx.control.cascade import CascadeParams
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.planes import is_table
 from angler_mjx.vehicles import library, mjcf, params
 
 
@@ -155,7 +156,7 @@ def _shared(
     values = []
     for leaf, letters in zip(jax.tree.leaves(stacked), sameness, strict=True):
         row = np.asarray(leaf)[variant].reshape(-1).tolist()
-        long = leaf.ndim == 2 and leaf.shape[1] > 16
+        long = is_table(leaf.shape[1:])
         kept = [x if letter != "v" else 0.0 for x, letter in zip(row, letters, strict=True)]
         values.append(() if long else tuple(map(float, kept)))
     return tuple(values)
