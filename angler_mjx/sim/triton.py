@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
 
+from angler_mjx.errors import RunError
+
 
 def call(
     kernel: Callable[..., None],
@@ -31,7 +33,16 @@ def call(
 
     Returns:
         The changed arrays.
+
+    Raises:
+        RunError: an array is too long for the numbers that count its places.
     """
+    largest = max(x.size for x in (*constant, *changed))
+    if largest >= 2**31:
+        raise RunError(
+            f"the Triton kernels count places in 31 bits, and an array of this tile has {largest}: "
+            f"use a tile {-(-largest // 2**31)} times smaller, or more, or fewer samples a segment"
+        )
     first = len(constant)
     after: Sequence[jax.Array] = pl.pallas_call(
         kernel,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.errors import RunError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
@@ -66,3 +67,14 @@ def test_lanes_do_what_the_step_does(begun, ours, plain):
 def test_the_kernel_does_what_plain_jax_does(begun, ours, plain, monkeypatch):
     monkeypatch.setattr(triton, "call", partial(triton.call, interpret=True))
     assert_close(plain, jax.jit(partial(ours.simulate, n_steps=STEPS, kernels="triton"))(*begun))
+
+
+def test_more_places_than_a_kernel_can_count_are_refused(ours):
+    n = 2**31 // 8
+    huge = jax.ShapeDtypeStruct((n, 8), jnp.float32)
+    small = {"p": 3, "q": 4, "nu": 6, "force_before": 6, "thrust": 8}
+    state = VehicleState(
+        **{name: jax.ShapeDtypeStruct((n, k), jnp.float32) for name, k in small.items()}
+    )
+    with pytest.raises(RunError, match="tile 4 times smaller"):
+        jax.eval_shape(partial(ours.simulate, n_steps=1, kernels="triton"), state, huge)
