@@ -12,7 +12,15 @@ import numpy as np
 
 from angler_kernels.clearance import capsules_neighbours, cell_neighbours, neighbour_window
 from angler_mjx.benchmark import flops
-from angler_mjx.benchmark.speed import Row, check_repeats, peak_device_bytes, seconds_of, spread
+from angler_mjx.benchmark.speed import (
+    Row,
+    account,
+    check_repeats,
+    moved_bytes,
+    peak_device_bytes,
+    seconds_of,
+    spread,
+)
 from angler_mjx.errors import RunError
 from angler_mjx.vehicles import library, params
 
@@ -74,9 +82,8 @@ def measure(*, worlds: int, robots: int, repeats: int) -> Row:
         taken, (least, most) = seconds_of(program, cells, centre, turn)
         require_change(np.asarray(least), np.asarray(most))
         rates.append(total / taken)
-    memory = program.memory_analysis()
     counted = flops.count(of_worlds, cells, centre, turn)
-    moved = memory.argument_size_in_bytes + memory.output_size_in_bytes if memory else None
+    moved = moved_bytes(program)
     return Row(
         workload="clearance",
         inside=f"{QUERIES} queries of each hull: look-up of the cells, distance of its "
@@ -90,7 +97,7 @@ def measure(*, worlds: int, robots: int, repeats: int) -> Row:
         flops=None if counted.flops is None else counted.flops / total,
         flops_from=counted.how,
         least_bytes=moved / total if moved else None,
-        program_bytes=moved + memory.temp_size_in_bytes if moved else None,
+        **account(program),
         device_peak_bytes=peak_device_bytes(),
     )
 

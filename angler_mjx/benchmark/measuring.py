@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 
-from angler_mjx.benchmark import environments, hull_clearance, simulation
+from angler_mjx.benchmark import environments, free_motion, hull_clearance, recording, simulation
 from angler_mjx.benchmark.speed import Row, cache_hits, peak_device_bytes
 from angler_mjx.benchmark.workloads import Case
 from angler_mjx.errors import AnglerError, ConfigError
@@ -60,12 +60,16 @@ def _measure(case: Case) -> Row:
             return replace(row, device_peak_bytes=peak_device_bytes())
         case "clearance":
             return hull_clearance.measure(worlds=worlds, robots=robots, repeats=repeats)
+        case "dynamics":
+            return free_motion.measure(vehicles=worlds, repeats=repeats, kernels=case.kernels)
     if case.scenario is None:
         raise ConfigError(f"workload {case.label}: needs a scenario")
     sized: Any = {"label": case.label, "worlds": worlds, "repeats": repeats}
     if workload.kind == "preparation":
         return simulation.measure_preparation(case.scenario, **sized)
-    return simulation.measure(case.scenario, **sized, devices=case.devices)
+    if workload.kind == "recording":
+        return recording.measure(case.scenario, **sized, folder=case.folder)
+    return simulation.measure(case.scenario, **sized, devices=case.devices, prepared=case.prepared)
 
 
 def _largest_that_fits(case: Case) -> int:
@@ -97,8 +101,8 @@ def _refused(case: Case, why: str, out_of_memory: bool) -> Row:
         repeats=0,
         compile_s=None,
         devices=case.devices,
-        engine=scenario.engine if scenario else None,
-        kernels=scenario.kernels if scenario else None,
+        engine=scenario.engine if scenario else case.workload.engine,
+        kernels=scenario.kernels if scenario else case.kernels,
         device_peak_bytes=peak_device_bytes(),
         refused=why,
         out_of_memory=out_of_memory or "out of device memory" in why,

@@ -1,151 +1,241 @@
-"""How fast a run is recorded, beside what the disk can do.
+"""How fast a run is recorded, beside what the disk can do and what the device makes.
 
-Both are timed to the end of ``fsync``, in the same folder and in turns, because a disk shared with
-others changes from second to second. The samples are real ones: a tile of a scenario is simulated
-to its horizon once, and written again and again as new tiles.
+Disk and recorder are timed in the same folder and in turns, because a disk shared with others
+changes from second to second. Both are timed to the end of ``fsync``, both let the disk begin while
+they go on, and both write the same number of bytes. The samples are real ones: a tile of a scenario
+is simulated to its horizon once, and written again and again as new tiles of a run.
 """
 
 import os
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 
-from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import harvest, sizes, waves
+from angler_mjx.benchmark import simulation
+from angler_mjx.benchmark.simulation import Timed
+from angler_mjx.benchmark.speed import Row, check_repeats, spread
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs import harvest, shards, sizes
 from angler_mjx.runs.harvest import FinishedTile
-from angler_mjx.runs.progress import Silent
-from angler_mjx.runs.recorder import Recorder
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.sim.state import Sample
+from angler_mjx.world.environment import Environment
 
 BLOCK_BYTES = 16 * 2**20
 """Of one plain write: large enough that the call does not matter."""
+LEAST_BYTES = 256 * 10**6
+"""On disk in one turn, in as many tiles as that takes: opening files should not matter either."""
+
+
+def measure(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    folder: Path,
+    least_bytes: int = LEAST_BYTES,
+) -> Row:
+    """Measure simulation, recorder and disk.
+
+    Args:
+        scenario: with ``record_hz`` above 0.
+        label: name of the workload.
+        worlds: of a tile.
+        repeats: turns, after one that does not count.
+        folder: on the disk in question; what is written there is taken away again.
+        least_bytes: written in one turn at least.
+
+    Returns:
+        Rates in MB/s of bytes that reached the disk. ``extra`` holds the disk's own rate
+        (``disk_mbps``) and how much it varied (``disk_spread``), the ratio of both
+        (``disk_ratio``), the rate in samples before compression (``samples_mbps``),
+        ``bytes_per_robot_sample`` on disk, ``vehicle_steps_per_s`` of the simulation in tiles of
+        the same size, and ``break_even_hz``.
+
+    Raises:
+        ConfigError: too few repeats, nothing is recorded, or the folder cannot be written.
+        RunError: as in `simulation.measure`.
+    """
+    check_repeats(repeats)
+    if scenario.time.record_hz == 0:
+        raise ConfigError("record_hz = 0: there is nothing to record; give a scenario that does")
+    with _place_in(folder) as place:
+        timed = simulation.time_it(scenario, label=label, worlds=worlds, repeats=repeats)
+        written = _in_turns(timed, _to_the_horizon(timed), place, repeats, least_bytes)
+    speed = timed.row.median or 0.0
+    recorder = float(np.median(written.recorder_mbps))
+    disk = float(np.median(written.disk_mbps))
+    return replace(
+        timed.row,
+        inside=f"{written.tiles} tiles of {worlds:,} worlds, {scenario.time.record_hz:g} Hz, from "
+        "samples on the host to the end of fsync: joining, compression, files",
+        unit="MB/s",
+        **spread(written.recorder_mbps),
+        flops=None,
+        flops_from="not counted: nothing is computed",
+        least_bytes=None,
+        active_share=None,
+        extra={
+            "disk_mbps": disk,
+            "disk_spread": (max(written.disk_mbps) - min(written.disk_mbps)) / disk,
+            "disk_ratio": recorder / disk,
+            "samples_mbps": recorder * written.compression,
+            "bytes_per_robot_sample": written.bytes_per_robot_sample,
+            "vehicle_steps_per_s": speed,
+            "break_even_hz": break_even_hz(
+                recorder, written.bytes_per_robot_sample, speed, scenario.time.physics_dt_s
+            ),
+        },
+    )
+
+
+def break_even_hz(
+    recorder_mbps: float, bytes_per_robot_sample: float, vehicle_steps_per_s: float, dt_s: float
+) -> float:
+    """Record rate above which the device would wait for the disk, Hz of simulated time.
+
+    Robots together live ``vehicle_steps_per_s * dt_s`` seconds in a second; each writes its bytes
+    at the record rate.
+
+    Args:
+        recorder_mbps: bytes on disk, MB/s.
+        bytes_per_robot_sample: on disk.
+        vehicle_steps_per_s: of the device, physics steps of all robots.
+        dt_s: simulated time of one.
+    """
+    return recorder_mbps * 1e6 / (vehicle_steps_per_s * dt_s * bytes_per_robot_sample)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
-    """What was measured; rates are medians over the repeats."""
+class _Written:
+    """What was measured of the disk."""
 
-    disk_mbps: float
-    """Plain large writes and fsync, MB/s."""
-    recorder_mbps: float
-    """The recorder's, counted in bytes that reached the disk, MB/s."""
-    samples_mbps: float
-    """The same, counted in bytes of samples before compression, MB/s."""
-    spread: float
-    """Greatest less least over median of the disk's own rate."""
+    tiles: int
+    disk_mbps: list[float]
+    recorder_mbps: list[float]
+    compression: float
+    """Bytes of samples for each byte on disk."""
     bytes_per_robot_sample: float
     """On disk, with its share of the obstacles' samples."""
-    repeats: int
-
-    @property
-    def ratio(self) -> float:
-        """Recorder over disk, in bytes on disk."""
-        return self.recorder_mbps / self.disk_mbps
-
-    def break_even_hz(self, vehicle_steps_per_s: float, physics_dt_s: float) -> float:
-        """Record rate above which the device would wait for the disk, Hz of simulated time.
-
-        Robots together live ``vehicle_steps_per_s * physics_dt_s`` seconds in a second; each writes
-        its bytes at the record rate.
-
-        Args:
-            vehicle_steps_per_s: of the device, physics steps of all robots.
-            physics_dt_s: simulated time of one.
-        """
-        seconds = vehicle_steps_per_s * physics_dt_s
-        return self.recorder_mbps * 1e6 / (seconds * self.bytes_per_robot_sample)
 
 
-def measure(simulator: Simulator, folder: Path, *, repeats: int = 5) -> Recording:
-    """Measure disk and recorder in a folder.
-
-    Args:
-        simulator: of a scenario with ``record_hz`` above 0; it is compiled if it was not.
-        folder: on the disk in question; what is written there is taken away again.
-        repeats: turns, after one that does not count.
-
-    Raises:
-        ConfigError: nothing is recorded, or the folder cannot be written.
-        RunError: a world cannot hold the fleet.
-    """
-    scenario = simulator.scenario
-    if scenario.time.record_hz == 0:
-        raise ConfigError("record_hz = 0: there is nothing to record; give a scenario that does")
-    simulator.compile()
-    tile = next(waves.simulate(simulator, [0], recorded=True, progress=Silent()))[0]
+@contextmanager
+def _place_in(folder: Path) -> Iterator[Path]:
+    """A folder of its own, which is taken away again."""
     place = folder / f".recording-{os.getpid()}"
     try:
         place.mkdir(parents=True)
-        return _in_turns(simulator, tile, place, repeats)
+        yield place
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
 
-def _in_turns(simulator: Simulator, tile: FinishedTile, place: Path, repeats: int) -> Recording:
-    shape = sizes.shape_of(simulator)
-    environment = tile.constants.environment
-    if environment is None:
-        raise RunError("the tile was simulated without its environment")
-
-    def recorder(turn: int) -> tuple[Path, Recorder]:
-        path = place / f"turn_{turn}.zarr"
-        return path, Recorder.create(
-            path,
-            shape,
-            simulator.world_shape().environment,
-            tile=simulator.tile,
-            sample_dt_s=1.0 / simulator.scenario.time.record_hz,
-        )
-
-    def record(made: tuple[Path, Recorder]) -> Path:
-        path, into = made
-        into.write(0, harvest.arrays(tile, shape.samples), environment)
-        return path
-
-    on_disk = _bytes_in(record(recorder(-1)))
-    _remove_all(place)
-    plain, recorded = [], []
-    for turn in range(repeats):
-        plain.append(on_disk / _timed(lambda: _plain(place, on_disk)) / 1e6)
-        _remove_all(place)
-        made = recorder(turn)
-        recorded.append(on_disk / _timed(partial(record, made)) / 1e6)
-        _remove_all(place)
-    samples = tile.kept * shape.bytes_per_world()
-    rate = float(np.median(recorded))
-    return Recording(
-        disk_mbps=float(np.median(plain)),
-        recorder_mbps=rate,
-        samples_mbps=rate * samples / on_disk,
-        spread=(max(plain) - min(plain)) / float(np.median(plain)),
-        bytes_per_robot_sample=on_disk / (tile.kept * shape.samples * shape.robots),
-        repeats=repeats,
+def _to_the_horizon(timed: Timed) -> FinishedTile:
+    """Simulate the tile until its robots have ended."""
+    simulator, worlds = timed.simulator, timed.worlds
+    state, parts = simulator.reset(worlds), list[Sample]()
+    for _ in range(simulator.segments):
+        state, sample, running = timed.program(simulator.fleet, worlds, state)
+        parts.append(_on_host(sample))
+        if not np.asarray(running).any():
+            break
+    return FinishedTile(
+        first=0,
+        kept=simulator.tile,
+        constants=_on_host(harvest.constants(worlds, recorded=True)),
+        end=_on_host(harvest.end(state)),
+        parts=parts,
     )
 
 
-def _plain(place: Path, size: int) -> Path:
+def _on_host(tree: Any) -> Any:
+    return jax.tree.map(np.asarray, tree)
+
+
+def _in_turns(
+    timed: Timed, tile: FinishedTile, place: Path, repeats: int, least_bytes: int
+) -> _Written:
+    simulator = timed.simulator
+    shape = replace(sizes.shape_of(simulator), worlds=simulator.tile)
+    dt_s = 1.0 / simulator.scenario.time.record_hz
+    begin = partial(_Run, place / "run.zarr", tile, shape, dt_s)
+    one = begin(1)
+    one.write()
+    one_bytes = _bytes_in(place)
+    _remove_all(place)
+    tiles = -(-least_bytes // one_bytes)
+    disk, recorder = [], []
+    for turn in range(repeats + 1):
+        run = begin(tiles)
+        taken = _timed(run.write, place)
+        size = _bytes_in(place)
+        _remove_all(place)
+        plain = _timed(partial(_plain, place / "plain", size), place)
+        _remove_all(place)
+        if turn > 0:
+            recorder.append(size / taken / 1e6)
+            disk.append(size / plain / 1e6)
+    return _Written(
+        tiles=tiles,
+        disk_mbps=disk,
+        recorder_mbps=recorder,
+        compression=tiles * tile.kept * shape.bytes_per_world() / size,
+        bytes_per_robot_sample=size / (tiles * tile.kept * shape.samples * shape.robots),
+    )
+
+
+class _Run:
+    """A run whose tiles are all the same one."""
+
+    def __init__(
+        self, path: Path, tile: FinishedTile, shape: Shape, dt_s: float, tiles: int
+    ) -> None:
+        self._tile, self._tiles, self._samples = tile, tiles, shape.samples
+        self._environment: Environment = tile.constants.environment  # type: ignore[assignment]
+        whole = replace(shape, worlds=tiles * tile.kept)
+        self._recorder = Recorder.create(
+            path, whole, self._environment, tile=tile.kept, sample_dt_s=dt_s
+        )
+
+    def write(self) -> None:
+        """Write all tiles, one after another, as a run does."""
+        for number in range(self._tiles):
+            arrays = harvest.arrays(self._tile, self._samples)
+            self._recorder.write(number * self._tile.kept, arrays, self._environment)
+
+
+@cache
+def _noise() -> bytes:
+    return np.random.default_rng(0).bytes(BLOCK_BYTES)
+
+
+def _plain(path: Path, size: int) -> None:
     """Write a file of a size in large blocks of bytes that no disk can make smaller."""
-    path = place / "plain"
-    block = memoryview(np.random.default_rng(0).bytes(BLOCK_BYTES))
+    block = memoryview(_noise())
     with path.open("wb", buffering=0) as file:
         for begin in range(0, size, BLOCK_BYTES):
             file.write(block[: min(BLOCK_BYTES, size - begin)])
-    return path
+            shards.start_disk(file.fileno())
 
 
-def _timed(write: Callable[[], Path]) -> float:
+def _timed(write: Callable[[], None], place: Path) -> float:
     """Seconds until what was written is on the disk."""
     begun = time.perf_counter()
-    path = write()
-    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    write()
+    files = [path for path in place.rglob("*") if path.is_file()]
     # Together: one after another, many small files would wait for the disk once each.
     with ThreadPoolExecutor(16) as pool:
         list(pool.map(_sync, files))

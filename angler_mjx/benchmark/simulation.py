@@ -4,20 +4,29 @@ The simulation is timed in its first seconds, from rest, while the robots move. 
 physics steps that robots lived: one that has ended is not simulated for a living.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.benchmark import flops
-from angler_mjx.benchmark.speed import Row, check_repeats, peak_device_bytes, seconds_of, spread
+from angler_mjx.benchmark import flops, worlds_once
+from angler_mjx.benchmark.speed import (
+    Row,
+    account,
+    all_finite,
+    check_repeats,
+    moved_bytes,
+    peak_device_bytes,
+    seconds_of,
+    spread,
+)
 from angler_mjx.errors import RunError
+from angler_mjx.runs import devices as on_devices
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import Simulator
-from angler_mjx.sim.state import Outcome, Sample, WorldState
+from angler_mjx.sim.state import Outcome, Sample, World, WorldState
 
 MOVED_M = 1e-3
 """Way of a robot in the timed region below which it counts as standing."""
@@ -27,7 +36,26 @@ PLAIN_WORLDS = 8
 """In which operations are counted: for one step they do not depend on it."""
 
 
-def measure(scenario: Scenario, *, label: str, worlds: int, repeats: int, devices: int = 1) -> Row:
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """A scenario compiled for one size, with its worlds and its row."""
+
+    simulator: Simulator
+    worlds: World
+    program: Any
+    """Its segment: of fleet, worlds and state, whose memory is used up."""
+    row: Row
+
+
+def measure(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    devices: int = 1,
+    prepared: int | None = None,
+) -> Row:
     """Time the simulation of a scenario, one tile on each device.
 
     Args:
@@ -36,6 +64,8 @@ def measure(scenario: Scenario, *, label: str, worlds: int, repeats: int, device
         worlds: of each device in one call.
         repeats: timed calls, after one that is not timed; all from the same state.
         devices: number of them.
+        prepared: different worlds to draw, of which the first are taken; as many as are needed
+            if left out, ``worlds_once.DIFFERENT`` at most in both cases.
 
     Returns:
         Rates in vehicle-steps/s: physics steps of all robots on their way.
@@ -44,40 +74,43 @@ def measure(scenario: Scenario, *, label: str, worlds: int, repeats: int, device
         ConfigError: too few repeats.
         RunError: a result is not finite, robots stand still, or memory does not suffice.
     """
+    sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
+    return time_it(scenario, label=label, **sized, prepared=prepared).row
+
+
+def time_it(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    devices: int = 1,
+    prepared: int | None = None,
+) -> Timed:
+    """As `measure`, with what was compiled for it."""
     check_repeats(repeats)
     simulator = Simulator(scenario, tile=worlds, devices=devices)
-    compiled = simulator.compile()
-    try:
-        rates, active = _repeat(simulator, repeats)
-    except jax.errors.JaxRuntimeError as error:
-        simulator.explain(error)
-        raise
-    most = _most_steps(simulator)
-    # The compiled program itself: XLA's account is of the very thing that was timed.
-    program: Any = simulator._segment
-    memory = program.memory_analysis()
-    moved = memory.argument_size_in_bytes + memory.output_size_in_bytes if memory else None
-    counted, how = _flops_per_step(simulator)
-    return Row(
+    drawn = worlds_once.draw(scenario, prepared or devices * worlds)
+    compile_s, program = _compiled(simulator, drawn)
+    filled = worlds_once.fill(drawn, worlds, devices)
+    rates, active = _repeat(simulator, program, filled, repeats)
+    row = Row(
         workload=label,
-        inside=_inside(simulator),
+        inside=f"{_inside(simulator)}; {worlds_once.said(drawn, devices * worlds)}",
         worlds=worlds,
         robots=len(scenario.members()),
         unit="vehicle-steps/s",
         **spread(rates),
-        compile_s=compiled.segment_s,
+        compile_s=compile_s,
         devices=devices,
         engine=scenario.engine,
         kernels=simulator.kernels,
-        flops=counted,
-        flops_from=how,
-        least_bytes=devices * moved / most if moved else None,
-        program_bytes=(
-            moved + memory.temp_size_in_bytes - memory.alias_size_in_bytes if moved else None
-        ),
+        **_needs(simulator, program),
+        **account(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=active,
     )
+    return Timed(simulator=simulator, worlds=filled, program=program, row=row)
 
 
 def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> Row:
@@ -103,7 +136,7 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
         except jax.errors.JaxRuntimeError as error:
             simulator.explain(error)
             raise
-        if not _all_finite(made.path):
+        if not all_finite(made.path):
             raise RunError("a path in the timed worlds is not finite: no number is given")
         taken.append(seconds)
     return Row(
@@ -133,7 +166,7 @@ def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
     Raises:
         RunError: a number is not finite, robots stood still, or too many had ended.
     """
-    if not _all_finite((after.vehicles, sample.p, sample.q, sample.nu)):
+    if not all_finite((after.vehicles, sample.p, sample.q, sample.nu)):
         raise RunError("the timed run holds NaN: no number is given")
     running = np.asarray(after.tally.outcome) == Outcome.RUNNING
     standing = running & (np.asarray(after.tally.path_length_m) < MOVED_M)
@@ -151,16 +184,15 @@ def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
     return min(active, 1.0)
 
 
-def _repeat(simulator: Simulator, repeats: int) -> tuple[list[float], float]:
+def _repeat(
+    simulator: Simulator, program: Any, worlds: World, repeats: int
+) -> tuple[list[float], float]:
     """Rates of the timed calls, and the least share of robot time in them."""
-    worlds = jax.block_until_ready(simulator.worlds(0))
-    if not np.asarray(worlds.environment.valid).all():
-        raise RunError("some worlds cannot hold the fleet: no number is given; take fewer robots")
     seconds = simulator.segment_steps * simulator.spec.control_dt_s
     rates, actives = [], []
     for i in range(repeats + 1):
         state = jax.block_until_ready(simulator.reset(worlds))
-        taken, (after, sample) = seconds_of(simulator.segment, worlds, state)
+        taken, (after, sample, _) = seconds_of(program, simulator.fleet, worlds, state)
         active = require_moving(after, sample, seconds)
         # What is measured is freed before the next state is made: it counts in peak memory.
         del state, after, sample
@@ -168,6 +200,37 @@ def _repeat(simulator: Simulator, repeats: int) -> tuple[list[float], float]:
             rates.append(active * _most_steps(simulator) / taken)
             actives.append(active)
     return rates, min(actives)
+
+
+def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
+    """Seconds it took to compile a segment of repeated worlds, and the program.
+
+    Raises:
+        RunError: its memory is more than a device has; nothing was allocated yet.
+    """
+    shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
+    state = jax.eval_shape(simulator._reset, simulator.fleet, shapes)
+    state = on_devices.placed(state, on_devices.mesh(simulator.devices), on_devices.EACH)
+    segment: Any = simulator._segment
+    compile_s, program = seconds_of(segment.lower(simulator.fleet, shapes, state).compile)
+    _require_room(simulator.tile, program)
+    return compile_s, program
+
+
+def _require_room(tile: int, program: Any) -> None:
+    """Refuse a program that by XLA's account needs more memory than a device has."""
+    needed = account(program).get("program_bytes")
+    limit = on_devices.limit_bytes(jax.local_devices()[0])
+    if needed is not None and needed > limit:
+        raise on_devices.too_large(tile, needed, limit, "before the first step")
+
+
+def _needs(simulator: Simulator, program: Any) -> dict[str, Any]:
+    """What one physics step of one robot needs at least: operations and bytes."""
+    counted, how = _flops_per_step(simulator)
+    moved = moved_bytes(program)
+    bytes_each = simulator.devices * moved / _most_steps(simulator) if moved else None
+    return {"flops": counted, "flops_from": how, "least_bytes": bytes_each}
 
 
 def _most_steps(simulator: Simulator) -> int:
@@ -207,13 +270,3 @@ def _inside(simulator: Simulator) -> str:
         f"body, rotors, control, allocation, obstacles, detection; samples every {every} physics "
         "steps, left on the device"
     )
-
-
-@jax.jit
-def _finite(tree: Any) -> jax.Array:
-    leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
-
-
-def _all_finite(tree: Any) -> bool:
-    return bool(_finite(tree))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import monitoring
 
@@ -55,12 +56,19 @@ class Row:
     arguments read once, its results written once."""
     program_bytes: int | None = None
     """Device memory of the program by XLA's account: arguments, results and temporaries."""
+    xla_flops: float | None = None
+    """Operations of the whole timed program on one device by XLA's own cost analysis, which counts
+    the body of a loop once however often it runs, and nothing inside Pallas kernels."""
+    xla_bytes: float | None = None
+    """Bytes that its operations touch, by the same account."""
     device_peak_bytes: int | None = None
     """Most device memory in use in this process so far."""
     host_peak_bytes: int = field(default_factory=peak_memory_bytes)
     """Most host memory in use in this process so far."""
     active_share: float | None = None
     """Share of the counted steps in all that the robots could have lived in the timed region."""
+    extra: dict[str, float] = field(default_factory=dict)
+    """What only this workload has to say."""
     refused: str | None = None
     """Why there is no number."""
     out_of_memory: bool = False
@@ -95,6 +103,39 @@ def spread(rates: list[float]) -> dict[str, Any]:
         "high": max(rates),
         "repeats": len(rates),
     }
+
+
+def account(program: Any) -> dict[str, Any]:
+    """The fields of a row that XLA says of a compiled program; none where it says nothing.
+
+    Args:
+        program: compiled; one device's part of it is told of.
+    """
+    fields: dict[str, Any] = {}
+    if cost := program.cost_analysis():
+        fields |= {"xla_flops": cost.get("flops"), "xla_bytes": cost.get("bytes accessed")}
+    if memory := program.memory_analysis():
+        whole = memory.argument_size_in_bytes + memory.output_size_in_bytes
+        whole += memory.temp_size_in_bytes - memory.alias_size_in_bytes
+        fields["program_bytes"] = whole
+    return fields
+
+
+def moved_bytes(program: Any) -> int | None:
+    """Arguments and results of a compiled program on one device; None where XLA does not say."""
+    memory = program.memory_analysis()
+    return memory.argument_size_in_bytes + memory.output_size_in_bytes if memory else None
+
+
+@jax.jit
+def _finite(tree: Any) -> jax.Array:
+    leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
+
+
+def all_finite(tree: Any) -> bool:
+    """Whether every float of a tree of device arrays is finite."""
+    return bool(_finite(tree))
 
 
 @cache
@@ -152,6 +193,7 @@ def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     absent = {name: None for name in Row.__dataclass_fields__} | {
         "out_of_memory": False,
         "devices": 1,
+        "extra": {},
     }
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():

@@ -11,7 +11,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices
 from angler_mjx.runs.scenario import FleetEntry, Scenario, load_scenario, shipped
 
-type Kind = Literal["simulation", "preparation", "generation", "clearance"]
+type Kind = Literal["dynamics", "simulation", "recording", "preparation", "generation", "clearance"]
 type Engine = Literal["mjx", "fused"]
 type Kernels = Literal["xla", "triton"]
 type Profile = Literal["quick", "full", "paper"]
@@ -31,9 +31,18 @@ class Workload:
     """In each world where no number is asked for."""
     label: str
     """Name in the rows; ``{robots}`` stands for their number."""
+    record_hz: float | None = None
+    """The scenario's own where None."""
 
 
 WORKLOADS: dict[str, Workload] = {
+    "dynamics": Workload(
+        about="the equations of motion alone, one BlueROV2 Heavy in each world, whatever is asked",
+        kind="dynamics",
+        engine="fused",
+        robots=1,
+        label="dynamics",
+    ),
     "closed_loop_8": Workload(
         about="eight BlueROV2 Heavy, one parameter set, four vortices, 24 cells of rock",
         kind="simulation",
@@ -57,6 +66,15 @@ WORKLOADS: dict[str, Workload] = {
         engine="mjx",
         robots=4,
         label="reef_fleet",
+    ),
+    "recording": Workload(
+        about="the demo's trajectories at 10 Hz, written to the disk that holds the rows",
+        kind="recording",
+        source="reef_fleet",
+        engine="fused",
+        robots=4,
+        label="recording/reef_fleet",
+        record_hz=10.0,
     ),
     "preparation": Workload(
         about="drawing and planning the worlds of the demo",
@@ -90,11 +108,16 @@ class Grid:
     robots: tuple[int, ...] = ()
 
 
+_ALL = tuple(name for name in WORKLOADS if name != "recording")
+"""But the disk's: it is not the device's speed, and takes as much of the disk as a run."""
+
 PROFILES: dict[Profile, Grid] = {
-    "quick": Grid(workloads=("closed_loop_8", "reef_fleet", "mjx", "clearance"), worlds=(64,)),
-    "full": Grid(workloads=tuple(WORKLOADS), worlds=(1, 64, 1024, 16384)),
+    "quick": Grid(
+        workloads=("dynamics", "closed_loop_8", "reef_fleet", "mjx", "clearance"), worlds=(64,)
+    ),
+    "full": Grid(workloads=_ALL, worlds=(1, 64, 1024, 16384)),
     "paper": Grid(
-        workloads=tuple(WORKLOADS),
+        workloads=_ALL,
         worlds=(1, 64, 1024, 16384, 262144),
         robots=(1, 4, 16, 64),
     ),
@@ -114,6 +137,8 @@ class Request:
     repeats: int = 10
     devices: int = 1
     """Of simulations; other workloads use one."""
+    folder: Path = Path()
+    """On the disk that `recording` measures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,6 +152,10 @@ class Case:
     """Of the workloads that have one."""
     repeats: int
     devices: int
+    prepared: int
+    """Different worlds that the largest row of the same fleet needs, so that all rows can share."""
+    kernels: Kernels | None
+    folder: Path
 
     @property
     def label(self) -> str:
@@ -149,20 +178,38 @@ def cases(request: Request) -> list[Case]:
     found = []
     for name in request.workloads or grid.workloads:
         workload = find(name)
-        for robots in request.robots or grid.robots or (workload.robots,):
-            scenario = _scenario(workload, robots, request)
-            found += [
-                Case(
-                    workload=workload,
-                    worlds=worlds,
-                    robots=robots,
-                    scenario=scenario,
-                    repeats=request.repeats,
-                    devices=request.devices if workload.kind == "simulation" else 1,
-                )
-                for worlds in sorted(request.worlds or grid.worlds)
-            ]
+        if workload.kind == "dynamics" and request.engine == "mjx":
+            raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
+        for robots in _fleets(workload, request.robots or grid.robots):
+            found += _of_fleet(workload, robots, request, request.worlds or grid.worlds)
     return found
+
+
+def _fleets(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of robots in a world that a workload is measured for."""
+    return robots if robots and workload.kind != "dynamics" else (workload.robots,)
+
+
+def _of_fleet(
+    workload: Workload, robots: int, request: Request, worlds: tuple[int, ...]
+) -> list[Case]:
+    """The rows of one workload and number of robots."""
+    scenario = _scenario(workload, robots, request)
+    devices = request.devices if workload.kind == "simulation" else 1
+    return [
+        Case(
+            workload=workload,
+            worlds=size,
+            robots=robots,
+            scenario=scenario,
+            repeats=request.repeats,
+            devices=devices,
+            prepared=devices * max(worlds),
+            kernels=request.kernels,
+            folder=request.folder,
+        )
+        for size in sorted(worlds)
+    ]
 
 
 def find(name: str) -> Workload:
@@ -190,13 +237,15 @@ def find(name: str) -> Workload:
 
 def _scenario(workload: Workload, robots: int, request: Request) -> Scenario | None:
     """The scenario of a workload with this many robots; None for workloads without one."""
-    if workload.kind not in ("simulation", "preparation"):
+    if workload.kind not in ("simulation", "recording", "preparation"):
         return None
     changes: dict[str, Any] = {}
     if engine := request.engine or workload.engine:
         changes["engine"] = engine
     if request.kernels is not None and engine != "mjx":
         changes["kernels"] = request.kernels
+    if workload.record_hz is not None:
+        changes["time"] = {"record_hz": workload.record_hz}
     name = workload.source
     if name in shipped() or name.endswith(".toml"):
         return _resized(name, robots, changes)

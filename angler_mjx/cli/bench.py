@@ -31,10 +31,12 @@ def bench(
     """Measure how fast this machine is; or compare, draw or tabulate what was measured.
 
     Args:
-        workload: closed_loop_8, reef_fleet, mjx, preparation, env_generation, clearance, or
-            scenarios by name or path; the profile's if left out.
-        worlds: Worlds in one device call; one row for each number.
-        robots: Robots in each world; the workload's own if left out.
+        workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
+            clearance, or scenarios by name or path, several after one another; the profile's
+            if left out.
+        worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024.
+        robots: Robots in each world, as in --robots 1 4 16; the workload's own if left out, and
+            always one in dynamics.
         engine: Engine of the simulations; the workload's own if left out.
         kernels: What the fused engine is compiled by.
         profile: Workloads and sizes where none are given: quick takes minutes on a laptop, full
@@ -43,7 +45,7 @@ def bench(
         device: Where to compute; JAX's choice if left out.
         devices: Devices for the simulations; each has as many worlds as are asked for.
         out: File to write: of rows (appended; benchmarks/results.jsonl if left out), the picture
-            of --chart, or the document of --table.
+            of --chart, or the document of --table. recording writes to the disk it stands on.
         compare: Two files of rows, or two commits with rows in --out: print second over first.
         chart: Draw a file of rows.
         table: Print a file of rows as Markdown, or put it into the document --out.
@@ -69,6 +71,7 @@ def bench(
             kernels=kernels,
             repeats=repeats,
             devices=devices,
+            folder=(out or RESULTS).parent,
         )
         _measure(asked, out or RESULTS)
 
@@ -128,9 +131,24 @@ def _show(rows: "list[Row]", device: Any) -> None:
         )
     console.print(shown)
     said = dict.fromkeys(f"{row.workload}: timed is {row.inside}" for row in rows if row.inside)
+    said |= {
+        _recorded(row): None for row in rows if row.workload.startswith("recording/") and row.extra
+    }
     refusals = [f"{r.workload}, {r.worlds} x {r.robots}: {r.refused}" for r in rows if r.refused]
     for line in [*said, *refusals]:
         console.print(line, highlight=False)
+
+
+def _recorded(row: "Row") -> str:
+    """What a row of recording has to say beside its rate."""
+    x = row.extra
+    return (
+        f"{row.workload}, {_size(row)}: {x['disk_ratio']:.0%} of what the disk takes, "
+        f"{x['disk_mbps']:.0f} MB/s (spread {x['disk_spread']:.0%}); {x['samples_mbps']:.0f} MB/s "
+        f"of samples before compression, {x['bytes_per_robot_sample']:.1f} bytes for a robot's "
+        f"sample; at {x['vehicle_steps_per_s']:.2e} vehicle-steps/s the device would wait for the "
+        f"disk above {x['break_even_hz']:.3g} Hz of simulated time"
+    )
 
 
 def _size(row: Any) -> str:

@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.clearance import cell_neighbours
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -65,4 +66,12 @@ def _one_world(
     path = grid_planner.plan(
         environment, cascade.vehicle.radius_m, cascade.cruise_speed_mps, planner
     )
-    return World(environment=environment, variant=variant, body=body, cascade=cascade, path=path)
+    looked_up = scenario.engine == "fused"
+    return World(
+        environment=environment,
+        variant=variant,
+        body=body,
+        cascade=cascade,
+        path=path,
+        cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
+    )

@@ -43,7 +43,12 @@ def _version(package: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """Commit of the checkout that runs, with a mark if it was changed; None outside a checkout."""
+    """Commit of the checkout that runs, with a mark if it was changed; None outside a checkout.
+
+    ``ANGLER_COMMIT`` stands for it where it is set: a copied tree has no history.
+    """
+    if said := os.environ.get("ANGLER_COMMIT"):
+        return said
     git = ["git", "-C", str(Path(__file__).parent)]
     try:
         commit = subprocess.run(

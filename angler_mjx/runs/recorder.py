@@ -1,8 +1,17 @@
-"""Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile."""
+"""Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile.
+
+Chunks are compressed by LZ4 after a shuffle of bytes. Samples of ``reef_fleet`` at 10 Hz, two busy
+cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4 with
+byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
+Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So LZ4 costs nothing
+even there, and doubles what a slower disk or more cores can record.
+"""
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +27,12 @@ from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
 
-THREADS = min(8, os.cpu_count() or 1)
-"""Arrays of a tile that are put together, compressed and written at once."""
+ENCODERS = os.cpu_count() or 1
+"""Threads that put worlds together and compress them."""
+WRITERS = 4
+"""Arrays of a tile that are written at once."""
+BLOCK_BYTES = 2**22
+"""Samples that a thread puts together before it compresses them: they stay in its cache."""
 
 _ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
 """As the arrays' metadata say; docs/decisions/0004-many-devices.md has what was measured."""
@@ -72,6 +85,9 @@ class Recorder:
         self._group = group
         self._shape = shape
         self._tile = tile
+        # Their threads end with the recorder. Writers wait for the disk, or for encoders.
+        self._encoders = ThreadPoolExecutor(ENCODERS)
+        self._writers = ThreadPoolExecutor(WRITERS)
 
     @classmethod
     def reopen(cls, path: Path, shape: Shape, *, tile: int) -> "Recorder":
@@ -140,6 +156,27 @@ class Recorder:
             attributes={"unit": unit, "description": text},
         )
 
+    def _write_environment(self, number: int, kept: int, environment: Environment) -> None:
+        """Write the chunks of a tile's environments, as `store.write` does, without its calls."""
+        for name, leaf in store.leaves(environment).items():
+            array = self._environment[name]
+            values = np.zeros(array.chunks, array.dtype)
+            values[:kept] = np.asarray(leaf)[:kept]
+            if values.size:
+                place = _place(self._path / "environment" / name, number, array.ndim)
+                shards.write_file(place, [_ENCODER.encode(values)])
+
+    @cached_property
+    def _environment(self) -> dict[str, Any]:
+        """Arrays of the environments by name, opened once."""
+        group: Any = self._group["environment"]
+        return {name: node for name, node in group.members(max_depth=None)}
+
+    @cached_property
+    def _arrays(self) -> dict[str, Any]:
+        """By name, opened once: opening costs as much as writing a small tile."""
+        return dict(self._group.arrays())
+
     def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
         """Write one tile.
 
@@ -151,19 +188,40 @@ class Recorder:
         Returns:
             Bytes on disk, the environment's not counted.
         """
-        group: Any = self._group
-        number = first_world // self._tile
+        number, kept = first_world // self._tile, self._shape.worlds - first_world
+        kept = min(kept, self._tile)
+        names = [name for name in arrays if name in self._arrays]
 
         def one(name: str) -> int:
-            values = arrays[name]()
-            if 0 in values.shape[1:]:
-                return 0
-            values = values.astype(group[name].dtype, copy=False)
-            place = self._path / name / "c" / "/".join([str(number), *"0" * (values.ndim - 1)])
-            return shards.write(place, values, shard=self._tile, codec=_ENCODER)
+            array = self._arrays[name]
+            encode = partial(_encoded, arrays[name], array.dtype)
+            blocks = self._encoders.map(encode, _blocks(array, kept))
+            place = _place(self._path / name, number, array.ndim)
+            return shards.write(place, blocks, shard=self._tile)
 
-        with ThreadPoolExecutor(THREADS) as pool:
-            around = pool.submit(store.write, group["environment"], first_world, environment)
-            written = sum(pool.map(one, arrays))
-            around.result()
-        return written
+        around = self._writers.submit(self._write_environment, number, kept, environment)
+        written = [self._writers.submit(one, name) for name in names]
+        # All of them end before an error is told: nobody writes after this has returned.
+        wait(written)
+        wait([around])
+        around.result()
+        return sum(future.result() for future in written)
+
+
+def _place(array: Path, shard: int, ndim: int) -> Path:
+    """File of a shard; only the worlds are divided."""
+    return array / "c" / "/".join([str(shard), *"0" * (ndim - 1)])
+
+
+def _blocks(array: Any, kept: int) -> list[slice]:
+    """Worlds [0, kept) in slices of about ``BLOCK_BYTES``."""
+    world_bytes = array.nbytes // array.shape[0]
+    step = max(1, BLOCK_BYTES // world_bytes)
+    return [slice(first, min(first + step, kept)) for first in range(0, kept, step)]
+
+
+def _encoded(take: Callable[[slice], np.ndarray], dtype: np.dtype, worlds: slice) -> list[bytes]:
+    """Chunks of some worlds, a chunk each."""
+    values = np.ascontiguousarray(take(worlds).astype(dtype, copy=False))
+    # Blosc takes the size of an element from the array, and lets other threads run meanwhile.
+    return [_ENCODER.encode(value) for value in values]

@@ -355,6 +355,13 @@ def grid_shape(environment: Environment) -> lane_steps.Shape:
     return nx, ny, nz
 
 
+def packed_cells(worlds: World) -> jax.Array:
+    """`clearance.cell_neighbours` of worlds [W, ...], packed now if that was not done before."""
+    if worlds.cell_neighbours is not None:
+        return worlds.cell_neighbours
+    return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
+
+
 def _scene(fleet: Fleet, worlds: World) -> _Scene:
     """Everything that stays the same, laid out as lanes."""
     environment = worlds.environment
@@ -371,7 +378,7 @@ def _scene(fleet: Fleet, worlds: World) -> _Scene:
     return _Scene(
         groups=tuple(map(given, fleet.groups)),
         current=_lanes(environment.current, 1),
-        cells=_cells(environment),
+        cells=_cells(worlds),
         shape=grid_shape(environment),
         obstacles=obstacles,
         reach=lane_steps.reach(obstacles),
@@ -380,9 +387,9 @@ def _scene(fleet: Fleet, worlds: World) -> _Scene:
     )
 
 
-def _cells(environment: Environment) -> Cells:
+def _cells(worlds: World) -> Cells:
+    environment, neighbours = worlds.environment, packed_cells(worlds)
     grid = environment.grid
-    neighbours = jax.vmap(clearance.cell_neighbours)(grid.occupied)
     lo, hi = jax.vmap(episode.region)(environment)
     return Cells(
         neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1),

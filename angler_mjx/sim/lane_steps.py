@@ -5,8 +5,8 @@ them into lanes); what is written here is only how robots, obstacles and cells m
 come from is not known here: from arrays, or from the memory of a kernel.
 
 Distances that cannot matter are left out: a robot's tally keeps its least clearance, so a shape
-whose bounding sphere is farther than the least clearance so far is not looked at. The tally that
-results is the same.
+whose bounding sphere is farther than the least clearance so far is not looked at, nor is a cell.
+The tally that results is the same.
 """
 
 from collections.abc import Callable, Sequence
@@ -258,8 +258,11 @@ def judge(
     """
     a, b = lanes.apply(_hull, vehicle, state.p, state.q)
     v = lanes.apply(_velocity, state.q, state.nu)
-    to_cells, to_floor = lanes.apply(partial(_to_ground, shape), vehicle, a, b, state.p, cells)
     running = tally.outcome[()] == Outcome.RUNNING
+    below = jnp.where(running, jnp.maximum(tally.min_clearance_m[()], 0.0), 0.0)
+    to_cells, to_floor = lanes.apply(
+        partial(_to_ground, shape), vehicle, a, b, state.p, cells, lanes.pack([below], ())
+    )
     zero = jnp.zeros_like(state.p[0])
     start = _Nearest(
         gap=jnp.full_like(zero, jnp.inf),
@@ -396,13 +399,19 @@ def _velocity(q: jax.Array, nu: jax.Array) -> jax.Array:
 
 
 def _to_ground(
-    shape: Shape, vehicle: VehicleParams, a: jax.Array, b: jax.Array, p: jax.Array, cells: Cells
+    shape: Shape,
+    vehicle: VehicleParams,
+    a: jax.Array,
+    b: jax.Array,
+    p: jax.Array,
+    cells: Cells,
+    below: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
-    """Distance [] of one hull to the cells, and to the floor."""
+    """Distance [] of one hull to the cells, if less than ``below`` [], and to the floor."""
     index, lo = clearance.neighbour_window(p, cells.origin_m, cells.cell_m, shape)
     mask = take(cells.neighbours, index)
     r = vehicle.capsule_r_m
-    gap = clearance.capsules_neighbours(a, b, r, p, lo, mask, cells.cell_m)
+    gap = clearance.capsules_neighbours(a, b, r, p, lo, mask, cells.cell_m, below)
     lowest = jnp.min(jnp.minimum(a[:, 2], b[:, 2]) - r)
     return gap, lowest - cells.floor_z_m
 

@@ -66,6 +66,11 @@ class Layout:
         """Number of planes of the whole tree."""
         return sum(leaf.size for leaf in self.leaves)
 
+    @property
+    def size(self) -> int:
+        """Number of places."""
+        return self.planes * self.lanes
+
     def pack(self, tree: Any, dtype: Any) -> jax.Array:
         """Arrays [W, (n,) ...] as one flat array [planes * lanes]; whole numbers must be small."""
         rows = []

@@ -65,6 +65,9 @@ class World:
     body: BodyInertia
     cascade: CascadeParams
     path: Trajectory
+    cell_neighbours: jax.Array | None = None
+    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all
+    segments where the engine looks cells up in it."""
 
 
 @jax.tree_util.register_dataclass

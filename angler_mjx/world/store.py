@@ -66,14 +66,14 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             "obstacle_motions": list(environment.obstacles.motions),
         }
     )
-    for name, leaf in _leaves(environment).items():
+    for name, leaf in leaves(environment).items():
         tail = leaf.shape[1:]
         group.create_array(
             name,
             shape=(count, *tail),
             chunks=(min(tile, count), *tail),
             dtype=np.dtype(leaf.dtype),
-            compressors=BloscCodec(cname="lz4", shuffle="bitshuffle", clevel=1),
+            compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
             attributes={"unit": _unit(name)},
         )
 
@@ -86,7 +86,7 @@ def write(group: zarr.Group, first: int, environment: Environment) -> None:
         first: index of the batch's first world in the group.
         environment: batch of worlds.
     """
-    for name, leaf in _leaves(environment).items():
+    for name, leaf in leaves(environment).items():
         array: Any = group[name]
         last = min(first + leaf.shape[0], array.shape[0])
         array[first:last] = np.asarray(leaf)[: last - first]
@@ -194,8 +194,8 @@ def open_file(path: Path) -> zarr.Group:
     return group
 
 
-def _leaves(environment: Environment) -> dict[str, Any]:
-    """Arrays by name."""
+def leaves(environment: Environment) -> dict[str, Any]:
+    """Arrays of an environment by their names in a group."""
     found = jax.tree_util.tree_flatten_with_path(environment)[0]
     return {"/".join(_word(step) for step in path): leaf for path, leaf in found}
 

@@ -76,11 +76,12 @@ def capsules_neighbours(
     lo: jax.Array,
     mask: jax.Array,
     cell: jax.Array,
+    below: jax.Array | float = jnp.inf,
 ) -> jax.Array:
     """Distance [] of a union of capsules to the occupied cells; the same as `capsules_grid`.
 
-    Exact up to ``cell - hull radius`` and never greater. The nearest cell of the nearest capsule is
-    searched with gradients stopped; the gap of that pair is what is differentiated.
+    Exact up to ``cell - hull radius`` and to ``below``, and never greater. The nearest cell of the
+    nearest capsule is searched with gradients stopped; the gap of that pair is differentiated.
 
     Args:
         a: [c, 3] one end of each capsule's axis, m.
@@ -90,6 +91,7 @@ def capsules_neighbours(
         lo: [3] lower corner of the cell of bit 0.
         mask: int32 [] entry of `cell_neighbours`.
         cell: [] edge of a cell.
+        below: [] >= 0; greater distances do not matter, and are not looked for.
     """
     n = a.shape[0]
     # From here on in coordinates of the window: they are small, so that rounding is.
@@ -103,12 +105,13 @@ def capsules_neighbours(
         square = jnp.maximum(_square(start, middle), _square(end, middle))
         reaches.append(jnp.sqrt(square) + r[k])
         depths.append(segment_point(start, end, middle) - radius)
-    cap = cell - functools.reduce(jnp.maximum, reaches)
-    inner = functools.reduce(jnp.minimum, depths)
+    hull_radius = functools.reduce(jnp.maximum, reaches)
+    cap = jnp.minimum(cell - hull_radius, below)
 
-    fixed = jax.lax.stop_gradient((lines, [r[k] for k in range(n)], cell, cap, inner))
+    fixed = jax.lax.stop_gradient((lines, [r[k] for k in range(n)], cell, cap))
     point = jax.lax.stop_gradient([centre[i] - lo[i] for i in range(3)])
-    near = _cells_within_reach(point, mask, fixed[2], fixed[3], fixed[4])
+    held_by = jax.lax.stop_gradient((functools.reduce(jnp.minimum, depths), hull_radius))
+    near = _cells_within_reach(point, mask, fixed[2], fixed[3], *held_by)
     bit, which, s = _nearest_pair(fixed[0], fixed[1], near, fixed[2], fixed[3])
     chosen: Line = jax.tree.map(lambda *leaves: _pick(which, leaves), *lines)
     low = _corner(bit, cell)
@@ -154,7 +157,12 @@ def point_neighbours(
 
 
 def _cells_within_reach(
-    point: Scalars, mask: jax.Array, cell: jax.Array, cap: jax.Array, inner: jax.Array
+    point: Scalars,
+    mask: jax.Array,
+    cell: jax.Array,
+    cap: jax.Array,
+    inner: jax.Array,
+    hull_radius: jax.Array,
 ) -> jax.Array:
     """Bits [] of the cells that can hold the nearest point, for a hull about a point of the window.
 
@@ -166,8 +174,7 @@ def _cells_within_reach(
     far = jnp.full_like(cell, jnp.inf)
     set_squares = [jnp.where(mask & (1 << i) != 0, x, far) for i, x in enumerate(squares)]
     nearest = jnp.sqrt(functools.reduce(jnp.minimum, set_squares))
-    # cap + hull radius is one edge.
-    limit = jnp.minimum(nearest + inner, cap) + (cell - cap)
+    limit = jnp.minimum(nearest + inner, cap) + hull_radius
     limit = jnp.maximum(limit, 0.0) * limit
     near = [jnp.where(x <= limit, 1 << i, 0) for i, x in enumerate(squares)]
     return mask & functools.reduce(jnp.bitwise_or, near)

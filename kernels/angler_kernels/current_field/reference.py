@@ -98,9 +98,9 @@ def _phi(s: jax.Array) -> tuple[jax.Array, jax.Array]:
     small = s < _SERIES_BELOW
     safe = jnp.where(small, 1.0, s)
     inverse = 1.0 / safe
-    fall = jnp.expm1(-safe)
-    far = -fall * inverse
-    far_slope = (1.0 + fall - far) * inverse
+    fall = jnp.exp(-safe)
+    far = (1.0 - fall) * inverse
+    far_slope = (fall - far) * inverse
     near, near_slope = jnp.zeros_like(s), jnp.zeros_like(s)
     for k in range(_terms(s.dtype) - 1, 0, -1):
         near = (near + _SERIES[k]) * s

@@ -9,6 +9,7 @@ from angler_kernels.quaternion.reference import (
     rotate,
     rotate_inverse,
     to_matrix,
+    up,
     yaw,
 )
 
@@ -21,5 +22,6 @@ __all__ = [
     "rotate",
     "rotate_inverse",
     "to_matrix",
+    "up",
     "yaw",
 ]

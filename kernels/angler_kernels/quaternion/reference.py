@@ -37,6 +37,12 @@ def rotate_inverse(q: jax.Array, v: jax.Array) -> jax.Array:
     return rotate(conjugate(q), v)
 
 
+def up(q: jax.Array) -> jax.Array:
+    """The world's unit vector z [3], expressed in the body frame."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+
+
 def to_matrix(q: jax.Array) -> jax.Array:
     """Rotation matrix [3, 3] that maps body vectors to world vectors."""
     w, x, y, z = q[0], q[1], q[2], q[3]

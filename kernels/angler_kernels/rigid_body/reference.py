@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import spd_solve
-from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_inverse
+from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_inverse, up
 
 
 def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> jax.Array:
@@ -56,7 +56,7 @@ def submerged_fraction(z: jax.Array, height: jax.Array) -> jax.Array:
 
 def buoyancy_wrench(q: jax.Array, lift: jax.Array, p_cb: jax.Array) -> jax.Array:
     """Wrench [6] of an upward force ``lift`` [] N (world) at ``p_cb`` [3] m (body)."""
-    force = rotate_inverse(q, jnp.array([0.0, 0.0, 1.0], q.dtype) * lift)
+    force = lift * up(q)
     return jnp.concatenate([force, jnp.cross(p_cb, force)])
 
 
@@ -118,7 +118,7 @@ def water_wrench(
     """
     v_c_body, Dv_c_body = rotate_inverse(q, v_c), rotate_inverse(q, Dv_c)
     nu_r = jnp.concatenate([nu[:3] - v_c_body, nu[3:]])
-    z_cb = z + rotate(q, p_cb)[2]
+    z_cb = z + jnp.sum(up(q) * p_cb)
     displaced = density * volume * submerged_fraction(z_cb, height)
     return (
         damping_wrench(D_l, D_q, nu_r)

@@ -55,4 +55,4 @@ def rotor_lag(
     """
     decay = jnp.exp(-dt / tau)
     gap = thrust - command
-    return command + gap * decay, command + gap * (1.0 - decay) * tau / dt
+    return command + gap * decay, command + gap * ((1.0 - decay) * (tau / dt))

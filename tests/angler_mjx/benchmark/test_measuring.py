@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.benchmark import hull_clearance, measuring, simulation
+from angler_mjx.benchmark import (
+    free_motion,
+    hull_clearance,
+    measuring,
+    recording,
+    simulation,
+    speed,
+)
 from angler_mjx.benchmark.hull_clearance import require_change
 from angler_mjx.benchmark.simulation import require_moving
 from angler_mjx.benchmark.workloads import PROFILES, WORKLOADS, Request, cases
@@ -45,7 +52,11 @@ def test_a_simulation_fills_its_row(measured):
     assert 0 < measured.least_bytes * steps <= measured.program_bytes
     # A rigid body with its thrusters and current takes hundreds of operations a step, not millions.
     assert 500 < measured.flops < 50_000
+    # XLA counts the body of the loop over control steps once, so it says less than was done.
+    assert 0 < measured.xla_flops < measured.flops * steps
+    assert measured.xla_bytes > 0
     assert "1.25 s of simulated time" in measured.inside
+    assert "all worlds different" in measured.inside
 
 
 def state(**changes):
@@ -129,6 +140,7 @@ def test_a_refused_run_has_no_number(monkeypatch):
 def test_all_workloads_of_a_profile_load(profile):
     chosen = cases(Request(profile=profile))
     assert {case.workload.kind for case in chosen} <= {
+        "dynamics",
         "simulation",
         "preparation",
         "generation",
@@ -158,6 +170,20 @@ def test_engine_kernels_and_robots_are_passed_on():
     (case,) = ask(workloads=("reef_fleet",), worlds=(4,), robots=(1,), kernels="triton")
     assert case.scenario.kernels == "triton"
     assert [entry.count for entry in case.scenario.fleet] == [1]
+
+
+def test_the_dynamics_have_one_robot_in_each_world_and_one_engine():
+    chosen = ask(workloads=("dynamics",), worlds=(1, 64), robots=(4, 16))
+    assert [(case.worlds, case.robots) for case in chosen] == [(1, 1), (64, 1)]
+    with pytest.raises(ConfigError, match="fused engine alone"):
+        ask(workloads=("dynamics",), worlds=(1,), engine="mjx")
+
+
+def test_recording_is_the_demo_at_10_hz(tmp_path):
+    (case,) = ask(workloads=("recording",), worlds=(4,), folder=tmp_path)
+    assert case.scenario.time.record_hz == 10.0
+    assert case.scenario.engine == "fused"
+    assert case.folder == tmp_path
 
 
 def test_a_scenario_is_a_workload_too():
@@ -190,6 +216,51 @@ def test_the_command_measures_compares_and_tabulates(tmp_path, capsys):
     assert "1.000" in capsys.readouterr().out
     main(["bench", "--table", str(out)])
     assert "| clearance |" in capsys.readouterr().out
+
+
+def test_the_command_takes_several_of_everything(tmp_path, monkeypatch, capsys):
+    def measure(*, worlds, robots, repeats):
+        return make_row(workload="clearance", worlds=worlds, robots=robots, unit="queries/s")
+
+    def motion(*, vehicles, repeats, kernels):
+        return make_row(workload="dynamics", worlds=vehicles, robots=1)
+
+    monkeypatch.setattr(hull_clearance, "measure", measure)
+    monkeypatch.setattr(free_motion, "measure", motion)
+    monkeypatch.setenv("ANGLER_COMMIT", "abc1234")
+    out = tmp_path / "rows.jsonl"
+    numbers = ["--worlds", "2", "4", "--robots", "1", "4", "16"]
+    main(["bench", "--workload", "clearance", "dynamics", *numbers, "--out", str(out)])
+    rows = speed.read(out)
+    assert [(row["workload"], row["worlds"], row["robots"]) for row in rows] == [
+        *(("clearance", worlds, robots) for robots in (1, 4, 16) for worlds in (2, 4)),
+        *(("dynamics", worlds, 1) for worlds in (2, 4)),
+    ]
+    assert {row["commit"] for row in rows} == {"abc1234"}
+
+
+def test_the_command_says_what_recording_found(tmp_path, monkeypatch, capsys):
+    extra = {
+        "disk_mbps": 500.0,
+        "disk_spread": 0.1,
+        "disk_ratio": 0.9,
+        "samples_mbps": 900.0,
+        "bytes_per_robot_sample": 94.0,
+        "vehicle_steps_per_s": 1e9,
+        "break_even_hz": 0.48,
+    }
+
+    def measure(scenario, *, label, worlds, repeats, folder):
+        return make_row(workload=label, worlds=worlds, unit="MB/s", extra=extra)
+
+    monkeypatch.setattr(recording, "measure", measure)
+    out = tmp_path / "rows.jsonl"
+    main(["bench", "--workload", "recording", "--worlds", "2", "--out", str(out)])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "90% of what the disk takes" in said
+    assert "above 0.48 Hz" in said
+    (row,) = speed.read(out)
+    assert row["extra"] == extra
 
 
 def test_the_command_draws(tmp_path, rows_file):

@@ -88,7 +88,7 @@ def test_kernels_lower_for_cuda(scenes, monkeypatch):
     segment = partial(engine.segment, scene.spec, n_sample=2, steps_per_sample=2)
     traced = jax.jit(segment).trace(scene.fleet, scene.worlds, state)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    # Control, motion and judgement of each of two groups, and the obstacles.
+    # Control, motion and judgement of each of two groups, and the obstacles; for all launches.
     assert text.count("__gpu$xla.gpu.triton") == 7
 
 

@@ -1,0 +1,149 @@
+"""Tiles as files of a Zarr group: what Zarr reads is what was written, whatever the blocks."""
+
+import jax
+import numpy as np
+import pytest
+import zarr
+
+from angler_mjx.runs import recorder, shards
+from angler_mjx.runs.harvest import Constants, End, FinishedTile, arrays
+from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.sim.state import Sample
+from angler_mjx.world import store
+from angler_mjx.world.config import WorldConfig
+from angler_mjx.world.generate import generate_batch
+
+TILE, SAMPLES, ROBOTS, OBSTACLES = 4, 6, 2, 3
+SHAPE = Shape(
+    worlds=7, samples=SAMPLES, robots=ROBOTS, thrusters=8, obstacles=OBSTACLES, plan_points=5
+)
+
+
+@pytest.fixture(scope="module")
+def environment():
+    config = WorldConfig(preset="open", shape=(4, 4, 4))
+    drawn = generate_batch(config, np.full(ROBOTS, 0.3), 0, 0, TILE)
+    return jax.tree.map(np.asarray, drawn)
+
+
+def make_tile(environment, first, kept, rng):
+    """A tile that had ended after five of six samples."""
+
+    def part(n):
+        def of(*tail):
+            return rng.normal(size=(TILE, n, *tail)).astype(np.float32)
+
+        robot, obstacle = (ROBOTS,), (OBSTACLES,)
+        pwm = 1500 + 100 * of(*robot, 8)
+        pwm[0, 0, 0, 1] = np.nan
+        return Sample(
+            p=of(*robot, 3),
+            q=of(*robot, 4),
+            nu=of(*robot, 6),
+            pwm_us=pwm,
+            target_m=of(*robot, 3),
+            current_mps=of(*robot, 3),
+            outcome=rng.integers(0, 8, (TILE, n, ROBOTS)).astype(np.int32),
+            obstacle_p=of(*obstacle, 3),
+            obstacle_q=of(*obstacle, 4),
+        )
+
+    constants = Constants(
+        valid=None,
+        redraws=None,
+        variant=None,
+        planned=None,
+        environment=environment,
+        plan_time_s=rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),
+        plan_m=rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
+    )
+    end = End(tally=None, p=None)
+    parts = [part(3), part(2)]
+    return FinishedTile(first=first, kept=kept, constants=constants, end=end, parts=parts)
+
+
+def write_all(path, environment):
+    made = Recorder.create(path, SHAPE, environment, tile=TILE, sample_dt_s=0.1)
+    rng = np.random.default_rng(0)
+    tiles = [make_tile(environment, 0, 4, rng), make_tile(environment, 4, 3, rng)]
+    written = [made.write(tile.first, arrays(tile, SAMPLES), environment) for tile in tiles]
+    return tiles, written
+
+
+def files(path):
+    return {p.relative_to(path): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def written(environment, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recorder") / "run.zarr"
+    return path, *write_all(path, environment)
+
+
+def test_zarr_reads_what_was_written(written):
+    path, tiles, _ = written
+    group = zarr.open_group(path, mode="r")
+    for tile in tiles:
+        here = slice(tile.first, tile.first + tile.kept)
+        for name, field in {"p_m": "p", "nu": "nu", "obstacle_q": "obstacle_q"}.items():
+            parts = [getattr(part, field)[: tile.kept] for part in tile.parts]
+            np.testing.assert_array_equal(group[name][here, :5], np.concatenate(parts, axis=1))
+            assert np.isnan(group[name][here, 5]).all()
+        outcome = np.concatenate([part.outcome[: tile.kept] for part in tile.parts], axis=1)
+        np.testing.assert_array_equal(group["outcome"][here, :5], outcome)
+        np.testing.assert_array_equal(group["outcome"][here, 5], outcome[:, 4])
+        pwm = np.concatenate([part.pwm_us[: tile.kept] for part in tile.parts], axis=1)
+        expected = np.where(np.isnan(pwm), 0, np.rint(np.nan_to_num(pwm)))
+        np.testing.assert_array_equal(group["pwm_us"][here, :5], expected)
+        np.testing.assert_array_equal(group["plan_m"][here], tile.constants.plan_m[: tile.kept])
+
+
+def test_environments_are_what_the_store_would_have_written(written, environment, tmp_path):
+    path, _, _ = written
+    theirs = zarr.open_group(tmp_path / "theirs.zarr", mode="w-")
+    store.describe(theirs, environment, SHAPE.worlds, TILE)
+    for first in (0, 4):
+        store.write(theirs, first, environment)
+    ours = zarr.open_group(path, mode="r")["environment"]
+    for name in store.leaves(environment):
+        np.testing.assert_array_equal(ours[name][...], theirs[name][...], err_msg=name)
+    assert store.read(ours, 5).obstacles.kinds == environment.obstacles.kinds
+
+
+def test_threads_and_blocks_change_no_byte(written, environment, tmp_path, monkeypatch):
+    path, _, sizes = written
+    monkeypatch.setattr(recorder, "BLOCK_BYTES", 1)
+    monkeypatch.setattr(recorder, "ENCODERS", 1)
+    monkeypatch.setattr(recorder, "WRITERS", 1)
+    _, others = write_all(tmp_path / "run.zarr", environment)
+    assert others == sizes
+    assert files(tmp_path / "run.zarr") == files(path)
+
+
+def test_the_bytes_told_are_those_on_disk(written):
+    path, _, sizes = written
+    recorded = [
+        file
+        for file in path.rglob("c/*/**/*")
+        if file.is_file() and "environment" not in file.parts and "time_s" not in file.parts
+    ]
+    assert sum(sizes) == sum(file.stat().st_size for file in recorded)
+
+
+def test_a_failed_write_leaves_no_file_and_is_told(environment, tmp_path, monkeypatch):
+    made = Recorder.create(tmp_path / "run.zarr", SHAPE, environment, tile=TILE, sample_dt_s=0.1)
+    tile = make_tile(environment, 0, 4, np.random.default_rng(0))
+
+    def full(file, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(shards, "_write_all", full)
+    with pytest.raises(OSError, match="No space left"):
+        made.write(0, arrays(tile, SAMPLES), environment)
+    assert [p for p in (tmp_path / "run.zarr" / "p_m").rglob("c/**/*") if p.is_file()] == []
+
+
+def test_an_empty_shard_is_an_index_alone(tmp_path):
+    place = tmp_path / "c" / "0"
+    assert shards.write(place, [], shard=3) == 3 * 16 + 4
+    assert place.read_bytes()[:48] == b"\xff" * 48
