@@ -20,6 +20,7 @@ from angler_mjx.benchmark.speed import (
     peak_device_bytes,
     seconds_of,
     spread,
+    turns,
 )
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.physics.step import VehicleState
@@ -72,10 +73,10 @@ def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Row:
     compile_s, program = seconds_of(run.lower(*begin).compile)
     total = vehicles * n_steps
     rates = []
-    for _ in range(repeats + 1):
+    for counts in turns(repeats):
         taken, after = seconds_of(program, *begin)
         require_different(begin[0], after)
-        rates.append(total / taken)
+        rates += [total / taken] * counts
         del after
     moved, counted = moved_bytes(program), _count(model, thrusters)
     return Row(
@@ -84,7 +85,7 @@ def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Row:
         worlds=vehicles,
         robots=1,
         unit="vehicle-steps/s",
-        **spread(rates[1:]),
+        **spread(rates),
         compile_s=compile_s,
         engine="fused",
         kernels=kernels,

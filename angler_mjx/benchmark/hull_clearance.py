@@ -20,6 +20,7 @@ from angler_mjx.benchmark.speed import (
     peak_device_bytes,
     seconds_of,
     spread,
+    turns,
 )
 from angler_mjx.errors import RunError
 from angler_mjx.vehicles import library, params
@@ -78,10 +79,10 @@ def measure(*, worlds: int, robots: int, repeats: int) -> Row:
     compile_s, program = seconds_of(lowered.compile)
     total = worlds * robots * QUERIES
     rates = []
-    for _ in range(repeats + 1):
+    for counts in turns(repeats):
         taken, (least, most) = seconds_of(program, cells, centre, turn)
         require_change(np.asarray(least), np.asarray(most))
-        rates.append(total / taken)
+        rates += [total / taken] * counts
     counted = flops.count(of_worlds, cells, centre, turn)
     moved = moved_bytes(program)
     return Row(
@@ -91,7 +92,7 @@ def measure(*, worlds: int, robots: int, repeats: int) -> Row:
         worlds=worlds,
         robots=robots,
         unit="queries/s",
-        **spread(rates[1:]),
+        **spread(rates),
         compile_s=compile_s,
         kernels="xla",
         flops=None if counted.flops is None else counted.flops / total,

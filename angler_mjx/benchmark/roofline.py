@@ -1,7 +1,8 @@
 """What the device itself can do, measured, and how far from it a rate is.
 
 Memory: a large array is read and written once, element by element. Arithmetic: chains of fused
-multiply-adds of float32 in registers, eight of them side by side so that none waits for itself. A
+multiply-adds of float32 in registers, eight of them side by side so that none waits for itself; on
+a GPU in a Triton kernel, because XLA's own keep multiplication and addition apart there. A
 rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes and operations
 that one step needs: the lower of the two is its roofline (Williams, Waterman and Patterson, 2009).
 """
@@ -13,14 +14,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.benchmark.speed import Row, seconds_of
+from angler_mjx.benchmark.speed import Row, seconds_of, turns
+from angler_mjx.sim import triton
 
 CHAINS, LINKS = 8, 64
 """Chains an element, multiply-adds a chain."""
+_LANES = 256
+"""Of one program."""
+_IN_A_TURN = 8
+"""Links of each chain in a turn of the loop."""
 _LARGE = {"cpu": (2**26, 2**20)}
 """Elements copied, elements with chains: about 20 ms each on two cores."""
-_LARGE_ELSEWHERE = (2**28, 2**25)
-"""About 1 ms each on a device of some TB/s and some 10 TFLOP/s."""
+_LARGE_ELSEWHERE = (2**30, 2**27)
+"""About 2 ms each on a device of some TB/s and some 10 TFLOP/s: a launch is little beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +46,8 @@ def measure(repeats: int = 10) -> DeviceSpeed:
     backend = jax.default_backend()
     to_copy, to_chain = _LARGE.get(backend, _LARGE_ELSEWHERE)
     copy = _median_s(to_copy, jax.jit(lambda x, a, b: x + b), repeats)
-    chain = _median_s(to_chain, jax.jit(_chains), repeats)
+    chains = _chains_in_kernel if backend == "gpu" else _chains
+    chain = _median_s(to_chain, jax.jit(chains), repeats)
     return DeviceSpeed(
         copy_bytes_per_s=2 * 4 * to_copy / copy,
         fma_flops_per_s=2 * CHAINS * LINKS * to_chain / chain,
@@ -84,9 +91,32 @@ def _chains(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     return total
 
 
+def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+    """The same in one kernel; in a loop, for straight code would wait for its instructions."""
+
+    def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
+        at, _row = triton.place(_LANES)
+        x, factor, term = triton.loader(out)(at), a[0], b[0]
+
+        def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
+            for _link in range(_IN_A_TURN):
+                links = [link * factor + term for link in links]
+            return links
+
+        links = [x + k for k in range(CHAINS)]
+        links = jax.lax.fori_loop(0, turns[0], turn, links)
+        triton.storer(out, at)(at, sum(links))
+
+    grid = (x.size // _LANES, 1)
+    # Read, not known: else the compiler writes the loop out.
+    given = [a.reshape(1), b.reshape(1), jnp.array([LINKS // _IN_A_TURN], jnp.int32)]
+    (after,) = triton.call(kernel, grid, given, [x], warps=_LANES // 32)
+    return after
+
+
 def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> float:
     x = jnp.ones(elements, jnp.float32)
     a, b = jnp.float32(0.999), jnp.float32(0.001)
     program = function.lower(x, a, b).compile()
-    seconds_of(program, x, a, b)
-    return float(np.median([seconds_of(program, x, a, b)[0] for _ in range(repeats)]))
+    taken = [(seconds_of(program, x, a, b)[0], counts) for counts in turns(repeats)]
+    return float(np.median([seconds for seconds, counts in taken if counts]))

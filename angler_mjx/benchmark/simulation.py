@@ -4,6 +4,7 @@ The simulation is timed in its first seconds, from rest, while the robots move. 
 physics steps that robots lived: one that has ended is not simulated for a living.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -21,9 +22,11 @@ from angler_mjx.benchmark.speed import (
     peak_device_bytes,
     seconds_of,
     spread,
+    turns,
 )
 from angler_mjx.errors import RunError
 from angler_mjx.runs import devices as on_devices
+from angler_mjx.runs import waves
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import Outcome, Sample, World, WorldState
@@ -32,6 +35,9 @@ MOVED_M = 1e-3
 """Way of a robot in the timed region below which it counts as standing."""
 ACTIVE = 0.9
 """Least share of the steps that robots must have lived: else it is another workload."""
+CALLS = 4
+"""Device calls in a timed turn, one behind another as in a run; one on a CPU, where the time that a
+call takes to begin is nothing beside it."""
 PLAIN_WORLDS = 8
 """In which operations are counted: for one step they do not depend on it."""
 
@@ -62,7 +68,7 @@ def measure(
         scenario: what to simulate.
         label: name of the workload.
         worlds: of each device in one call.
-        repeats: timed calls, after one that is not timed; all from the same state.
+        repeats: timed turns, after some that are not; all from the same state.
         devices: number of them.
         prepared: different worlds to draw, of which the first are taken; as many as are needed
             if left out, ``worlds_once.DIFFERENT`` at most in both cases.
@@ -187,19 +193,38 @@ def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
 def _repeat(
     simulator: Simulator, program: Any, worlds: World, repeats: int
 ) -> tuple[list[float], float]:
-    """Rates of the timed calls, and the least share of robot time in them."""
-    seconds = simulator.segment_steps * simulator.spec.control_dt_s
+    """Rates of the timed turns, and the least share of robot time in them."""
+    calls = _calls(simulator)
+    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
     rates, actives = [], []
-    for i in range(repeats + 1):
+    for counts in turns(repeats):
         state = jax.block_until_ready(simulator.reset(worlds))
-        taken, (after, sample, _) = seconds_of(program, simulator.fleet, worlds, state)
+        taken, (after, sample) = seconds_of(_fly, simulator, program, worlds, state, calls)
         active = require_moving(after, sample, seconds)
         # What is measured is freed before the next state is made: it counts in peak memory.
         del state, after, sample
-        if i > 0:
-            rates.append(active * _most_steps(simulator) / taken)
+        if counts:
+            rates.append(active * calls * _most_steps(simulator) / taken)
             actives.append(active)
     return rates, min(actives)
+
+
+def _calls(simulator: Simulator) -> int:
+    """Device calls in one timed turn."""
+    return min(1 if jax.default_backend() == "cpu" else CALLS, simulator.segments)
+
+
+def _fly(
+    simulator: Simulator, program: Any, worlds: World, state: WorldState, calls: int
+) -> tuple[WorldState, Sample]:
+    """Calls one behind another as in a run: the next is given while one is still computed."""
+    in_flight: deque[jax.Array] = deque()
+    for _ in range(calls):
+        state, sample, running = program(simulator.fleet, worlds, state)
+        in_flight.append(running)
+        if len(in_flight) == waves.AHEAD:
+            in_flight.popleft().block_until_ready()
+    return state, sample
 
 
 def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
@@ -263,10 +288,12 @@ def _count(scenario: str) -> flops.Count:
 
 
 def _inside(simulator: Simulator) -> str:
-    seconds = simulator.segment_steps * simulator.spec.control_dt_s
+    calls = _calls(simulator)
+    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
+    times = "one device call" if calls == 1 else f"{calls} device calls"
     every = simulator.steps_per_sample * simulator.spec.physics_steps
     return (
-        f"{seconds:g} s of simulated time from rest, in one device call: current, water, rigid "
+        f"{seconds:g} s of simulated time from rest, in {times}: current, water, rigid "
         f"body, rotors, control, allocation, obstacles, detection; samples every {every} physics "
         "steps, left on the device"
     )

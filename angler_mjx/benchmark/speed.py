@@ -76,6 +76,10 @@ class Row:
     at_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
 
 
+WARM_S = 1.0
+"""Work before the first turn that counts."""
+
+
 def check_repeats(repeats: int) -> None:
     """Refuse to measure without a spread.
 
@@ -93,6 +97,19 @@ def seconds_of(call: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
     begun = time.perf_counter()
     result = jax.block_until_ready(call(*arguments))
     return time.perf_counter() - begun, result
+
+
+def turns(repeats: int) -> Iterator[bool]:
+    """Turns of a measurement, each with whether it counts: the first never, nor any in a second.
+
+    A processor that was idle first has to raise its clock.
+    """
+    begun, counted = time.perf_counter(), 0
+    yield False
+    while counted < repeats:
+        warm = time.perf_counter() - begun >= WARM_S
+        yield warm
+        counted += warm
 
 
 def spread(rates: list[float]) -> dict[str, Any]:

@@ -102,7 +102,8 @@ class Simulator:
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
         self.fleet: fleet.Fleet = jax.device_put(
-            fleet.build(scenario.members()), NamedSharding(self._mesh, SAME)
+            fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
+            NamedSharding(self._mesh, SAME),
         )
         timing = scenario.time
         self.steps_per_sample = timing.steps_per_sample or _divisor(timing.control_steps, 100)

@@ -9,6 +9,8 @@ from typing import Protocol
 import jax
 
 from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.errors import UnsupportedError
+from angler_mjx.physics import mjx_engine
 from angler_mjx.sim import episode
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.fused import FusedEngine
@@ -64,7 +66,7 @@ class MjxEngine:
 
     def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
         """See `Engine.reset`."""
-        one = partial(episode.reset, spec, fleet.engine)
+        one = partial(episode.reset, spec, _multibody(fleet))
         state: WorldState = jax.vmap(one)(worlds.body, worlds)
         return state
 
@@ -79,7 +81,7 @@ class MjxEngine:
         """See `Engine.control_step`."""
         one = partial(episode.control_step, spec)
         after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
-            fleet.engine, worlds, state, command
+            _multibody(fleet), worlds, state, command
         )
         return after
 
@@ -95,8 +97,18 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         one = partial(episode.segment, spec, n_sample=n_sample, steps_per_sample=steps_per_sample)
-        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0))(fleet.engine, worlds, state)
+        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0))(
+            _multibody(fleet), worlds, state
+        )
         return after
+
+
+def _multibody(fleet: Fleet) -> mjx_engine.MjxEngine:
+    if fleet.engine is None:
+        raise UnsupportedError(
+            "the fleet was built without multibody models: engine mjx needs them"
+        )
+    return fleet.engine
 
 
 def by_name(name: str, kernels: str) -> Engine:

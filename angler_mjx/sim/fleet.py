@@ -64,7 +64,8 @@ class Fleet:
 
     cascade: CascadeParams
     """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``."""
-    engine: MjxEngine
+    engine: MjxEngine | None
+    """None where no multibody models were asked for."""
     body: BodyInertia
     """[n_variant] leads."""
     cruise_mps: jax.Array
@@ -84,8 +85,12 @@ def variants(members: Sequence[Member]) -> list[Variant]:
     return list(dict.fromkeys(v for member in members for v in member.variants))
 
 
-def build(members: Sequence[Member]) -> Fleet:
+def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     """Compile a fleet (host side).
+
+    Args:
+        members: the robots.
+        multibody: keep MuJoCo's models, which only the mjx engine reads.
 
     Raises:
         ConfigError: unknown vehicle or set, or a file with faults.
@@ -117,7 +122,7 @@ def build(members: Sequence[Member]) -> Fleet:
         cruise_speed_mps=jnp.zeros(len(kinds)),
     )
     return Fleet(
-        engine=engine,
+        engine=engine if multibody else None,
         body=body,
         cascade=cascade,
         groups=_groups(members, kinds, cascade),
