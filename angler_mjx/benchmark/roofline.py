@@ -19,8 +19,7 @@ from angler_mjx.sim import triton
 
 CHAINS, LINKS = 8, 64
 """Chains an element, multiply-adds a chain."""
-_LANES = 256
-"""Of one program."""
+_PROGRAM = triton.Program(lanes=256, warps=8)
 _IN_A_TURN = 8
 """Links of each chain in a turn of the loop."""
 _LARGE = {"cpu": (2**26, 2**20)}
@@ -95,7 +94,7 @@ def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
 
     def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
-        at, _row = triton.place(_LANES)
+        at, _row = triton.place(_PROGRAM.lanes)
         x, factor, term = triton.loader(out)(at), a[0], b[0]
 
         def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
@@ -107,10 +106,9 @@ def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
         links = jax.lax.fori_loop(0, turns[0], turn, links)
         triton.storer(out, at)(at, sum(links))
 
-    grid = (x.size // _LANES, 1)
     # Read, not known: else the compiler writes the loop out.
     given = [a.reshape(1), b.reshape(1), jnp.array([LINKS // _IN_A_TURN], jnp.int32)]
-    (after,) = triton.call(kernel, grid, given, [x], warps=_LANES // 32)
+    (after,) = triton.call(kernel, _PROGRAM, x.size, 1, given, [x])
     return after
 
 

@@ -68,8 +68,9 @@ class Dynamics:
 
         if count % LANES:
             raise ConfigError(f"{count} vehicles: kernels = triton takes multiples of {LANES}")
-        grid, changed = (count // LANES, 1), [layout.pack(state, dtype)]
-        (flat,) = triton.call(kernel, grid, [order.pack(thrust_n, dtype)], changed, warps=WARPS)
+        constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
+        program = triton.Program(lanes=LANES, warps=WARPS)
+        (flat,) = triton.call(kernel, program, count, 1, constant, changed)
         moved: VehicleState = layout.unpack(flat, (count,))
         return moved
 

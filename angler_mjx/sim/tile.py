@@ -13,7 +13,7 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.sim import episode, triton
 from angler_mjx.sim.bank import Bank
 from angler_mjx.sim.fleet import Fleet, Group
-from angler_mjx.sim.fused import grid_shape, packed_cells
+from angler_mjx.sim.fused_layout import grid_shape, packed_cells
 from angler_mjx.sim.lane_steps import Cells
 from angler_mjx.sim.planes import Layout, Shelf
 from angler_mjx.sim.state import World

@@ -1,6 +1,7 @@
 """Pallas kernels lowered by Triton: no other module knows which compiler stands behind them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -8,28 +9,40 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton as plt
 
+from angler_kernels import lanes
 from angler_mjx.errors import RunError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """Shape of the programs of a kernel."""
+
+    lanes: int
+    """Lanes of one, a power of two."""
+    warps: int
+    """Warps of one."""
+    interpret: bool = False
+    """Run the kernels as ordinary JAX, on any device."""
 
 
 def call(
     kernel: Callable[..., None],
-    grid: tuple[int, int],
+    program: Program,
+    width: int,
+    rows: int,
     constant: Sequence[jax.Array],
     changed: Sequence[jax.Array],
-    *,
-    warps: int,
-    interpret: bool = False,
 ) -> Sequence[jax.Array]:
     """Run a kernel that changes some arrays in place.
 
     Args:
         kernel: of references to the constant arrays and, twice, to the changed ones: they are read
             and written under the second.
-        grid: programs along the lanes of a row, and rows.
+        program: shape of its programs.
+        width: lanes of a row, a multiple of a program's.
+        rows: number of rows.
         constant: arrays that are read.
         changed: arrays that are read and written.
-        warps: in one program.
-        interpret: run the kernel as ordinary JAX, on any device.
 
     Returns:
         The changed arrays.
@@ -44,20 +57,38 @@ def call(
             f"use a tile {-(-largest // 2**31)} times smaller, or more, or fewer samples a segment"
         )
     first = len(constant)
+
+    def traced(*refs: Any) -> None:
+        with lanes.reciprocals(_reciprocal):
+            kernel(*refs)
+
     after: Sequence[jax.Array] = pl.pallas_call(
-        kernel,
+        kernel if program.interpret else traced,
         out_shape=[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in changed],
-        grid=grid,
+        grid=(width // program.lanes, rows),
         input_output_aliases={first + k: k for k in range(len(changed))},
-        compiler_params=plt.CompilerParams(num_warps=warps, num_stages=1),
-        interpret=interpret,
+        compiler_params=plt.CompilerParams(num_warps=program.warps, num_stages=1),
+        interpret=program.interpret,
     )(*constant, *changed)
     return after
 
 
-def place(lanes: int) -> tuple[jax.Array, jax.Array]:
-    """Lanes [lanes] of this program within its row, and the row."""
-    return pl.program_id(0) * lanes + jnp.arange(lanes), pl.program_id(1)
+def _reciprocal(x: jax.Array) -> jax.Array:
+    """One instruction, within an ulp; division would be seven more, for the sake of denormals."""
+    (y,) = plt.elementwise_inline_asm(
+        "rcp.approx.ftz.f32 $0, $1;",
+        args=[x],
+        constraints="=f,f",
+        pack=1,
+        result_shape_dtypes=[jax.ShapeDtypeStruct(x.shape, x.dtype)],
+    )
+    found: jax.Array = y
+    return found
+
+
+def place(width: int) -> tuple[jax.Array, jax.Array]:
+    """Lanes [width] of this program within its row, and the row."""
+    return pl.program_id(0) * width + jnp.arange(width), pl.program_id(1)
 
 
 def loader(ref: Any) -> Callable[[Any], Any]:

@@ -332,3 +332,30 @@ def test_split_and_join_are_inverse():
     flat, rebuild = lanes.flatten(lanes.split(tree))
     assert len(flat) == 7
     np.testing.assert_array_equal(lanes.join(rebuild(flat))["a"], tree["a"])
+
+
+def test_division_by_a_given_reciprocal():
+    """Of float32 lanes only: numbers and other types are divided as ever."""
+    asked = []
+
+    def reciprocal(x):
+        asked.append(x)
+        return 1.0 / x
+
+    def function(a, b):
+        return 1.0 / b, a / b, a / 3.0, a / b.astype(jnp.float64)
+
+    a, b = (
+        jnp.linspace(1.0, 2.0, 5, dtype=jnp.float32),
+        jnp.linspace(3.0, 9.0, 5, dtype=jnp.float32),
+    )
+    row = [lanes.pack([x], ()) for x in (a, b)]
+    expected = lanes.apply(function, *row)
+    with lanes.reciprocals(reciprocal):
+        found = lanes.apply(function, *row)
+    assert len(asked) == 2
+    for x, y in zip(found, expected, strict=True):
+        # A product with a rounded reciprocal is within 1.5 ulp of the quotient, this within 0.5.
+        np.testing.assert_allclose(x[()], y[()], rtol=2 * np.finfo(np.float32).eps)
+    assert lanes.apply(function, *row)[0][()][0] == expected[0][()][0]
+    assert len(asked) == 2

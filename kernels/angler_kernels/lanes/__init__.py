@@ -1,5 +1,6 @@
 """Functions of one body, run on many with one array for every element."""
 
+from angler_kernels.lanes.folding import reciprocals
 from angler_kernels.lanes.table import Table
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
@@ -20,6 +21,7 @@ __all__ = [
     "flatten",
     "join",
     "pack",
+    "reciprocals",
     "repeat",
     "split",
     "spread",

@@ -1,11 +1,31 @@
 """One operation on whole lanes, left out where constants say what comes of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+type Reciprocal = Callable[[jax.Array], jax.Array]
+
+_reciprocal: ContextVar[Reciprocal | None] = ContextVar("reciprocal", default=None)
+
+
+@contextmanager
+def reciprocals(by: Reciprocal) -> Iterator[None]:
+    """Within it, float32 lanes are divided by multiplying with a reciprocal of ``by``'s making.
+
+    For compilers whose own division takes care of denormal numbers that bodies in water never see.
+    """
+    token = _reciprocal.set(by)
+    try:
+        yield
+    finally:
+        _reciprocal.reset(token)
+
 
 _CONSTANT: dict[str, Callable[..., Any]] = {
     "add": np.add,
@@ -92,9 +112,20 @@ def _with_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> An
 
 
 def _bind(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
+    if primitive.name == "div" and (quotient := _quotient(*operands)) is not None:
+        return quotient
     lanes = np.broadcast_shapes(*(np.shape(x) for x in operands))
     spread = [
         x if np.shape(x) == lanes and isinstance(x, jax.Array) else jnp.broadcast_to(x, lanes)
         for x in operands
     ]
     return primitive.bind(*spread, **params)
+
+
+def _quotient(a: Any, b: Any) -> Any:
+    """``a / b`` by the reciprocal in force; None where there is none."""
+    by = _reciprocal.get()
+    if by is None or b.dtype != np.float32 or np.shape(b) == ():
+        return None
+    one = isinstance(a, np.generic) and a == 1
+    return by(b) if one else by(b) * a
