@@ -10,7 +10,7 @@ from typing import Any
 
 import tyro
 
-from angler_mjx.cli import bench, env, rollout, vehicle
+from angler_mjx.cli import bench, env, export, rollout, vehicle
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
@@ -35,6 +35,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "scenarios": rollout.scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
+    "export": export.export,
     "env": _env,
     "vehicle": _vehicle,
     "bench": bench.bench,

@@ -1,0 +1,56 @@
+"""`angler export`: a run in a format that other programs open."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from angler_mjx.errors import ConfigError
+
+
+def export(
+    run: Annotated[Path, tyro.conf.Positional],
+    mcap: Path,
+    worlds: str | None = None,
+    force: bool = False,
+) -> None:
+    """Write worlds of a run folder into a bag that ROS 2 and Foxglove open.
+
+    Args:
+        run: Run folder.
+        mcap: Bag to make, for example out.mcap.
+        worlds: Indices, as in 0,3; the worst and one good world if left out.
+        force: Replace an older bag.
+    """
+    chosen = None if worlds is None else _indices(worlds)
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.interop import mcap as bags
+    from angler_mjx.runs.folder import Run
+    from angler_mjx.viewing.choose import good_world, worst_world
+
+    loaded = Run(run)
+    columns = ("samples", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("samples", total=None)
+        bags.export(
+            loaded,
+            mcap,
+            [worst_world(loaded), good_world(loaded)] if chosen is None else chosen,
+            force=force,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    print(mcap)
+
+
+def _indices(text: str) -> list[int]:
+    """Whole numbers with commas between them.
+
+    Raises:
+        ConfigError: the text is something else.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() for part in parts):
+        raise ConfigError(f"--worlds {text}: give indices with commas between them, as in 0,3")
+    return [int(part) for part in parts]
