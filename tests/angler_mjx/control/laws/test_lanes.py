@@ -1,0 +1,101 @@
+"""On lanes every law gives what it gives under vmap."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_kernels import lanes
+from angler_mjx.control.commands import BodyTwist, BodyWrench
+from angler_mjx.control.laws import (
+    aitsm,
+    ardusub,
+    computed_torque,
+    ismc,
+    los,
+    pid,
+    tracking,
+)
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.vehicles import library, params
+
+POINTS = np.array([[0, 0, -10], [2, 0, -10], [2, 3, -11], [2, 3, -11.0]])
+GAINS = {
+    "pid": (pid, pid.PidGains(), "pose"),
+    "computed_torque": (computed_torque, computed_torque.ComputedTorqueGains(), "tracking"),
+    "tracking": (tracking, tracking.TrackingGains(), "tracking"),
+    "ismc": (ismc, ismc.IsmcGains(), "twist"),
+    "aitsm": (aitsm, aitsm.AitsmGains(), "twist"),
+    "los": (los, los.LosGains(), "path"),
+    "ardusub": (ardusub, ardusub.ArduSubGains(), "pose"),
+}
+
+
+@pytest.mark.parametrize("name", GAINS)
+def test_lanes_agree_with_vmap(robots, states, pool, name):
+    vehicles, _ = robots
+    estimate, target = states
+    law, gains, kind = GAINS[name]
+    commands = {
+        "pose": pool.as_pose(target),
+        "tracking": target,
+        "twist": BodyTwist(nu=estimate.nu[::-1]),
+        "path": Trajectory(
+            time_s=jnp.tile(jnp.array([0.0, 5.0, 12.0, 12.0]), (4, 1)),
+            position_m=jnp.tile(jnp.asarray(POINTS), (4, 1, 1)),
+            found=jnp.ones(4, bool),
+        ),
+    }
+    wrench = BodyWrench(tau=estimate.nu * 3.0)
+    more = {"realised": wrench} if name in ("pid", "tracking") else {}
+
+    def twice(vehicle, at, command, more):
+        """Two steps: the second has a memory to read."""
+        carry = law.reset(at)
+        for _ in range(2):
+            carry, out = law.step(gains, vehicle, carry, at, command, 0.05, 1000.0, 9.81, **more)
+        return carry, out
+
+    args = (vehicles, estimate, commands[kind], more)
+    expected = jax.jit(jax.vmap(twice))(*args)
+    found = jax.jit(lambda *x: lanes.join(lanes.apply(twice, *lanes.split(x))))(*args)
+    for x, y in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        # float32 sums in another order; wrenches are of tens of newtons, signals of 1500 us.
+        np.testing.assert_allclose(
+            np.broadcast_to(np.asarray(y, float), x.shape),
+            np.asarray(x, float),
+            rtol=1e-4,
+            atol=1e-4,
+        )
+
+
+def test_laws_are_as_good_in_double(states, pool):
+    """The same in float64, to the rounding of float32: no constant narrows or widens the work."""
+    estimate, target = jax.tree.map(lambda x: np.asarray(x[0]), states)
+
+    def run(law, gains, kind, dtype):
+        at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
+        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+        commands = {
+            "pose": pool.as_pose(goal),
+            "tracking": goal,
+            "twist": BodyTwist(nu=at.nu[::-1]),
+            "path": Trajectory(
+                time_s=jnp.array([0.0, 5.0, 12.0, 12.0], dtype),
+                position_m=jnp.asarray(POINTS, dtype),
+                found=jnp.asarray(True),
+            ),
+        }
+        step = partial(law.step, gains, dt=0.05, density=1000.0, gravity=9.81)
+        carry, out = jax.jit(step)(vehicle, law.reset(at), at, commands[kind])
+        for leaf in jax.tree.leaves((carry, out)):
+            assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), law.__name__
+        return np.asarray(jax.tree.leaves(out)[0], float)
+
+    for law, gains, kind in GAINS.values():
+        single = run(law, gains, kind, jnp.float32)
+        with jax.enable_x64(True):
+            double = run(law, gains, kind, jnp.float64)
+        np.testing.assert_allclose(single, double, rtol=1e-4, atol=1e-3)
