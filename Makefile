@@ -29,7 +29,7 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 	$(BIN)/angler rollout reef_fleet --out "runs/$$name"
 
 test: $(STAMP)  ## run the tests
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)

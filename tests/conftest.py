@@ -1,0 +1,11 @@
+"""Files that take minutes come first, so that no worker is left alone with one at the end."""
+
+LONG = ("sim/test_fused_triton.py", "sim/test_fused.py", "runs/", "benchmark/")
+
+
+def pytest_collection_modifyitems(items):
+    def rank(item):
+        found = [i for i, part in enumerate(LONG) if part in item.path.as_posix()]
+        return found[0] if found else len(LONG)
+
+    items.sort(key=rank)
