@@ -23,13 +23,12 @@ import numpy as np
 from angler_mjx.benchmark import simulation
 from angler_mjx.benchmark.simulation import Timed
 from angler_mjx.benchmark.speed import Row, check_repeats, spread
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import harvest, shards, sizes
 from angler_mjx.runs.harvest import FinishedTile
 from angler_mjx.runs.recorder import Recorder, Shape
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.sim.state import Sample
-from angler_mjx.world.environment import Environment
 
 BLOCK_BYTES = 16 * 2**20
 """Of one plain write: large enough that the call does not matter."""
@@ -203,8 +202,10 @@ class _Run:
     def __init__(
         self, path: Path, tile: FinishedTile, shape: Shape, dt_s: float, tiles: int
     ) -> None:
+        if tile.constants.environment is None:
+            raise RunError("the tile was simulated without its environment: there is none to write")
         self._tile, self._tiles, self._samples = tile, tiles, shape.samples
-        self._environment: Environment = tile.constants.environment  # type: ignore[assignment]
+        self._environment = tile.constants.environment
         whole = replace(shape, worlds=tiles * tile.kept)
         self._recorder = Recorder.create(
             path, whole, self._environment, tile=tile.kept, sample_dt_s=dt_s
