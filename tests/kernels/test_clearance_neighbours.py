@@ -109,6 +109,24 @@ def test_neighbour_window_stays_inside_for_a_place_that_is_no_number():
     assert 0 <= int(index) < np.prod([n + 2 for n in SHAPE])
 
 
+def test_distances_that_do_not_matter_are_cut_off(occupied, hulls, by_neighbours):
+    """Below the limit as without one, and the limit itself beyond it."""
+    a, b, r, centre = hulls
+    exact = np.asarray(by_neighbours(np.zeros((N, 3)), a, b, r, centre)[0])
+    limit = np.random.default_rng(2).uniform(0.0, 0.6, N)
+    table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
+
+    def gap(a, b, centre, limit):
+        cell = jnp.asarray(CELL)
+        index, lo = clearance.neighbour_window(centre, jnp.asarray(ORIGIN), cell, SHAPE)
+        return clearance.capsules_neighbours(a, b, r, centre, lo, table[index], cell, limit)
+
+    got = np.asarray(jax.jit(jax.vmap(gap))(a, b, centre, limit))
+    np.testing.assert_allclose(got, np.minimum(exact, limit), atol=ROUNDING)
+    assert (exact < limit).sum() > 100
+    assert (exact > limit).sum() > 100
+
+
 def test_capsules_equal_the_search_of_all_27_cells(hulls, by_neighbours, by_window):
     a, b, r, centre = hulls
     still = np.zeros((N, 3))
