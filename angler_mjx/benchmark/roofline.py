@@ -2,9 +2,10 @@
 
 Memory: a large array is read and written once, element by element. Arithmetic: chains of fused
 multiply-adds of float32 in registers, eight of them side by side so that none waits for itself; on
-a GPU in a Triton kernel, because XLA's own keep multiplication and addition apart there. A
-rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes and operations
-that one step needs: the lower of the two is its roofline (Williams, Waterman and Patterson, 2009).
+a GPU in a Triton kernel that names the instruction, because XLA keeps multiplication and addition
+apart there. A rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes
+and operations that one step needs: the lower of the two is its roofline (Williams, Waterman and
+Patterson, 2009).
 """
 
 import subprocess
@@ -95,11 +96,12 @@ def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
 
     def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
         at, _row = triton.place(_PROGRAM.lanes)
-        x, factor, term = triton.loader(out)(at), a[0], b[0]
+        x = triton.loader(out)(at)
+        factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))
 
         def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
             for _link in range(_IN_A_TURN):
-                links = [link * factor + term for link in links]
+                links = [triton.multiply_add(link, factor, term) for link in links]
             return links
 
         links = [x + k for k in range(CHAINS)]

@@ -59,11 +59,11 @@ def call(
     first = len(constant)
 
     def traced(*refs: Any) -> None:
-        with lanes.reciprocals(_reciprocal):
+        with lanes.instructions(_ORDINARY if program.interpret else _INSTRUCTIONS):
             kernel(*refs)
 
     after: Sequence[jax.Array] = pl.pallas_call(
-        kernel if program.interpret else traced,
+        traced,
         out_shape=[jax.ShapeDtypeStruct(x.shape, x.dtype) for x in changed],
         grid=(width // program.lanes, rows),
         input_output_aliases={first + k: k for k in range(len(changed))},
@@ -73,17 +73,32 @@ def call(
     return after
 
 
+def _instruction(text: str, *args: jax.Array) -> jax.Array:
+    """One instruction of PTX on float32 lanes."""
+    (found,) = plt.elementwise_inline_asm(
+        text,
+        args=list(args),
+        constraints=",".join(["=f"] + ["f"] * len(args)),
+        pack=1,
+        result_shape_dtypes=[jax.ShapeDtypeStruct(args[0].shape, args[0].dtype)],
+    )
+    result: jax.Array = found
+    return result
+
+
+def multiply_add(a: jax.Array, b: jax.Array, c: jax.Array) -> jax.Array:
+    """``a b + c``, rounded once: this compiler keeps multiplication and addition apart."""
+    return _instruction("fma.rn.f32 $0, $1, $2, $3;", a, b, c)
+
+
 def _reciprocal(x: jax.Array) -> jax.Array:
     """One instruction, within an ulp; division would be seven more, for the sake of denormals."""
-    (y,) = plt.elementwise_inline_asm(
-        "rcp.approx.ftz.f32 $0, $1;",
-        args=[x],
-        constraints="=f,f",
-        pack=1,
-        result_shape_dtypes=[jax.ShapeDtypeStruct(x.shape, x.dtype)],
-    )
-    found: jax.Array = y
-    return found
+    return _instruction("rcp.approx.ftz.f32 $0, $1;", x)
+
+
+_INSTRUCTIONS = lanes.Instructions(reciprocal=_reciprocal, multiply_add=multiply_add)
+_ORDINARY = lanes.Instructions(reciprocal=lambda x: 1.0 / x, multiply_add=lambda a, b, c: a * b + c)
+"""Where kernels run as ordinary JAX."""
 
 
 def place(width: int) -> tuple[jax.Array, jax.Array]:

@@ -334,28 +334,69 @@ def test_split_and_join_are_inverse():
     np.testing.assert_array_equal(lanes.join(rebuild(flat))["a"], tree["a"])
 
 
+def _instructions(asked):
+    """Instructions that note what they were asked for."""
+
+    def reciprocal(x):
+        asked.append("reciprocal")
+        return 1.0 / x
+
+    def multiply_add(a, b, c):
+        asked.append("multiply_add")
+        return a * b + c
+
+    return lanes.Instructions(reciprocal=reciprocal, multiply_add=multiply_add)
+
+
+def _row():
+    """Two rows of five lanes."""
+    a = jnp.linspace(1.0, 2.0, 5, dtype=jnp.float32)
+    b = jnp.linspace(3.0, 9.0, 5, dtype=jnp.float32)
+    return [lanes.pack([x], ()) for x in (a, b)]
+
+
 def test_division_by_a_given_reciprocal():
     """Of float32 lanes only: numbers and other types are divided as ever."""
     asked = []
 
-    def reciprocal(x):
-        asked.append(x)
-        return 1.0 / x
-
     def function(a, b):
         return 1.0 / b, a / b, a / 3.0, a / b.astype(jnp.float64)
 
-    a, b = (
-        jnp.linspace(1.0, 2.0, 5, dtype=jnp.float32),
-        jnp.linspace(3.0, 9.0, 5, dtype=jnp.float32),
-    )
-    row = [lanes.pack([x], ()) for x in (a, b)]
+    row = _row()
     expected = lanes.apply(function, *row)
-    with lanes.reciprocals(reciprocal):
+    with lanes.instructions(_instructions(asked)):
         found = lanes.apply(function, *row)
-    assert len(asked) == 2
+    assert asked == ["reciprocal"] * 2
     for x, y in zip(found, expected, strict=True):
         # A product with a rounded reciprocal is within 1.5 ulp of the quotient, this within 0.5.
         np.testing.assert_allclose(x[()], y[()], rtol=2 * np.finfo(np.float32).eps)
     assert lanes.apply(function, *row)[0][()][0] == expected[0][()][0]
     assert len(asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("function", "fused"),
+    [
+        (lambda a, b: a * b + a, 1),
+        (lambda a, b: a + a * b, 1),
+        (lambda a, b: a * b - a, 1),
+        (lambda a, b: a - a * b, 1),
+        (lambda a, b: a - (-(a * b)), 1),
+        (lambda a, b: b**2 - jnp.square(a), 1),
+        (lambda a, b: jnp.sum(jnp.stack([a, b, 3.0 * a]) * jnp.stack([b, b, a])), 2),
+        (lambda a, b: a / b + 1.0, 1),
+        (lambda a, b: a + b, 0),
+        (lambda a, b: (a * b).astype(jnp.float64) + a.astype(jnp.float64), 0),
+        (lambda a, b: jnp.maximum(a * b, a) + b, 0),
+    ],
+)
+def test_sums_of_products_by_a_given_instruction(function, fused):
+    """A product that is added to something is multiplied there."""
+    asked = []
+    row = _row()
+    expected = lanes.apply(function, *row)[()]
+    with lanes.instructions(_instructions(asked)):
+        found = lanes.apply(function, *row)[()]
+    assert asked.count("multiply_add") == fused
+    # The same operations in another order, for terms that cancel to no less than a tenth.
+    np.testing.assert_allclose(found, expected, rtol=20 * np.finfo(np.float32).eps)

@@ -1,6 +1,6 @@
 """Functions of one body, run on many with one array for every element."""
 
-from angler_kernels.lanes.folding import reciprocals
+from angler_kernels.lanes.folding import Instructions, instructions
 from angler_kernels.lanes.table import Table
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
@@ -15,13 +15,14 @@ from angler_kernels.lanes.trees import (
 )
 
 __all__ = [
+    "Instructions",
     "Table",
     "any_lane",
     "apply",
     "flatten",
+    "instructions",
     "join",
     "pack",
-    "reciprocals",
     "repeat",
     "split",
     "spread",

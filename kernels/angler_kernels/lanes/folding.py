@@ -3,28 +3,56 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-type Reciprocal = Callable[[jax.Array], jax.Array]
 
-_reciprocal: ContextVar[Reciprocal | None] = ContextVar("reciprocal", default=None)
+@dataclass(frozen=True, kw_only=True)
+class Instructions:
+    """What a compiler is to be told by name, because it does not choose it by itself."""
+
+    reciprocal: Callable[[jax.Array], jax.Array]
+    """1 / x of float32 lanes."""
+    multiply_add: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+    """a b + c of float32 lanes, rounded once."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Product:
+    """Lanes that are ``sign * a * b``."""
+
+    lanes: jax.Array
+    """Kept, so that its identity is not given to others."""
+    a: jax.Array
+    b: jax.Array
+    sign: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Target:
+    use: Instructions
+    products: dict[int, _Product] = field(default_factory=dict)
+
+
+_target: ContextVar[_Target | None] = ContextVar("target", default=None)
 
 
 @contextmanager
-def reciprocals(by: Reciprocal) -> Iterator[None]:
-    """Within it, float32 lanes are divided by multiplying with a reciprocal of ``by``'s making.
+def instructions(use: Instructions) -> Iterator[None]:
+    """Within it, float32 lanes are divided by reciprocals, and sums of products are fused.
 
-    For compilers whose own division takes care of denormal numbers that bodies in water never see.
+    For compilers whose division takes care of denormal numbers that bodies in water never see, and
+    that keep multiplication and addition apart.
     """
-    token = _reciprocal.set(by)
+    token = _target.set(_Target(use=use))
     try:
         yield
     finally:
-        _reciprocal.reset(token)
+        _target.reset(token)
 
 
 _CONSTANT: dict[str, Callable[..., Any]] = {
@@ -112,20 +140,64 @@ def _with_constants(name: str, x: Sequence[Any], constant: Sequence[bool]) -> An
 
 
 def _bind(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
-    if primitive.name == "div" and (quotient := _quotient(*operands)) is not None:
-        return quotient
+    target = _target.get()
+    if target is None or any(x.dtype != np.float32 for x in operands):
+        return _plain(primitive, params, operands)
+    name = primitive.name
+    if name == "div" and np.shape(operands[1]) != ():
+        return _quotient(target.use, *operands)
+    if name in ("add", "sub") and (fused := _fused(target, name, *operands)) is not None:
+        return fused
+    found = _plain(primitive, params, operands)
+    _note_product(target, name, params, operands, found)
+    return found
+
+
+def _plain(primitive: Any, params: dict[str, Any], operands: Sequence[Any]) -> Any:
+    return primitive.bind(*_spread(*operands), **params)
+
+
+def _spread(*operands: Any) -> list[jax.Array]:
+    """All as wide as the widest."""
     lanes = np.broadcast_shapes(*(np.shape(x) for x in operands))
-    spread = [
+    return [
         x if np.shape(x) == lanes and isinstance(x, jax.Array) else jnp.broadcast_to(x, lanes)
         for x in operands
     ]
-    return primitive.bind(*spread, **params)
 
 
-def _quotient(a: Any, b: Any) -> Any:
-    """``a / b`` by the reciprocal in force; None where there is none."""
-    by = _reciprocal.get()
-    if by is None or b.dtype != np.float32 or np.shape(b) == ():
+def _quotient(use: Instructions, a: Any, b: Any) -> Any:
+    """``a / b`` by a reciprocal."""
+    inverse = use.reciprocal(b)
+    return inverse if isinstance(a, np.generic) and a == 1 else two(jax.lax.mul_p, inverse, a)
+
+
+def _fused(target: _Target, name: str, x: Any, y: Any) -> Any:
+    """``x + y`` or ``x - y`` where one of them is a product; None where none is."""
+    flip = -1 if name == "sub" else 1
+    if (product := target.products.get(id(y))) is not None:
+        sign, rest = flip * product.sign, x
+    elif (product := target.products.get(id(x))) is not None:
+        sign, rest = product.sign, (-y if flip < 0 else y)
+    else:
         return None
-    one = isinstance(a, np.generic) and a == 1
-    return by(b) if one else by(b) * a
+    a, b, c = _spread(product.a if sign > 0 else -product.a, product.b, rest)
+    return target.use.multiply_add(a, b, c)
+
+
+def _note_product(
+    target: _Target, name: str, params: dict[str, Any], operands: Sequence[Any], found: Any
+) -> None:
+    """Remember what was multiplied, in case it is added to something."""
+    if np.shape(found) == ():
+        return
+    sign = 1
+    if name == "mul":
+        a, b = operands
+    elif name == "square" or (name == "integer_pow" and params["y"] == 2):
+        a = b = operands[0]
+    elif name == "neg" and (product := target.products.get(id(operands[0]))) is not None:
+        a, b, sign = product.a, product.b, -product.sign
+    else:
+        return
+    target.products[id(found)] = _Product(lanes=found, a=a, b=b, sign=sign)
