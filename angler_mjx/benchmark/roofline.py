@@ -10,6 +10,7 @@ Patterson, 2009).
 
 import subprocess
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -18,15 +19,30 @@ import numpy as np
 from angler_mjx.benchmark.speed import Row, seconds_of, turns
 from angler_mjx.sim import triton
 
-CHAINS, LINKS = 8, 64
-"""Chains an element, multiply-adds a chain."""
+CHAINS = 8
+"""Side by side in each element."""
 _PROGRAM = triton.Program(lanes=256, warps=8)
-_IN_A_TURN = 8
-"""Links of each chain in a turn of the loop."""
-_LARGE = {"cpu": (2**26, 2**20)}
-"""Elements copied, elements with chains: about 20 ms each on two cores."""
-_LARGE_ELSEWHERE = (2**30, 2**27)
-"""About 2 ms each on a device of some TB/s and some 10 TFLOP/s: a launch is little beside it."""
+_IN_A_TURN = 16
+"""Links of each chain in a turn of the kernel's loop: its own instructions are few beside them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Load:
+    """What is timed."""
+
+    copied: int
+    """Elements."""
+    chained: int
+    """Elements with chains."""
+    links: int
+    """Multiply-adds of a chain."""
+
+
+_LOADS = {"cpu": _Load(copied=2**26, chained=2**20, links=64)}
+"""About 20 ms each on two cores."""
+_LOAD_ELSEWHERE = _Load(copied=2**30, chained=2**25, links=1024)
+"""Some ms each on a device of some TB/s and some 10 TFLOP/s: a launch, and reading what the chains
+begin with, are little beside it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +60,13 @@ class DeviceSpeed:
 def measure(repeats: int = 10) -> DeviceSpeed:
     """Measure the default device; medians of the repeats."""
     backend = jax.default_backend()
-    to_copy, to_chain = _LARGE.get(backend, _LARGE_ELSEWHERE)
-    copy = _median_s(to_copy, jax.jit(lambda x, a, b: x + b), repeats)
-    chains = _chains_in_kernel if backend == "gpu" else _chains
-    chain = _median_s(to_chain, jax.jit(chains), repeats)
+    load = _LOADS.get(backend, _LOAD_ELSEWHERE)
+    copy = _median_s(load.copied, jax.jit(lambda x, a, b: x + b), repeats)
+    chains = partial(_chains_in_kernel if backend == "gpu" else _chains, load.links)
+    chain = _median_s(load.chained, jax.jit(chains), repeats)
     return DeviceSpeed(
-        copy_bytes_per_s=2 * 4 * to_copy / copy,
-        fma_flops_per_s=2 * CHAINS * LINKS * to_chain / chain,
+        copy_bytes_per_s=2 * 4 * load.copied / copy,
+        fma_flops_per_s=2 * CHAINS * load.links * load.chained / chain,
         driver=None if backend == "cpu" else driver(),
     )
 
@@ -80,10 +96,10 @@ def driver() -> str | None:
     return said[0] if said else None
 
 
-def _chains(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+def _chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The sum of ``CHAINS`` chains; nothing in them is known before the call."""
     links = [x + k for k in range(CHAINS)]
-    for _ in range(LINKS):
+    for _ in range(n_link):
         links = [link * a + b for link in links]
     total = links[0]
     for link in links[1:]:
@@ -91,7 +107,7 @@ def _chains(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     return total
 
 
-def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+def _chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
     """The same in one kernel; in a loop, for straight code would wait for its instructions."""
 
     def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
@@ -109,7 +125,7 @@ def _chains_in_kernel(x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
         triton.storer(out, at)(at, sum(links))
 
     # Read, not known: else the compiler writes the loop out.
-    given = [a.reshape(1), b.reshape(1), jnp.array([LINKS // _IN_A_TURN], jnp.int32)]
+    given = [a.reshape(1), b.reshape(1), jnp.array([n_link // _IN_A_TURN], jnp.int32)]
     (after,) = triton.call(kernel, _PROGRAM, x.size, 1, given, [x])
     return after
 
