@@ -107,19 +107,24 @@ def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, An
         linestyle=("-", "--")[place // len(style.ROBOTS) % 2],
         linewidth=1.8,
         capsize=2.5,
-        label=f"{workload}, {int(robots)} robots, {engine}, {device}",
+        label=f"{workload}, {_robots(int(robots))}, {engine}, {device}",
     )
 
 
 def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """What memory and arithmetic allow, by workload and device; of several engines the highest."""
+    """What memory and arithmetic allow, by workload and device; of several engines the highest.
+
+    Only of those measured at several sizes: lines for single points would hide one another.
+    """
     of: dict[tuple[str, str], float] = {}
+    sizes: dict[tuple[str, str], set[int]] = {}
     for row in rows:
         name = (row["workload"], _device(row))
         of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
+        sizes.setdefault(name, set()).add(row["worlds"])
     above = math.inf
     for (workload, device), bound in sorted(of.items(), key=lambda item: -item[1]):
-        if not bound:
+        if not bound or len(sizes[workload, device]) < 2:
             continue
         axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
         # Below its line where there is another one just above it.
@@ -153,7 +158,7 @@ def _finish(axes: Axes) -> None:
 
 def _table_row(row: dict[str, Any]) -> str:
     spread = (row["high"] - row["low"]) / row["median"]
-    share = f"{100 * row['median'] / row['bound']:.2g} %" if row.get("bound") else "-"
+    share = _percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
     counted = f"{row['flops']:,.0f}" if row["flops"] else "-"
     moved = f"{row['least_bytes']:.3g}" if row["least_bytes"] else "-"
     compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] is not None else "-"
@@ -181,6 +186,15 @@ def _engine(row: dict[str, Any]) -> str:
 def _device(row: dict[str, Any]) -> str:
     name = "CPU" if row["device"] == "cpu" else str(row["device"]).removeprefix("NVIDIA ")
     return name if row["devices"] == 1 else f"{row['devices']} {name}"
+
+
+def _robots(number: int) -> str:
+    return "1 robot" if number == 1 else f"{number} robots"
+
+
+def _percent(share: float) -> str:
+    """Two digits, or as many as a whole number has."""
+    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
 
 
 def _short(rate: float) -> str:

@@ -8,8 +8,8 @@ what was computed before is left out, and a scan counts as often as it runs.
 
 An addition, subtraction, multiplication, division, minimum or maximum of floats is one operation,
 and so is a root or a transcendental function. Comparisons, selections, integers and conversions
-count nothing. A loop that runs until something happens counts once, so the sum is then the least
-that there can be.
+count nothing. A loop that runs until something happens counts once, and of two branches the cheaper
+one, so the sum is then the least that there can be.
 """
 
 import math
@@ -59,8 +59,11 @@ def count(function: Callable[..., Any], *arguments: Any) -> Count:
         flops = reader.flops(jax.make_jaxpr(function)(*arguments).jaxpr)
     except _OpaqueError as error:
         return Count(None, f"not counted: nothing can see into {error}")
-    if reader.open_loops:
-        return Count(flops, "at least: loops that run until something happens count once")
+    if reader.at_least:
+        return Count(
+            flops,
+            "at least: loops that run until something happens count once, branches as the cheapest",
+        )
     return Count(flops, "loops as often as they run")
 
 
@@ -68,7 +71,7 @@ class _Reader:
     """Walks through a function and those that it calls."""
 
     def __init__(self) -> None:
-        self.open_loops = False
+        self.at_least = False
         self._known: dict[int, float] = {}
         self._kept: list[Any] = []
 
@@ -90,10 +93,11 @@ class _Reader:
             case "scan":
                 return float(given["length"]) * self.flops(given["jaxpr"])
             case "while":
-                self.open_loops = True
+                self.at_least = True
                 return self.flops(given["body_jaxpr"]) + self.flops(given["cond_jaxpr"])
             case "cond":
-                return max(self.flops(branch) for branch in given["branches"])
+                self.at_least = True
+                return min(self.flops(branch) for branch in given["branches"])
         inner = given.get("jaxpr", given.get("call_jaxpr"))
         if inner is not None:
             return self.flops(inner)
