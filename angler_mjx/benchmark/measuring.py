@@ -103,6 +103,7 @@ def _refused(case: Case, why: str, out_of_memory: bool) -> Row:
         devices=case.devices,
         engine=scenario.engine if scenario else case.workload.engine,
         kernels=scenario.kernels if scenario else case.kernels,
+        controller=case.controller,
         device_peak_bytes=peak_device_bytes(),
         refused=why,
         out_of_memory=out_of_memory or "out of device memory" in why,

@@ -111,6 +111,7 @@ def time_it(
         devices=devices,
         engine=scenario.engine,
         kernels=simulator.kernels,
+        controller=scenario.controller.title,
         **_needs(simulator, program),
         **account(program),
         device_peak_bytes=peak_device_bytes(),

@@ -47,6 +47,8 @@ class Row:
     """Each of them has ``worlds``; the rate is that of all together."""
     engine: str | None = None
     kernels: str | None = None
+    controller: str | None = None
+    """The stack of controllers, in simulations."""
     flops: float | None = None
     """Floating-point operations for one of ``unit``; None where they cannot be counted."""
     flops_from: str | None = None

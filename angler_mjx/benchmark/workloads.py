@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from angler_mjx.benchmark.speed import check_repeats
+from angler_mjx.control.stages import CONTROLLERS
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices
 from angler_mjx.runs.scenario import FleetEntry, Scenario, load_scenario, shipped
@@ -134,6 +135,8 @@ class Request:
     robots: tuple[int, ...] = ()
     engine: Engine | None = None
     kernels: Kernels | None = None
+    controllers: tuple[str, ...] = ()
+    """Of simulations; a scenario's own if empty."""
     repeats: int = 10
     devices: int = 1
     """Of simulations; other workloads use one."""
@@ -156,11 +159,14 @@ class Case:
     """Different worlds that the largest row of the same fleet needs, so that all rows can share."""
     kernels: Kernels | None
     folder: Path
+    controller: str | None = None
+    """Where one was asked for."""
 
     @property
     def label(self) -> str:
         """Name in the row."""
-        return self.workload.label.format(robots=self.robots)
+        name = self.workload.label.format(robots=self.robots)
+        return f"{name}/{self.controller}" if self.controller else name
 
 
 def cases(request: Request) -> list[Case]:
@@ -180,8 +186,10 @@ def cases(request: Request) -> list[Case]:
         workload = find(name)
         if workload.kind == "dynamics" and request.engine == "mjx":
             raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
+        sizes = request.worlds or grid.worlds
         for robots in _fleets(workload, request.robots or grid.robots):
-            found += _of_fleet(workload, robots, request, request.worlds or grid.worlds)
+            for controller in _controllers(workload, request):
+                found += _of_fleet(workload, robots, request, sizes, controller)
     return found
 
 
@@ -190,11 +198,22 @@ def _fleets(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
     return robots if robots and workload.kind != "dynamics" else (workload.robots,)
 
 
+def _controllers(workload: Workload, request: Request) -> tuple[str | None, ...]:
+    """Controllers that a workload is measured with; None for its own."""
+    if unknown := [name for name in request.controllers if name not in CONTROLLERS]:
+        raise ConfigError(f"--controller {unknown[0]}: there is {', '.join(CONTROLLERS)}")
+    return (workload.kind == "simulation" and request.controllers) or (None,)
+
+
 def _of_fleet(
-    workload: Workload, robots: int, request: Request, worlds: tuple[int, ...]
+    workload: Workload,
+    robots: int,
+    request: Request,
+    worlds: tuple[int, ...],
+    controller: str | None,
 ) -> list[Case]:
-    """The rows of one workload and number of robots."""
-    scenario = _scenario(workload, robots, request)
+    """The rows of one workload, number of robots and controller."""
+    scenario = _scenario(workload, robots, request, controller)
     devices = request.devices if workload.kind == "simulation" else 1
     return [
         Case(
@@ -207,6 +226,7 @@ def _of_fleet(
             prepared=devices * max(worlds),
             kernels=request.kernels,
             folder=request.folder,
+            controller=controller,
         )
         for size in sorted(worlds)
     ]
@@ -235,7 +255,9 @@ def find(name: str) -> Workload:
     )
 
 
-def _scenario(workload: Workload, robots: int, request: Request) -> Scenario | None:
+def _scenario(
+    workload: Workload, robots: int, request: Request, controller: str | None
+) -> Scenario | None:
     """The scenario of a workload with this many robots; None for workloads without one."""
     if workload.kind not in ("simulation", "recording", "preparation"):
         return None
@@ -244,6 +266,8 @@ def _scenario(workload: Workload, robots: int, request: Request) -> Scenario | N
         changes["engine"] = engine
     if request.kernels is not None and engine != "mjx":
         changes["kernels"] = request.kernels
+    if controller is not None:
+        changes["controller"] = {"name": controller}
     if workload.record_hz is not None:
         changes["time"] = {"record_hz": workload.record_hz}
     name = workload.source

@@ -19,6 +19,7 @@ def bench(
     robots: tuple[int, ...] = (),
     engine: Literal["mjx", "fused"] | None = None,
     kernels: Literal["xla", "triton"] | None = None,
+    controller: tuple[str, ...] = (),
     profile: Literal["quick", "full", "paper"] = "quick",
     repeats: int = 10,
     device: Device | None = None,
@@ -39,6 +40,8 @@ def bench(
             always one in dynamics.
         engine: Engine of the simulations; the workload's own if left out.
         kernels: What the fused engine is compiled by.
+        controller: Controllers of the simulations by name, one row for each, as in --controller
+            cascade tracking; the scenario's own if left out.
         profile: Workloads and sizes where none are given: quick takes minutes on a laptop, full
             and paper want a GPU.
         repeats: Timed calls of each row, at least 10.
@@ -69,6 +72,7 @@ def bench(
             robots=robots,
             engine=engine,
             kernels=kernels,
+            controllers=controller,
             repeats=repeats,
             devices=devices,
             folder=(out or RESULTS).parent,

@@ -16,6 +16,8 @@ class Estimate:
     """[4] attitude, F to W."""
     nu: jax.Array
     """[6] velocity over ground, m/s and rad/s, in F."""
+    flow: jax.Array | None = None
+    """[3] velocity of the water there, m/s, in W; None where nobody asked for it."""
 
 
 @jax.tree_util.register_dataclass

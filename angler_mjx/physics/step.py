@@ -3,7 +3,7 @@
 In this order, at time t with pose (p, q), velocity nu, thrusts f, and a command held over the step:
 
 1. flow and its material derivative at p; wrench of the water at (p, q, nu), and nu_r;
-2. rotor lag, exact: thrusts at t + dt and their mean over the step;
+2. rotors, exact: thrusts at t + dt and their mean over the step;
 3. inertia and force of the dry vehicle at (p, q, nu); M = M_RB + M_A, F = all smooth forces;
 4. M d = dt (3/2 F - 1/2 G + 1/2 h(d) + B f_mean), nu(t+dt) = nu + d, all in the body frame, with
    h(d) the change of damping from nu_r to nu_r + d, by two iterations of Newton's method; then
@@ -21,7 +21,8 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import quaternion, rigid_body, thruster
+from angler_kernels import quaternion, rigid_body
+from angler_mjx.physics import rotors
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.world import currents
@@ -67,7 +68,8 @@ class VehicleState:
     force_before: jax.Array
     """[6] smooth forces of the step before, with the damping of the present velocity, in F."""
     thrust: jax.Array
-    """[n_thruster] N, behind the rotor's lag."""
+    """[n_thruster] N, behind the rotor's lag; [3, n_thruster] states of rotors of third order, the
+    thrust first."""
 
 
 def smooth_force(
@@ -119,7 +121,7 @@ def reset(
 ) -> VehicleState:
     """A vehicle at rest over ground at p [3], q [4], thrusters still, at t = 0."""
     zero = jnp.zeros(6, p.dtype)
-    thrust = jnp.zeros(params.B.shape[-1], p.dtype)
+    thrust = rotors.at_rest(params, p.dtype)
     state = VehicleState(p=p, q=q, nu=zero, force_before=zero, thrust=thrust)
     return start_multistep(engine, body, params, state, current, jnp.zeros((), p.dtype), water)
 
@@ -167,7 +169,7 @@ def step(
     """
     M, force, nu_r = smooth_force(engine, body, params, state, current, t, water)
     with jax.named_scope("thrusters"):
-        thrust, mean_thrust = thruster.rotor_lag(state.thrust, thrust_command, params.tau_s, dt)
+        thrust, mean_thrust = rotors.advance(params, state.thrust, thrust_command, dt)
         thrust_wrench = rigid_body.matrix_times(params.B, mean_thrust)
     with jax.named_scope("integrate"):
         nu, force_before = rigid_body.advance_damped_velocity(

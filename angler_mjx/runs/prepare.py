@@ -55,7 +55,7 @@ def _one_world(
 ) -> World:
     """World ``index`` of a run: its key is the run's, folded with the global index."""
     key = jax.random.fold_in(jax.random.key(seed), index)
-    variant, cascade, body = fleet.draw(kinds, jax.random.fold_in(key, 0))
+    variant, control, body = fleet.draw(kinds, jax.random.fold_in(key, 0))
     environment = generate.generate(
         recipe,
         fleet.radius_bound(kinds),
@@ -64,14 +64,14 @@ def _one_world(
         scenario.water.density_kgpm3,
     )
     path = grid_planner.plan(
-        environment, cascade.vehicle.radius_m, cascade.cruise_speed_mps, planner
+        environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
     )
     looked_up = scenario.engine == "fused"
     return World(
         environment=environment,
         variant=variant,
         body=body,
-        cascade=cascade,
+        control=control,
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
     )

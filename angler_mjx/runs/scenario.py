@@ -6,13 +6,15 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from angler_mjx.control.cascade import Gains
+from angler_mjx.control import stack, stages
+from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse, read_toml
 from angler_mjx.physics.step import Water
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.rotor_config import RotorResponse
 from angler_mjx.world.config import WorldConfig
 
 
@@ -28,6 +30,13 @@ class FleetEntry(FileModel):
     """Weights of several sets, drawn anew for each robot of each world; instead of one set."""
     battery_v: float = Field(default=16.0, ge=10.0, le=20.0)
     cruise_speed_mps: float = Field(default=0.5, gt=0.0, le=3.0)
+    thruster_health: dict[str, float] = Field(default_factory=dict)
+    """Share of its thrust that each faulty thruster gives, 0 (dead) to 1 (sound), by its name in
+    the vehicle file."""
+    fault_known: bool = True
+    """Whether the allocation knows thruster_health; if not, it takes all thrusters for sound."""
+    rotor_response: RotorResponse | None = None
+    """First or third order; what the vehicle file says if left out. The same for a whole fleet."""
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:
@@ -37,6 +46,11 @@ class FleetEntry(FileModel):
         if bad:
             raise ValueError(f"parameter_mix: weights must be positive: {bad}")
         config = _load_vehicle(self.vehicle)
+        try:
+            config.find_health(self.thruster_health)
+            config.find_response(self.rotor_response)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
         for name in self._weights(config.default_set):
             if name not in config.parameter_sets:
                 raise ValueError(
@@ -53,7 +67,14 @@ class FleetEntry(FileModel):
         weights = self._weights(library.load(self.vehicle).default_set)
         return Member(
             variants=tuple(
-                Variant(vehicle=self.vehicle, parameter_set=name, battery_v=self.battery_v)
+                Variant(
+                    vehicle=self.vehicle,
+                    parameter_set=name,
+                    battery_v=self.battery_v,
+                    thruster_health=tuple(self.thruster_health.items()),
+                    fault_known=self.fault_known,
+                    rotor_response=self.rotor_response,
+                )
                 for name in weights
             ),
             weights=tuple(weights.values()),
@@ -115,20 +136,57 @@ def _whole(what: str, ratio: float) -> None:
 
 
 class ControllerConfig(FileModel):
-    """The controllers: the default cascade, and the gains that differ from its own."""
+    """The controllers: a stack by its name or by its stages, and gains that differ from theirs."""
 
-    name: Literal["cascade"] = "cascade"
-    gains: dict[str, float] = Field(default_factory=dict)
+    name: str | None = None
+    """One of `angler_mjx.control.stages.CONTROLLERS`; the cascade if nothing is given."""
+    stages: tuple[str, ...] | None = Field(default=None, min_length=1)
+    """Stages from the highest down, instead of a name."""
+    gains: dict[str, dict[str, float]] = Field(default_factory=dict)
+    """Of each stage."""
+
+    @property
+    def title(self) -> str:
+        """Its name, or its stages in a row."""
+        return "+".join(self.stages) if self.stages else self.name or "cascade"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gains_by_stage(cls, data: Any) -> Any:
+        given = data.get("gains") if isinstance(data, dict) else None
+        for name, value in (given if isinstance(given, dict) else {}).items():
+            if not isinstance(value, dict):
+                raise ValueError(
+                    f"gains.{name} = {value!r}: gains stand by stage, as in "
+                    "[controller.gains.velocity] with velocity_per_s = 2.5"
+                )
+        return data
 
     @model_validator(mode="after")
-    def _known(self) -> Self:
-        known = Gains.__dataclass_fields__
-        for name, value in self.gains.items():
-            if name not in known:
-                raise ValueError(f"gains.{name}: unknown gain; there is {', '.join(known)}")
-            if value <= 0:
-                raise ValueError(f"gains.{name} = {value}: a gain must be positive")
+    def _is_a_stack(self) -> Self:
+        if self.stages is not None and self.name is not None:
+            raise ValueError("give name or stages, not both")
+        if self.name is not None and self.name not in stages.CONTROLLERS:
+            raise ValueError(
+                f"name = {self.name!r}: there is {', '.join(stages.CONTROLLERS)}; or give stages"
+            )
+        first = self.stack()[0][0]
+        if Trajectory not in first.takes:
+            raise ValueError(
+                f"stages: the first one, {first.name!r}, takes {stack.takes(first)}; the planner "
+                "gives a Trajectory: begin with "
+                f"{' or '.join(x.name for x in stages.STAGES.values() if Trajectory in x.takes)}"
+            )
         return self
+
+    def stack(self) -> tuple[stack.Stages, tuple[Any, ...]]:
+        """The stages and the gains of each.
+
+        Raises:
+            ConfigError: they are not a stack, or gains make no sense.
+        """
+        names = self.stages or stages.CONTROLLERS[self.name or "cascade"]
+        return stages.build(names, self.gains)
 
 
 class PlannerConfig(FileModel):
@@ -173,12 +231,14 @@ class Scenario(FileModel):
 
     def sim_spec(self) -> SimSpec:
         """The simulator's settings."""
+        controllers, gains = self.controller.stack()
         return SimSpec(
             physics_dt_s=self.time.physics_dt_s,
             physics_steps=self.time.physics_steps,
             goal_tolerance_m=self.goal_tolerance_m,
             water=Water(density_kgpm3=self.water.density_kgpm3),
-            gains=Gains(**self.controller.gains),
+            stages=controllers,
+            gains=gains,
         )
 
 

@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control import stack
+from angler_mjx.control.stack import Command
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices as on_devices
 from angler_mjx.runs.devices import (
@@ -143,6 +144,9 @@ class Simulator:
         self._segment: Callable[..., Segment] = jax.jit(
             each(self._run_segment, SAME, EACH, EACH), donate_argnums=2
         )
+        self._commanded: Callable[..., Segment] = jax.jit(
+            each(self._run_segment, SAME, EACH, EACH, EACH), donate_argnums=2
+        )
 
     @property
     def segment_steps(self) -> int:
@@ -212,27 +216,48 @@ class Simulator:
         return self._reset(self.fleet, worlds)
 
     def step(
-        self, worlds: World, state: WorldState, command: ThrusterPwm | None = None
+        self, worlds: World, state: WorldState, command: Command | None = None
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
         Args:
             worlds: from ``worlds``.
             state: from ``reset`` or the step before.
-            command: signals [world, robot, thruster] to send instead of the cascade's.
+            command: to the controllers of all robots instead of their paths, [world, robot]
+                leading; it enters at the first stage that takes its type.
 
         Returns:
             The next state, and the sample of the state before with its command.
+
+        Raises:
+            ConfigError: no stage of the controllers takes the command, or it is not for every
+                robot of every world.
         """
+        if command is not None:
+            stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
         return self._step(self.fleet, worlds, state, command)
 
-    def segment(self, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
+    def segment(
+        self, worlds: World, state: WorldState, command: Command | None = None
+    ) -> tuple[WorldState, Sample]:
         """``segment_steps`` control steps; the given state's memory is used up.
+
+        Args:
+            worlds: from ``worlds``.
+            state: from ``reset`` or the segment before.
+            command: as for `step`; the same in all steps.
 
         Returns:
             The state after them, and samples [world, samples, ...].
+
+        Raises:
+            ConfigError: as `step`.
         """
-        after, sample, _ = self.advance(worlds, state)
+        if command is None:
+            after, sample, _ = self.advance(worlds, state)
+            return after, sample
+        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
+        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
         return after, sample
 
     def advance(self, worlds: World, state: WorldState) -> Segment:
@@ -288,7 +313,13 @@ class Simulator:
         cause = str(error).splitlines()[0][:120]
         raise too_large(self.tile, needed, limit, cause) from error
 
-    def _run_segment(self, kinds: fleet.Fleet, worlds: World, state: WorldState) -> Segment:
+    def _run_segment(
+        self,
+        kinds: fleet.Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None = None,
+    ) -> Segment:
         after, sample = self._engine.segment(
             self.spec,
             kinds,
@@ -296,6 +327,7 @@ class Simulator:
             state,
             n_sample=self.samples,
             steps_per_sample=self.steps_per_sample,
+            command=command,
         )
         running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
         return after, sample, running

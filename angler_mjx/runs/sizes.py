@@ -16,7 +16,7 @@ def shape_of(simulator: Simulator) -> Shape:
         worlds=scenario.worlds,
         samples=simulator.samples * simulator.segments,
         robots=len(scenario.members()),
-        thrusters=world.cascade.vehicle.B.shape[-1],
+        thrusters=world.control.vehicle.B.shape[-1],
         obstacles=world.environment.obstacles.kind.shape[-1],
         plan_points=world.path.time_s.shape[-1],
     )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_mjx.control.cascade import CascadeParams
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.planes import is_table, typed
 
@@ -26,7 +26,7 @@ class Bank:
     @classmethod
     def of(cls, fleet: Fleet, dtype: Any) -> tuple["Bank", jax.Array]:
         """The places, and the flat array."""
-        leaves, tree = jax.tree.flatten(fleet.cascade)
+        leaves, tree = jax.tree.flatten(fleet.control)
         sizes = [leaf.size for leaf in leaves]
         bank = cls(
             tree=tree,
@@ -36,7 +36,7 @@ class Bank:
         )
         return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
 
-    def read(self, load: Callable[[Any], Any], group: Group, variant: Any) -> CascadeParams:
+    def read(self, load: Callable[[Any], Any], group: Group, variant: Any) -> ControlParams:
         """Parameters of lanes of robots of a group, by their variants.
 
         What all variants of the group share is a number of the program, not read at all.
@@ -57,5 +57,5 @@ class Bank:
                 for k, letter in enumerate(letters)
             ]
             out.append(lanes.pack(row, shape))
-        params: CascadeParams = jax.tree.unflatten(self.tree, out)
+        params: ControlParams = jax.tree.unflatten(self.tree, out)
         return params

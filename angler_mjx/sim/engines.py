@@ -4,11 +4,11 @@ Every function takes and gives pytrees of one world with a leading axis [tile] o
 """
 
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import jax
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control.stack import Command
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.sim import episode
@@ -31,7 +31,7 @@ class Engine(Protocol):
         fleet: Fleet,
         worlds: World,
         state: WorldState,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -40,7 +40,7 @@ class Engine(Protocol):
             fleet: compiled vehicles.
             worlds: constants of the worlds.
             state: of the worlds.
-            command: signals [tile, R, n_thruster] to send instead of the controller's.
+            command: to the controllers instead of the paths, [tile, R] leading.
 
         Returns:
             The state one control period later, and the sample of the state before.
@@ -56,8 +56,12 @@ class Engine(Protocol):
         *,
         n_sample: int,
         steps_per_sample: int,
+        command: Command | None = None,
     ) -> tuple[WorldState, Sample]:
-        """``n_sample * steps_per_sample`` control steps; samples are [tile, n_sample, ...]."""
+        """``n_sample * steps_per_sample`` control steps, all with one command.
+
+        Samples are [tile, n_sample, ...].
+        """
         ...
 
 
@@ -76,7 +80,7 @@ class MjxEngine:
         fleet: Fleet,
         worlds: World,
         state: WorldState,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         one = partial(episode.control_step, spec)
@@ -94,12 +98,15 @@ class MjxEngine:
         *,
         n_sample: int,
         steps_per_sample: int,
+        command: Command | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         one = partial(episode.segment, spec, n_sample=n_sample, steps_per_sample=steps_per_sample)
-        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0))(
-            _multibody(fleet), worlds, state
-        )
+
+        def told(world: World, state: WorldState, command: Command | None) -> Any:
+            return one(_multibody(fleet), world, state, command=command)
+
+        after: tuple[WorldState, Sample] = jax.vmap(told)(worlds, state, command)
         return after
 
 

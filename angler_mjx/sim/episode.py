@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control import cascade
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control import stack
+from angler_mjx.control.stack import Command
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody, VehicleState
 from angler_mjx.sim import robot
@@ -37,7 +37,7 @@ def reset(spec: SimSpec, engine: Multibody, bodies: Any, world: World) -> WorldS
     vehicles = jax.vmap(physics.reset, (None, 0, 0, 0, 0, None, None))(
         engine,
         bodies,
-        world.cascade.vehicle,
+        world.control.vehicle,
         environment.start_m,
         attitude,
         environment.current,
@@ -46,11 +46,11 @@ def reset(spec: SimSpec, engine: Multibody, bodies: Any, world: World) -> WorldS
     moving = obstacle_motion.reset(
         environment.obstacles, environment.current, water.density_kgpm3, water.gravity_mps2
     )
-    contact = detect(environment, world.cascade.vehicle, vehicles, moving)
+    contact = detect(environment, world.control.vehicle, vehicles, moving)
     n, dtype = environment.start_m.shape[0], environment.start_m.dtype
     return WorldState(
         vehicles=vehicles,
-        carry=jax.vmap(cascade.reset)(environment.start_yaw_rad),
+        carry=jax.vmap(partial(robot.begin, spec))(vehicles, environment.start_yaw_rad),
         obstacles=moving,
         tally=Tally(
             outcome=jnp.zeros(n, jnp.int32),
@@ -72,7 +72,7 @@ def control_step(
     engine: Multibody,
     world: World,
     state: WorldState,
-    command: ThrusterPwm | None = None,
+    command: Command | None = None,
 ) -> tuple[WorldState, Sample]:
     """One control step of one world.
 
@@ -81,21 +81,24 @@ def control_step(
         engine: of the fleet.
         world: constants of the world.
         state: of the world.
-        command: signals [R, n_thruster] to send instead of the cascade's.
+        command: to the controllers instead of the paths, [R] leading.
 
     Returns:
         The state one control period later, and the sample of the state before with its command.
     """
-    environment, fleet = world.environment, world.cascade
+    environment, fleet = world.environment, world.control
     lo, hi = region(environment)
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s
+    flow = jax.vmap(currents.velocity, (None, 0, None))(environment.current, before.p, t)
     with jax.named_scope("control"):
         carry, target, pwm = jax.vmap(partial(robot.decide, spec))(
-            fleet, state.carry, before, world.path
+            fleet,
+            state.carry,
+            before,
+            world.path if command is None else command,
+            flow if stack.wants_flow(spec.stages) else None,
         )
-        if command is not None:
-            pwm = command
     settled, power = jax.vmap(robot.thrust_and_power)(fleet.vehicle, pwm)
     vehicles = _advance_vehicles(spec, engine, world, before, settled, t)
     with jax.named_scope("obstacles"):
@@ -122,8 +125,8 @@ def control_step(
         q=before.q,
         nu=before.nu,
         pwm_us=pwm.pwm_us,
-        target_m=target.position_m,
-        current_mps=jax.vmap(currents.velocity, (None, 0, None))(environment.current, before.p, t),
+        target_m=target,
+        current_mps=flow,
         outcome=state.tally.outcome,
         obstacle_p=state.obstacles.p,
         obstacle_q=state.obstacles.q,
@@ -141,20 +144,21 @@ def segment(
     state: WorldState,
     n_sample: int,
     steps_per_sample: int,
+    command: Command | None = None,
 ) -> tuple[WorldState, Sample]:
-    """``n_sample * steps_per_sample`` control steps of one world.
+    """``n_sample * steps_per_sample`` control steps of one world, all with one command.
 
     Returns:
         The state at the end, and samples with a leading axis [n_sample].
     """
     # One control step stands in the program, not one for recorded and one for other steps: it is
     # most of what there is to compile.
-    shapes = jax.eval_shape(lambda s: control_step(spec, engine, world, s)[1], state)
+    shapes = jax.eval_shape(lambda s: control_step(spec, engine, world, s, command)[1], state)
     nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
     def one(carry: tuple[WorldState, Sample], i: jax.Array) -> tuple[Any, None]:
         state, kept = carry
-        state, sample = control_step(spec, engine, world, state)
+        state, sample = control_step(spec, engine, world, state, command)
         kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
         return (state, kept), None
 
@@ -187,7 +191,7 @@ def _advance_vehicles(
         state = jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
             engine,
             world.body,
-            world.cascade.vehicle,
+            world.control.vehicle,
             state,
             command,
             world.environment.current,

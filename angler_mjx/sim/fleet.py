@@ -1,7 +1,7 @@
 """A fleet of mixed vehicles: the variants it can hold, and which one each robot of a world is.
 
-A variant is a vehicle with one parameter set at one voltage. A robot of the fleet names one variant
-or a weighted mix; the mix is drawn anew in every world.
+A variant is a vehicle with one parameter set at one voltage, with its faults. A robot of the fleet
+names one variant or a weighted mix; the mix is drawn anew in every world.
 """
 
 import itertools
@@ -13,21 +13,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.control import allocation
-from angler_mjx.control.cascade import CascadeParams
+from angler_mjx.control.stack import ControlParams
+from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.sim.planes import is_table
 from angler_mjx.vehicles import library, mjcf, params
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.vehicles.rotor_config import RotorResponse
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """One vehicle with one parameter set at one voltage."""
+    """One vehicle with one parameter set at one voltage, with its faults."""
 
     vehicle: str
     """Name of a shipped vehicle, or path of a vehicle file."""
     parameter_set: str
     battery_v: float
+    thruster_health: tuple[tuple[str, float], ...] = ()
+    """Names of thrusters that are not sound, and the share of its thrust that each gives."""
+    fault_known: bool = True
+    """Whether the allocation knows of them; if not, it takes all thrusters for sound."""
+    rotor_response: RotorResponse | None = None
+    """None for what the vehicle file says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +58,7 @@ class Group:
     variant: int
     """One of those that they can be: where to read what is the same in all."""
     sameness: tuple[str, ...]
-    """For each leaf of ``Fleet.cascade``, a letter an element of one variant: z where it is zero in
+    """For each leaf of ``Fleet.control``, a letter an element of one variant: z where it is zero in
     all variants that these robots can be, s where it is the same in all, v where it varies. Engines
     need not compute with what is zero, nor read for each robot what is the same."""
     shared: tuple[tuple[float, ...], ...]
@@ -62,7 +71,7 @@ class Group:
 class Fleet:
     """All variants of a fleet, stacked, and each member's chances."""
 
-    cascade: CascadeParams
+    control: ControlParams
     """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``."""
     engine: MjxEngine | None
     """None where no multibody models were asked for."""
@@ -93,16 +102,24 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
         multibody: keep MuJoCo's models, which only the mjx engine reads.
 
     Raises:
-        ConfigError: unknown vehicle or set, or a file with faults.
+        ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors of more than
+            one kind.
     """
     kinds = variants(members)
     configs = [library.load(kind.vehicle) for kind in kinds]
-    stacked = params.stack(
-        [
-            params.build(config, kind.parameter_set, kind.battery_v)
-            for config, kind in zip(configs, kinds, strict=True)
-        ]
-    )
+    robots = [
+        params.build(
+            config,
+            kind.parameter_set,
+            kind.battery_v,
+            thruster_health=dict(kind.thruster_health),
+            rotor_response=kind.rotor_response,
+        )
+        for config, kind in zip(configs, kinds, strict=True)
+    ]
+    _refuse_mixed_rotors(kinds, robots)
+    stacked = params.stack(robots)
+    known = np.array([[kind.fault_known] for kind in kinds])
     models = [
         mjcf.to_spec(config, kind.parameter_set, shapes=False).compile()
         for config, kind in zip(configs, kinds, strict=True)
@@ -116,23 +133,34 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     with np.errstate(divide="ignore"):
         log_weight = np.log(chance)
     engine, body = mjx_engine.build(models)
-    cascade = CascadeParams(
+    control = ControlParams(
         vehicle=stacked,
-        allocation=allocation.build(stacked),
+        allocation=allocation.build(stacked, np.where(known, stacked.thruster_health, 1.0)),
         cruise_speed_mps=jnp.zeros(len(kinds)),
     )
     return Fleet(
         engine=engine if multibody else None,
         body=body,
-        cascade=cascade,
-        groups=_groups(members, kinds, cascade),
+        control=control,
+        groups=_groups(members, kinds, control),
         cruise_mps=jnp.asarray(cruise, float),
         log_weight=jnp.asarray(log_weight, float),
     )
 
 
+def _refuse_mixed_rotors(kinds: Sequence[Variant], robots: Sequence[VehicleParams]) -> None:
+    """Rotors of first and of third order have states of different shapes."""
+    first = robots[0].rotor
+    for kind, robot in zip(kinds, robots, strict=True):
+        if robot.rotor != first:
+            raise ConfigError(
+                f"fleet: the rotors of {kind.vehicle!r} answer otherwise than those of "
+                f"{kinds[0].vehicle!r}; give all robots of a fleet the same rotor_response"
+            )
+
+
 def _groups(
-    members: Sequence[Member], kinds: Sequence[Variant], stacked: CascadeParams
+    members: Sequence[Member], kinds: Sequence[Variant], stacked: ControlParams
 ) -> tuple[Group, ...]:
     """Runs of robots with the same vehicles."""
     vehicles = [{variant.vehicle for variant in member.variants} for member in members]
@@ -146,7 +174,7 @@ def _groups(
     return tuple(groups)
 
 
-def _sameness(stacked: CascadeParams, possible: Sequence[int]) -> tuple[str, ...]:
+def _sameness(stacked: ControlParams, possible: Sequence[int]) -> tuple[str, ...]:
     letters = []
     for leaf in jax.tree.leaves(stacked):
         rows = np.asarray(leaf).reshape(leaf.shape[0], -1)[possible]
@@ -156,7 +184,7 @@ def _sameness(stacked: CascadeParams, possible: Sequence[int]) -> tuple[str, ...
 
 
 def _shared(
-    stacked: CascadeParams, variant: int, sameness: Sequence[str]
+    stacked: ControlParams, variant: int, sameness: Sequence[str]
 ) -> tuple[tuple[float, ...], ...]:
     values = []
     for leaf, letters in zip(jax.tree.leaves(stacked), sameness, strict=True):
@@ -170,23 +198,23 @@ def _shared(
 def radius_bound(fleet: Fleet) -> jax.Array:
     """[n_robot] bounding radius of the largest variant that each robot can be, m."""
     possible = jnp.isfinite(fleet.log_weight)
-    return jnp.max(jnp.where(possible, fleet.cascade.vehicle.radius_m, 0.0), axis=1)
+    return jnp.max(jnp.where(possible, fleet.control.vehicle.radius_m, 0.0), axis=1)
 
 
-def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, CascadeParams, BodyInertia]:
+def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
     """Which variant each robot of one world is.
 
     Returns:
         int32 [n_robot] variants, and the parameters and inertias of the robots, [n_robot] leading.
     """
     chosen = jax.random.categorical(key, fleet.log_weight, axis=1).astype(jnp.int32)
-    cascade: CascadeParams = jax.tree.map(lambda leaf: leaf[chosen], fleet.cascade)
+    control: ControlParams = jax.tree.map(lambda leaf: leaf[chosen], fleet.control)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
     body: BodyInertia = jax.tree.map(lambda leaf: leaf[chosen], fleet.body)
     return (
         chosen,
-        CascadeParams(
-            vehicle=cascade.vehicle, allocation=cascade.allocation, cruise_speed_mps=speed
+        ControlParams(
+            vehicle=control.vehicle, allocation=control.allocation, cruise_speed_mps=speed
         ),
         body,
     )

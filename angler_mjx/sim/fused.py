@@ -13,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control import stack
+from angler_mjx.control.stack import Command
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import episode, lane_judge, lane_steps
+from angler_mjx.sim import episode, lane_judge, lane_steps, pair_search
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.fused_layout import (
     Given,
@@ -32,7 +33,7 @@ from angler_mjx.sim.fused_layout import (
     to_lanes,
     world_state,
 )
-from angler_mjx.sim.lane_judge import Met, Others
+from angler_mjx.sim.lane_search import Met, Others
 from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
@@ -44,7 +45,7 @@ class FusedEngine:
     def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
         """See `Engine.reset`."""
         one = partial(episode.reset, spec, ClosedForm(gravity_mps2=spec.water.gravity_mps2))
-        state: WorldState = jax.vmap(one)(worlds.cascade.vehicle, worlds)
+        state: WorldState = jax.vmap(one)(worlds.control.vehicle, worlds)
         return state
 
     def control_step(
@@ -53,12 +54,11 @@ class FusedEngine:
         fleet: Fleet,
         worlds: World,
         state: WorldState,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         scene = scene_of(fleet, worlds)
-        signals = None if command is None else command.pwm_us
-        after, sample = _control_step(spec, scene, moving_of(fleet, state), state.step[0], signals)
+        after, sample = _control_step(spec, scene, moving_of(fleet, state), state.step[0], command)
         return world_state(after, state.step + 1), to_arrays(sample, 2)
 
     def segment(
@@ -70,31 +70,31 @@ class FusedEngine:
         *,
         n_sample: int,
         steps_per_sample: int,
+        command: Command | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         scene = scene_of(fleet, worlds)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
-        rebuild_sample: list[Any] = []
+        rebuilds: list[Any] = []
 
-        def sampled(row: list[jax.Array]) -> list[jax.Array]:
-            flat, again = lanes.flatten(
-                _control_step(spec, scene, rebuild(row), jnp.int32(0), None)[1]
-            )
-            rebuild_sample.append(again)
-            return flat
+        @jax.jit  # traced once, for the types of its results and for the loop
+        def step(
+            row: list[jax.Array], number: jax.Array
+        ) -> tuple[list[jax.Array], list[jax.Array]]:
+            after, sample = _control_step(spec, scene, rebuild(row), number, command)
+            now, again = lanes.flatten(sample)
+            rebuilds.append(again)
+            both = zip(lanes.flatten(after)[0], row, strict=True)
+            return [lanes.spread(x, old) for x, old in both], now
 
-        template = jax.eval_shape(sampled, row)
+        template = jax.eval_shape(step, row, state.step[0])[1]
         nothing = [jnp.zeros(leaf.shape, leaf.dtype) for leaf in template]
 
         def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
-            row, kept, step = carry
-            after, sample = _control_step(spec, scene, rebuild(row), step, None)
-            row = [
-                lanes.spread(x, old) for x, old in zip(lanes.flatten(after)[0], row, strict=True)
-            ]
-            now = lanes.flatten(sample)[0]
+            row, kept, number = carry
+            row, now = step(row, number)
             kept = [jnp.where(i == 0, new, old) for new, old in zip(now, kept, strict=True)]
-            return (row, kept, step + 1), None
+            return (row, kept, number + 1), None
 
         def recorded(carry: Any, _: None) -> tuple[Any, Any]:
             row, step = carry
@@ -105,26 +105,35 @@ class FusedEngine:
 
         (row, _), kept = jax.lax.scan(recorded, (row, state.step[0]), length=n_sample)
         after = world_state(rebuild(row), state.step + n_sample * steps_per_sample)
-        return after, to_arrays(rebuild_sample[0](kept), 3)
+        return after, to_arrays(rebuilds[0](kept), 3)
 
 
 def _control_step(
-    spec: SimSpec, scene: Scene, moving: Moving, step: jax.Array, command: jax.Array | None
+    spec: SimSpec, scene: Scene, moving: Moving, step: jax.Array, command: Command | None
 ) -> tuple[Moving, Sample]:
-    """One control step of all worlds; ``command`` [W, R, n_thruster] instead of the controller."""
+    """One control step of all worlds; ``command`` [W, R, ...] instead of the paths."""
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(step, like.dtype) * spec.control_dt_s
     moved, samples = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
         with jax.named_scope("robots"):
-            after, said = _advance(spec, scene, given, robots, t, command)
+            after, said = lanes.shared(partial(_advance, spec, scene, given, robots, t, command))
         moved.append(after)
         samples.append(said)
     obstacles = moving.obstacles
     if scene.n_obstacle > 0:
         with jax.named_scope("obstacles"):
-            obstacles = lane_steps.advance_obstacles(
-                spec, scene.shape, scene.obstacles, obstacles, scene.current, scene.cells, t
+            obstacles = lanes.shared(
+                partial(
+                    lane_steps.advance_obstacles,
+                    spec,
+                    scene.shape,
+                    scene.obstacles,
+                    obstacles,
+                    scene.current,
+                    scene.cells,
+                    t,
+                )
             )
     others = [
         Others(
@@ -140,21 +149,25 @@ def _control_step(
         scene.groups, moving.groups, moved, strict=True
     ):
         with jax.named_scope("detection"):
-            tally = lane_judge.judge(
-                spec,
-                scene.shape,
-                given.params.vehicle,
-                given.goal_m,
-                scene.cells,
-                before.tally,
-                before.vehicle.p,
-                vehicle,
-                power,
-                broken,
-                Others(count=scene.n_obstacle, load=met),
-                others if scene.n_robot > 1 else [],
-                given.group.first + np.arange(given.group.count)[:, None],
-                t,
+            tally = lanes.shared(
+                partial(
+                    lane_judge.judge,
+                    spec,
+                    scene.shape,
+                    given.params.vehicle,
+                    given.goal_m,
+                    scene.cells,
+                    before.tally,
+                    before.vehicle.p,
+                    vehicle,
+                    power,
+                    broken,
+                    Others(count=scene.n_obstacle, load=met),
+                    others if scene.n_robot > 1 else [],
+                    given.group.first + np.arange(given.group.count)[:, None],
+                    t,
+                    pair_search.among_listed,
+                )
             )
         groups.append(Robots(vehicle=vehicle, carry=carry, tally=tally))
     sample = Sample(
@@ -171,13 +184,19 @@ def _advance(
     given: Given,
     robots: Robots,
     t: jax.Array,
-    command: jax.Array | None,
+    command: Command | None,
 ) -> tuple[Any, dict[str, Any]]:
     """Controller and physics of a group: what it comes to, and its part of the sample."""
     before, outcome = robots.vehicle, robots.tally.outcome
-    signals = None if command is None else to_lanes(of_group(command, given.group), 2)
+    told = given.path if command is None else to_lanes(of_group(command, given.group), 2)
+    flow = lane_steps.flow_at(scene.current, before.p, t)
     carry, decision = lane_steps.control_robots(
-        spec, given.params, given.path, before, robots.carry, signals
+        spec,
+        given.params,
+        before,
+        robots.carry,
+        told,
+        flow if stack.wants_flow(spec.stages) else None,
     )
     vehicle, broken = lane_steps.move_robots(
         spec, given.params.vehicle, scene.current, before, outcome, decision.thrust_n, t
@@ -188,17 +207,19 @@ def _advance(
         "nu": before.nu,
         "pwm_us": decision.pwm_us,
         "target_m": decision.target_m,
-        "current_mps": lane_steps.flow_at(scene.current, before.p, t),
+        "current_mps": flow,
         "outcome": outcome,
     }
     like = before.p[0]
     spread = {name: spread_out(leaf, like) for name, leaf in sample.items()}
+    # What a controller sets to a number is one number for all lanes.
+    carry = jax.tree.map(lambda leaf: spread_out(leaf, like), carry)
     return (vehicle, carry, decision.power_w, broken), spread
 
 
-def _met_robot(params: VehicleParams, state: VehicleState, i: jax.Array) -> Met:
-    """Robot i of a group."""
-    vehicle, now = _row((params, state), i)
+def _met_robot(params: VehicleParams, state: VehicleState, index: Any) -> Met:
+    """Robots of a group, at an index of lanes [n, W]."""
+    vehicle, now = pair_search.pick((params, state), index)
     return Met(
         p=now.p,
         reach=vehicle.radius_m[()],
@@ -206,29 +227,11 @@ def _met_robot(params: VehicleParams, state: VehicleState, i: jax.Array) -> Met:
     )
 
 
-def _met_obstacle(
-    obstacles: Obstacles, reach: jax.Array, state: ObstacleState, i: jax.Array
-) -> Met:
-    """Obstacle i."""
-    body, radius, now = _row((obstacles, lanes.pack([reach], ()), state), i)
+def _met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: Any) -> Met:
+    """Obstacles, at an index of lanes [n, W]."""
+    body, radius, now = pair_search.pick((obstacles, lanes.pack([reach], ()), state), index)
     return Met(
         p=now.p,
         reach=radius[()],
         details=lambda: (body, now.q, lane_judge.velocity(now.q, now.nu)),
     )
-
-
-def _row(tree: Any, i: jax.Array) -> Any:
-    """Row i of lanes [n, W], as lanes [W]; what has no rows stays as it is."""
-
-    def one(leaf: Any) -> Any:
-        if isinstance(leaf, lanes.Table):
-            return leaf
-        out = np.empty_like(leaf)
-        for index in np.ndindex(*leaf.shape):
-            x = leaf[index]
-            rows = np.ndim(x) == 2
-            out[index] = jax.lax.dynamic_index_in_dim(x, i, keepdims=False) if rows else x
-        return out
-
-    return jax.tree.map(one, tree)

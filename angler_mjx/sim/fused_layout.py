@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import clearance, lanes
-from angler_mjx.control.cascade import CascadeCarry, CascadeParams
+from angler_mjx.control.stack import ControlParams, Memory
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import episode, lane_judge, lane_steps
@@ -27,7 +27,7 @@ class Robots:
     """What changes from step to step of the robots of a group, as lanes."""
 
     vehicle: VehicleState
-    carry: CascadeCarry
+    carry: Memory
     tally: Tally
 
 
@@ -45,7 +45,7 @@ class Given:
     """What stays the same of the robots of a group, as lanes."""
 
     group: Group
-    params: CascadeParams
+    params: ControlParams
     path: Trajectory
     goal_m: Any
 
@@ -199,16 +199,16 @@ def _cells(worlds: World) -> Cells:
     )
 
 
-def _params(fleet: Fleet, group: Group, worlds: World) -> CascadeParams:
+def _params(fleet: Fleet, group: Group, worlds: World) -> ControlParams:
     """Parameters of a group's robots; an element that no variant changes is one number for all."""
     variant = jnp.swapaxes(of_group(worlds.variant, group), 0, 1)
-    leaves, tree = jax.tree.flatten(fleet.cascade)
+    leaves, tree = jax.tree.flatten(fleet.control)
     possible = [
         _parameter(leaf, letters, group.variant, variant)
         for leaf, letters in zip(leaves, group.sameness, strict=True)
     ]
-    params: CascadeParams = jax.tree.unflatten(tree, possible)
-    cruise = to_lanes(of_group(worlds.cascade.cruise_speed_mps, group), 2)
+    params: ControlParams = jax.tree.unflatten(tree, possible)
+    cruise = to_lanes(of_group(worlds.control.cruise_speed_mps, group), 2)
     return replace(params, cruise_speed_mps=cruise)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control.stack import Command
 from angler_mjx.sim import triton
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.fused import FusedEngine
@@ -50,7 +50,7 @@ class TritonEngine:
         fleet: Fleet,
         worlds: World,
         state: WorldState,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command)
@@ -65,19 +65,23 @@ class TritonEngine:
         *,
         n_sample: int,
         steps_per_sample: int,
+        command: Command | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
+        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
 
-        def plain(fleet: Fleet, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
-            return FusedEngine().segment(
-                spec, fleet, worlds, state, n_sample=n_sample, steps_per_sample=steps_per_sample
-            )
+        def plain(
+            fleet: Fleet, worlds: World, state: WorldState, command: Command | None
+        ) -> tuple[WorldState, Sample]:
+            return FusedEngine().segment(spec, fleet, worlds, state, command=command, **count)
 
-        def fast(fleet: Fleet, worlds: World, state: WorldState) -> tuple[WorldState, Sample]:
-            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, None)
+        def fast(
+            fleet: Fleet, worlds: World, state: WorldState, command: Command | None
+        ) -> tuple[WorldState, Sample]:
+            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, command)
 
         both = triton.with_gradient_of(plain, fast)
-        after: tuple[WorldState, Sample] = both(fleet, worlds, state)
+        after: tuple[WorldState, Sample] = both(fleet, worlds, state, command)
         return after
 
     def _segment(
@@ -88,7 +92,7 @@ class TritonEngine:
         state: WorldState,
         n_sample: int,
         steps_per_sample: int,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
         count = state.step.shape[0]

@@ -7,19 +7,19 @@ state a control period. Decisions (a touch, an arrival, a robot that is held) ha
 """
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.control import trajectory
-from angler_mjx.control.cascade import Gains
 from angler_mjx.sim.engines import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 
 
 def tracking_cost(
-    gains: Gains,
+    gains: tuple[Any, ...],
     engine: Engine,
     spec: SimSpec,
     fleet: Fleet,
@@ -35,7 +35,8 @@ def tracking_cost(
     is behind.
 
     Args:
-        gains: of the cascade, instead of those of ``spec``; differentiate with respect to these.
+        gains: of each stage of the controllers, instead of those of ``spec``; differentiate with
+            respect to these.
         engine: with derivatives: `FusedEngine` or `MjxEngine`.
         spec: settings of the simulation.
         fleet: compiled vehicles.

@@ -5,8 +5,8 @@ whose bounding sphere is farther than the least clearance so far is not looked a
 The tally that results is the same.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,36 +19,12 @@ from angler_kernels.table import take
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
+from angler_mjx.sim.lane_search import Met, Nearest, Others, Search, Seeker, in_turn
 from angler_mjx.sim.lane_steps import Cells, Lanes, Shape
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.obstacle_types import STATIC, bounding_radius
 from angler_mjx.world.obstacles import Obstacles
-
-
-@dataclass(frozen=True, kw_only=True)
-class Met:
-    """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
-
-    ``details`` gives what it is (Obstacles or VehicleParams), its attitude q [4], and its velocity
-    [3] in W.
-    """
-
-    p: Lanes
-    reach: Any
-    """Radius of its bounding sphere; -inf where there is none."""
-    details: Callable[[], tuple[Any, Lanes, Lanes]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Others:
-    """Shapes that robots can meet, one after another."""
-
-    count: int
-    load: Callable[[jax.Array], Met]
-    """Shape i of these, for every lane."""
-    first: int = 0
-    """Number of shape 0 among all of its kind."""
 
 
 def judge(
@@ -66,6 +42,7 @@ def judge(
     robots: Sequence[Others],
     row: Any,
     t: jax.Array,
+    search: Search | None = None,
 ) -> Any:
     """Contact detection and the tally of one control step.
 
@@ -84,6 +61,7 @@ def judge(
         robots: all robots of the same world after the step; none if there is but one.
         row: which of its world's robots each lane is.
         t: [] s at the beginning of the step.
+        search: how the nearest shape is found; `in_turn` if None.
     """
     a, b = lanes.apply(_hull, vehicle, state.p, state.q)
     v = lanes.apply(_velocity, state.q, state.nu)
@@ -93,33 +71,29 @@ def judge(
         partial(_to_ground, shape), vehicle, a, b, state.p, cells, lanes.pack([below], ())
     )
     zero = jnp.zeros_like(state.p[0])
-    start = _Nearest(
+    start = Nearest(
         gap=jnp.full_like(zero, jnp.inf),
         index=jnp.full_like(tally.outcome[()], -1),
         fixed=running & False,
         v=(zero, zero, zero),
     )
-
-    def to_obstacle(met: Met) -> tuple[Any, Any, Lanes]:
-        body, q, its_v = met.details()
-        gap = lanes.apply(_obstacle_gap, body, met.p, q, a, b, vehicle.capsule_r_m)
-        return gap[()], body.motion[()] == STATIC, its_v
-
-    def to_robot(met: Met) -> tuple[Any, Any, Lanes]:
-        other, q, its_v = met.details()
-        theirs = lanes.apply(_hull, other, met.p, q)
-        mine, r = (a, b, vehicle.capsule_r_m), other.capsule_r_m
-        gap = lanes.apply(clearance.capsules_capsules, *mine, *theirs, r)
-        return gap[()], np.bool_(False), its_v
-
-    search = partial(_search, state.p, vehicle.radius_m[()])
-    obstacle = search(running, tally.min_clearance_m[()], obstacles, to_obstacle, start)
+    look, one = search or in_turn, partial(lanes.pack, shape=())
+    me = Seeker(
+        p=state.p,
+        a=a,
+        b=b,
+        r=vehicle.capsule_r_m,
+        radius_m=vehicle.radius_m,
+        running=one([running]),
+        limit_m=tally.min_clearance_m,
+    )
+    obstacle = look(me, obstacles, _to_obstacle, start, -1)
     other = start
     if robots:
         other = replace(start, gap=jnp.full_like(zero, SEPARATION_RADIUS_M))
     limit = jnp.minimum(tally.min_separation_m[()], SEPARATION_RADIUS_M)
     for some in robots:
-        other = search(running, limit, some, to_robot, other, row)
+        other = look(replace(me, limit_m=one([limit])), some, _to_robot, other, row)
     contact = lanes.apply(_contact, to_cells, to_floor, *_tree(obstacle), *_tree(other), v)
     return lanes.apply(
         partial(robot.account, spec),
@@ -136,56 +110,17 @@ def judge(
     )
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class _Nearest:
-    """The nearest shape so far, in every lane."""
-
-    gap: jax.Array
-    index: jax.Array
-    fixed: jax.Array
-    v: tuple[jax.Array, ...]
+def _to_obstacle(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
+    body, q, its_v = met.details()
+    gap = lanes.apply(_obstacle_gap, body, met.p, q, me.a, me.b, me.r)
+    return gap[()], body.motion[()] == STATIC, its_v
 
 
-def _search(
-    p: Lanes,
-    radius: Any,
-    running: jax.Array,
-    limit: Any,
-    others: Others,
-    exact: Callable[[Met], tuple[Any, Any, Lanes]],
-    start: _Nearest,
-    myself: Any = -1,
-) -> _Nearest:
-    """The nearest of ``others`` and ``start``, if nearer than ``limit`` or touching, in every lane.
-
-    ``exact`` gives the gap to a shape, whether it never moves, and its velocity; ``myself`` is the
-    number of the shape that is the lane's own.
-    """
-    if others.count == 0:
-        return start
-
-    def one(i: jax.Array, best: _Nearest) -> _Nearest:
-        met, number = others.load(i), others.first + i
-        apart = jnp.sqrt(sum((met.p[k] - p[k]) ** 2 for k in range(3)))
-        bound = apart - radius - met.reach
-        wanted = running & (number != myself) & ((bound < limit) | (bound <= 0.0))
-
-        def look(best: _Nearest) -> _Nearest:
-            gap, fixed, v = exact(met)
-            better = wanted & (gap < best.gap)
-            return _Nearest(
-                gap=jnp.where(better, gap, best.gap),
-                index=jnp.where(better, number, best.index),
-                fixed=jnp.where(better, fixed, best.fixed),
-                v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
-            )
-
-        after: _Nearest = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
-        return after
-
-    nearest: _Nearest = jax.lax.fori_loop(0, others.count, one, start)
-    return nearest
+def _to_robot(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
+    other, q, its_v = met.details()
+    theirs = lanes.apply(_hull, other, met.p, q)
+    gap = lanes.apply(clearance.capsules_capsules, me.a, me.b, me.r, *theirs, other.capsule_r_m)
+    return gap[()], np.bool_(False), its_v
 
 
 def velocity(q: Lanes, nu: Lanes) -> Lanes:
@@ -199,8 +134,8 @@ def reach(body: Obstacles) -> Any:
     return jnp.where(body.exists[()], radius, -jnp.inf)
 
 
-def _tree(nearest: _Nearest) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """A `_Nearest` as arguments of `lanes.apply`."""
+def _tree(nearest: Nearest) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """A `Nearest` as arguments of `lanes.apply`."""
     gap, index, fixed = (lanes.pack([x], ()) for x in (nearest.gap, nearest.index, nearest.fixed))
     return gap, index, fixed, lanes.pack(nearest.v, (3,))
 

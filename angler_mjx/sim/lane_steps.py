@@ -12,9 +12,7 @@ import jax
 
 from angler_kernels import clearance, lanes
 from angler_kernels.table import take
-from angler_mjx.control.cascade import CascadeCarry, CascadeParams
-from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.control.stack import Command, ControlParams, Memory
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState, Water
@@ -63,28 +61,28 @@ class Decision:
 
 def control_robots(
     spec: SimSpec,
-    params: CascadeParams,
-    path: Trajectory,
+    params: ControlParams,
     vehicle: VehicleState,
-    carry: CascadeCarry,
-    command: Lanes | None = None,
-) -> tuple[CascadeCarry, Decision]:
-    """The controller's part of a control step.
+    carry: Memory,
+    command: Command,
+    flow: Lanes | None,
+) -> tuple[Memory, Decision]:
+    """The controllers' part of a control step.
 
     Args:
         spec: settings.
         params: of the robots.
-        path: of the robots.
         vehicle: state.
-        carry: memory of the controller.
-        command: signals [n_thruster] instead of the controller's.
+        carry: memory of the controllers.
+        command: to the controllers: the robots' paths, or what drives them instead.
+        flow: velocity [3] of the water where the robots are, if the controllers want it.
     """
-    carry, target, pwm = lanes.apply(partial(robot.decide, spec), params, carry, vehicle, path)
-    if command is not None:
-        pwm = ThrusterPwm(pwm_us=command)
+    carry, target, pwm = lanes.apply(
+        partial(robot.decide, spec), params, carry, vehicle, command, flow
+    )
     settled, power = lanes.apply(robot.thrust_and_power, params.vehicle, pwm)
     return carry, Decision(
-        pwm_us=pwm.pwm_us, target_m=target.position_m, thrust_n=settled, power_w=power
+        pwm_us=pwm.pwm_us, target_m=target, thrust_n=settled, power_w=power
     )
 
 

@@ -108,7 +108,11 @@ class Layout:
     def _element(self, leaf: Leaf, load: Load, lane: Any) -> Any:
         start = leaf.first * self.lanes
         if is_table(leaf.shape):
-            return lanes.Table(load, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes)
+
+            def entry(at: Any) -> Any:
+                return typed(load(at), leaf.dtype)
+
+            return lanes.Table(entry, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes)
         rows = [typed(load(start + k * self.lanes + lane), leaf.dtype) for k in range(leaf.size)]
         return lanes.pack(rows, leaf.shape)
 

@@ -3,14 +3,15 @@
 Every engine runs these, as they are or on lanes; what lies between them is the engine's.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
 from angler_kernels import thruster
-from angler_mjx.control import cascade
-from angler_mjx.control.cascade import CascadeCarry, CascadeParams
-from angler_mjx.control.commands import Estimate, PoseTarget, ThrusterPwm
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.control import stack
+from angler_mjx.control.commands import Estimate, ThrusterPwm
+from angler_mjx.control.stack import ControlParams, Memory
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
@@ -21,30 +22,50 @@ SPEED_OF_NONSENSE_MPS = 50.0
 """A robot faster than this has diverged: ten times what any of them can reach."""
 
 
+def begin(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> Memory:
+    """The controllers' memory of a robot at its start, with its heading [] rad."""
+    return stack.reset(spec.stages, Estimate(p=state.p, q=state.q, nu=state.nu), yaw_rad)
+
+
 def decide(
     spec: SimSpec,
-    params: CascadeParams,
-    carry: CascadeCarry,
+    params: ControlParams,
+    carry: Memory,
     state: VehicleState,
-    path: Trajectory,
-) -> tuple[CascadeCarry, PoseTarget, ThrusterPwm]:
-    """The controller's part: its new memory, what it aims at, and the thruster signals."""
-    return cascade.step(
+    command: Any,
+    flow: jax.Array | None,
+) -> tuple[Memory, jax.Array, ThrusterPwm]:
+    """The controllers' part.
+
+    Args:
+        spec: settings.
+        params: of the robot.
+        carry: the controllers' memory.
+        state: of the robot.
+        command: to the controllers: its path, or what drives it instead.
+        flow: [3] water velocity there, in W, if the controllers want to know it.
+
+    Returns:
+        Their new memory, the position [3] that they aim at, and the thruster signals.
+    """
+    action = stack.step(
+        spec.stages,
         spec.gains,
         params,
         carry,
-        Estimate(p=state.p, q=state.q, nu=state.nu),
-        path,
+        Estimate(p=state.p, q=state.q, nu=state.nu, flow=flow),
+        command,
         spec.control_dt_s,
         spec.water.density_kgpm3,
         spec.water.gravity_mps2,
     )
+    return action.memory, action.target_m, action.pwm
 
 
 def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Array, jax.Array]:
     """Thrust [n_thruster] N that a signal settles at, and the power [] W of all thrusters."""
     pick = jax.vmap(thruster.lookup, (None, 0, None, None))
-    thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
+    thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US) * vehicle.thruster_health
     power = pick(vehicle.power_w, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
     return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
 

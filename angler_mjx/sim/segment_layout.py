@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control.stack import Command
 from angler_mjx.sim.state import Sample, WorldState
 from angler_mjx.sim.tile import Tile
 
@@ -107,7 +107,7 @@ class Segment:
         first: int32 [1] control steps taken before.
         start: arrays at the beginning.
         vehicle, memory, tally, bodies, order, deed, drift: layouts of their parts.
-        signals: thruster signals from outside and their layout, if there are any.
+        command: what drives the controllers instead of the paths, and its layout; if there is.
         said, moved, seen: shelves of the samples.
     """
 
@@ -117,7 +117,7 @@ class Segment:
         state: WorldState,
         n_sample: int,
         every: int,
-        command: ThrusterPwm | None,
+        command: Command | None,
     ) -> None:
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
@@ -126,7 +126,7 @@ class Segment:
         self.memory, memory = tile.pack(state.carry, 2)
         self.tally, tally = tile.pack(state.tally, 2)
         self.bodies, bodies = tile.pack(state.obstacles, 2)
-        self.signals = [] if command is None else [tile.pack(command.pwm_us, 2)]
+        self.command = [] if command is None else [tile.pack(command, 2)]
         number, three, four = tile.shape(), tile.shape(3), tile.shape(4)
         each = tile.shape(state.vehicles.thrust.shape[-1])
         broken = jax.ShapeDtypeStruct((), jnp.bool_)

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import jax
 
-from angler_mjx.control.cascade import CascadeCarry, CascadeParams, Gains
+from angler_mjx.control import stages
+from angler_mjx.control.stack import ControlParams, Memory, Stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
@@ -36,6 +38,9 @@ class Touched(IntEnum):
     ROBOT = 4
 
 
+CASCADE = stages.named("cascade")
+
+
 @dataclass(frozen=True, kw_only=True)
 class SimSpec:
     """Settings of the simulation that are fixed while it is compiled."""
@@ -46,7 +51,11 @@ class SimSpec:
     goal_tolerance_m: float = 0.3
     """A robot has arrived when its centre is this near to its goal."""
     water: Water = field(default_factory=Water)
-    gains: Gains = field(default_factory=Gains)
+    stages: Stages = CASCADE
+    """The controllers, from the highest down."""
+    gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
+    """Of each stage: numbers in a run; a pytree, so that they can be differentiated
+    (`angler_mjx.sim.gradients`)."""
 
     @property
     def control_dt_s(self) -> float:
@@ -63,7 +72,7 @@ class World:
     variant: jax.Array
     """int32 [n_robot] which variant of the fleet (vehicle and parameter set) each robot is."""
     body: BodyInertia
-    cascade: CascadeParams
+    control: ControlParams
     path: Trajectory
     cell_neighbours: jax.Array | None = None
     """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all
@@ -101,7 +110,8 @@ class WorldState:
     """What changes from step to step in one world."""
 
     vehicles: VehicleState
-    carry: CascadeCarry
+    carry: Memory
+    """Memory of the controllers."""
     obstacles: ObstacleState
     tally: Tally
     step: jax.Array
@@ -122,7 +132,7 @@ class Sample:
     pwm_us: jax.Array
     """[R, n_thruster] command of the control step that begins here."""
     target_m: jax.Array
-    """[R, 3] where the controller aims, in W."""
+    """[R, 3] where the controller aims, in W; the robot itself where it aims at no place."""
     current_mps: jax.Array
     """[R, 3] water velocity at the robot, in W."""
     outcome: jax.Array

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_mjx.control.cascade import CascadeParams
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.sim import episode, triton
 from angler_mjx.sim.bank import Bank
@@ -83,7 +83,7 @@ class Tile:
                 variant=worlds.variant,
                 path=worlds.path,
                 goal_m=environment.goal_m,
-                cruise_speed_mps=worlds.cascade.cruise_speed_mps,
+                cruise_speed_mps=worlds.control.cruise_speed_mps,
             ),
             2,
         )
@@ -132,12 +132,12 @@ class Tile:
         found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
         return found
 
-    def params(self, refs: Any, group: Group, constants: RobotConstants) -> CascadeParams:
+    def params(self, refs: Any, group: Group, constants: RobotConstants) -> ControlParams:
         """Parameters of robots of a group."""
         params = self._bank.read(triton.loader(refs[0]), group, constants.variant[()])
         return replace(params, cruise_speed_mps=constants.cruise_speed_mps)
 
-    def params_at(self, refs: Any, group: Group, lane: Any) -> CascadeParams:
+    def params_at(self, refs: Any, group: Group, lane: Any) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
         variant = self._robot.read(triton.loader(refs[1]), lane, lambda x: x.variant)
         return self._bank.read(triton.loader(refs[0]), group, variant[()])

@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import lanes
+from angler_mjx.control import stack
 from angler_mjx.sim import lane_judge, lane_steps, triton
 from angler_mjx.sim.fleet import Group
-from angler_mjx.sim.lane_judge import Met, Others
+from angler_mjx.sim.lane_search import Met, Others
 from angler_mjx.sim.segment_layout import (
     AHEAD,
     Arrays,
@@ -64,25 +65,32 @@ class Kernels:
     def control(
         self, group: Group, base: jax.Array, k: jax.Array, x: Arrays
     ) -> Sequence[jax.Array]:
-        """The controller of one control step, and its record."""
+        """The controllers of one control step, and their record."""
         tile = self._tile
-        command = [data for _, data in self._part.signals]
+        command = [data for _, data in self._part.command]
         constant = [self._part.first, base, k, *tile.arrays, x.robots, *command]
 
         def kernel(*refs: Any) -> None:
-            (_, base, k), data = refs[:3], refs[3:8]
-            state, *signals = refs[8 : len(constant)]
+            (first, base, k), data = refs[:3], refs[3:8]
+            state, *given = refs[8 : len(constant)]
             memory, order, said = refs[-3:]
             row, lane, at, store = self._place(group.first)
             count = base[0] + k[0]
             constants = tile.robot(data, lane)
+            vehicle = self._part.vehicle.read(triton.loader(state), lane)
+            told, flow = constants.path, None
+            if given:
+                told = self._part.command[0][0].read(triton.loader(given[0]), lane)
+            if stack.wants_flow(self._spec.stages):
+                current = tile.water(data, at).current
+                flow = lane_steps.flow_at(current, vehicle.p, self._time(first[0] + count))
             carry, decision = lane_steps.control_robots(
                 self._spec,
                 tile.params(data, group, constants),
-                constants.path,
-                self._part.vehicle.read(triton.loader(state), lane),
+                vehicle,
                 self._part.memory.read(triton.loader(memory), lane),
-                self._part.signals[0][0].read(triton.loader(signals[0]), lane) if signals else None,
+                told,
+                flow,
             )
 
             def write_record() -> None:
@@ -91,8 +99,8 @@ class Kernels:
 
             triton.when(count % self._part.every == 0, write_record)
             self._part.memory.write(store(memory), lane, carry)
-            given = Order(thrust_n=decision.thrust_n, power_w=decision.power_w)
-            self._part.order.write(store(order), lane, given)
+            settled = Order(thrust_n=decision.thrust_n, power_w=decision.power_w)
+            self._part.order.write(store(order), lane, settled)
 
         return self._run(kernel, group.count, constant, [x.memory, x.order, x.said])
 

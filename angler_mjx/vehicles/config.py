@@ -5,6 +5,7 @@ Every group of numbers carries its ``source``. The base frame of a vehicle file 
 about the centre of mass.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -14,10 +15,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.vehicles import checks
 from angler_mjx.vehicles.checks import Matrix
+from angler_mjx.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
 
 type Vector3 = tuple[float, float, float]
-type Positive = Annotated[float, Field(gt=0)]
-type Source = Annotated[str, Field(min_length=1)]
 type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$")]
 type Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -68,29 +68,6 @@ class Thrusters(FileModel):
     def _distinct(cls, value: tuple[Thruster, ...]) -> tuple[Thruster, ...]:
         checks.names_differ("thruster", [thruster.name for thruster in value])
         return value
-
-
-class Lag(FileModel):
-    """First-order lag of the rotors."""
-
-    time_constant_s: Positive
-    source: Source
-
-
-class ReactionTorque(FileModel):
-    """Torque about the rotor's axis per newton of thrust."""
-
-    coefficient_m: Annotated[float, Field(ge=0)]
-    source: Source
-
-
-class Rotor(FileModel):
-    """What all thrusters of the vehicle have in common."""
-
-    model: str
-    """Name of a shipped thruster file, or a path to one, relative to the vehicle file."""
-    lag: Lag
-    reaction_torque: ReactionTorque
 
 
 class _Shape(FileModel):
@@ -233,6 +210,42 @@ class VehicleConfig(FileModel):
                 f"it has {', '.join(self.parameter_sets)}"
             )
         return self.parameter_sets[chosen]
+
+    def find_response(self, name: RotorResponse | None) -> RotorResponse:
+        """Return the named response of the rotors, or the file's own for None.
+
+        Raises:
+            ConfigError: the vehicle file has no numbers for it.
+        """
+        chosen = self.rotor.response if name is None else name
+        if chosen == "third_order" and self.rotor.third_order is None:
+            raise ConfigError(
+                f"vehicle {self.name!r} has no table [rotor.third_order]: add it to its file, or "
+                'use rotor_response = "first_order"'
+            )
+        return chosen
+
+    def find_health(self, health: Mapping[str, float]) -> tuple[float, ...]:
+        """Return the share of its thrust that each thruster gives, in the order of ``layout``.
+
+        Args:
+            health: shares in [0, 1] by thruster name; the others give all of theirs.
+
+        Raises:
+            ConfigError: the vehicle has no thruster of a name, or a share is out of range.
+        """
+        names = [thruster.name for thruster in self.thrusters.layout]
+        for name, share in health.items():
+            if name not in names:
+                raise ConfigError(
+                    f"vehicle {self.name!r} has no thruster {name!r}; it has {', '.join(names)}"
+                )
+            if not 0.0 <= share <= 1.0:
+                raise ConfigError(
+                    f"thruster {name!r} of vehicle {self.name!r}: health {share} is not between "
+                    "0 (dead) and 1 (sound)"
+                )
+        return tuple(health.get(name, 1.0) for name in names)
 
 
 class ThrusterTable(FileModel):

@@ -4,7 +4,8 @@ Everything is about the robot's centre of mass, in F (x forward, y left, z up). 
 once, on the host, in float64; the arrays have JAX's default float type.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.library import load_thruster
+from angler_mjx.vehicles.rotor import RotorFilter
+from angler_mjx.vehicles.rotor_config import RotorResponse
 from angler_mjx.vehicles.thrusters import FloatArray, tables_at
 
 
@@ -44,7 +47,7 @@ class VehicleParams:
     power_w: jax.Array
     """[201] electrical power on the same grid."""
     tau_s: jax.Array
-    """[] time constant of the rotors."""
+    """[] time constant of the rotors; for rotors of first order."""
     capsule_a_m: jax.Array
     """[c, 3] one end of each hull capsule's axis; padding repeats the last capsule."""
     capsule_b_m: jax.Array
@@ -56,21 +59,37 @@ class VehicleParams:
     terminal_speed_mps: jax.Array
     """[3] surge, sway, heave at full thrust in still water; the slower of the two directions."""
     thruster_exists: jax.Array
-    """bool [n_t] False for padding."""
+    """bool [n_t] False for padding and for dead thrusters: neither draws power."""
+    thruster_health: jax.Array
+    """[n_t] share of the table's thrust that each thruster gives: 1 sound, 0 dead."""
+    rotor: RotorFilter | None = field(default=None, metadata={"static": True})
+    """What thrusts follow their commands by; None for a lag of first order."""
 
 
-def build(config: VehicleConfig, parameter_set: str | None, voltage_v: float) -> VehicleParams:
+def build(
+    config: VehicleConfig,
+    parameter_set: str | None,
+    voltage_v: float,
+    *,
+    thruster_health: Mapping[str, float] | None = None,
+    rotor_response: RotorResponse | None = None,
+) -> VehicleParams:
     """Compile a vehicle file to the parameters of one robot.
 
     Args:
         config: Vehicle file.
         parameter_set: Name of one of its sets; None for its default.
         voltage_v: Battery voltage, V.
+        thruster_health: Share of its thrust, in [0, 1], of each thruster that is not sound, by
+            name. Terminal speeds are those of a sound vehicle.
+        rotor_response: First or third order; None for what the file says.
 
     Raises:
-        ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
+        ConfigError: unknown set or thruster, a voltage outside the thruster's data, a share out of
+            range, or a response that the file has no numbers for.
     """
     chosen = config.find_set(parameter_set)
+    health = np.array(config.find_health(thruster_health or {}))
     thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
     B = wrench_matrix(config)
     D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
@@ -101,7 +120,9 @@ def build(config: VehicleConfig, parameter_set: str | None, voltage_v: float) ->
         terminal_speed_mps=_array(
             terminal_speed(full_force(B[:3], thrust_n[0], thrust_n[-1]), D_l[:3], D_q[:3])
         ),
-        thruster_exists=jnp.ones(B.shape[1], dtype=bool),
+        thruster_exists=jnp.asarray(health > 0.0),
+        thruster_health=_array(health),
+        rotor=_rotor(config, rotor_response),
     )
 
 
@@ -109,7 +130,7 @@ def stack(variants: list[VehicleParams]) -> VehicleParams:
     """Put robots of any kind side by side, padded to common numbers of thrusters and capsules.
 
     Args:
-        variants: At least one robot.
+        variants: At least one robot; their rotors must be alike.
 
     Returns:
         The same fields with one more leading axis, the variant.
@@ -172,6 +193,16 @@ def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> Flo
     return speed
 
 
+def _rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
+    given = config.rotor.third_order
+    if config.find_response(response) == "first_order" or given is None:
+        return None
+    lead, *a = given.denominator
+    b_2, b_1, b_0 = (value / lead for value in given.numerator)
+    a_2, a_1, a_0 = (value / lead for value in a)
+    return RotorFilter(numerator=(b_2, b_1, b_0), denominator=(a_2, a_1, a_0))
+
+
 def _array(value: ArrayLike) -> jax.Array:
     return jnp.asarray(np.asarray(value, dtype=np.float64))
 
@@ -183,6 +214,7 @@ def _pad(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
         params,
         B=jnp.pad(params.B, ((0, 0), (0, more_t))),
         thruster_exists=jnp.pad(params.thruster_exists, (0, more_t)),
+        thruster_health=jnp.pad(params.thruster_health, (0, more_t), constant_values=1.0),
         capsule_a_m=jnp.pad(params.capsule_a_m, ((0, more_c), (0, 0)), mode="edge"),
         capsule_b_m=jnp.pad(params.capsule_b_m, ((0, more_c), (0, 0)), mode="edge"),
         capsule_r_m=jnp.pad(params.capsule_r_m, (0, more_c), mode="edge"),

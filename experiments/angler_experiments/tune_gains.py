@@ -16,14 +16,21 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from angler_mjx.control.cascade import Gains
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.scenario import load_scenario
 from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.fused import FusedEngine
 from angler_mjx.sim.gradients import tracking_cost
+from angler_mjx.sim.state import SimSpec
 
-TUNED = ("position_per_s", "attitude_per_s", "velocity_per_s", "rate_per_s", "integral_per_s2")
+TUNED = (
+    ("pose", "position_per_s"),
+    ("pose", "attitude_per_s"),
+    ("velocity", "velocity_per_s"),
+    ("velocity", "rate_per_s"),
+    ("velocity", "integral_per_s2"),
+)
+"""Stages of the cascade, and their gains."""
 MEMORY = (0.9, 0.99)
 """Adam's averages of the gradient and of its square: shares kept from one iteration to the next."""
 
@@ -32,8 +39,9 @@ MEMORY = (0.9, 0.99)
 class Tuning:
     """What came of it."""
 
-    before: Gains
-    after: Gains
+    before: dict[str, float]
+    after: dict[str, float]
+    """Gains that are tuned, by stage and gain as in ``pose.position_per_s``."""
     costs_m2: list[float]
     """Cost on the worlds tuned on, before each iteration."""
     unseen_m2: tuple[float, float]
@@ -69,13 +77,13 @@ def tune(
     @jax.jit
     def evaluate(theta: jax.Array, kinds: Any, some: Any, start: Any) -> Any:
         def cost(theta: jax.Array) -> jax.Array:
-            return tracking_cost(
-                with_logs(spec.gains, theta), engine, spec, kinds, some, start, control_steps=steps
-            )
+            gains = with_logs(spec, theta)
+            return tracking_cost(gains, engine, spec, kinds, some, start, control_steps=steps)
 
         return jax.value_and_grad(cost)(theta)
 
-    theta = jnp.log(jnp.array([getattr(spec.gains, name) for name in TUNED]))
+    before = {f"{stage}.{gain}": getattr(of_stage(spec, stage), gain) for stage, gain in TUNED}
+    theta = jnp.log(jnp.array(list(before.values())))
     seen, unseen = simulator.worlds(0), simulator.worlds(worlds)
     start, other = simulator.reset(seen), simulator.reset(unseen)
     clock = time.perf_counter()
@@ -90,8 +98,8 @@ def tune(
     last, _ = compiled(theta, simulator.fleet, unseen, other)
     numbers = [float(x) for x in jnp.exp(theta)]
     return Tuning(
-        before=spec.gains,
-        after=replace(spec.gains, **dict(zip(TUNED, numbers, strict=True))),
+        before=before,
+        after=dict(zip(before, numbers, strict=True)),
         costs_m2=costs,
         unseen_m2=(float(first), float(last)),
         compile_s=compile_s,
@@ -99,10 +107,30 @@ def tune(
     )
 
 
-def with_logs(gains: Gains, theta: jax.Array) -> Gains:
-    """The gains with those in `TUNED` replaced by exp(theta) [5]."""
-    tuned: dict[str, Any] = {name: jnp.exp(theta[i]) for i, name in enumerate(TUNED)}
-    return replace(gains, **tuned)
+def of_stage(spec: SimSpec, stage: str) -> Any:
+    """The gains of a stage of the controllers.
+
+    Raises:
+        ConfigError: they have no such stage.
+    """
+    names = [known.name for known in spec.stages]
+    if stage not in names:
+        raise ConfigError(
+            f"stage {stage!r}: what is tuned is the cascade, and the scenario's controllers are "
+            + ", ".join(names)
+        )
+    return spec.gains[names.index(stage)]
+
+
+def with_logs(spec: SimSpec, theta: jax.Array) -> tuple[Any, ...]:
+    """The gains of all stages, with those in `TUNED` replaced by exp(theta) [5]."""
+    tuned: dict[str, dict[str, Any]] = {}
+    for i, (stage, gain) in enumerate(TUNED):
+        tuned.setdefault(stage, {})[gain] = jnp.exp(theta[i])
+    return tuple(
+        replace(gains, **tuned.get(stage.name, {}))
+        for stage, gains in zip(spec.stages, spec.gains, strict=True)
+    )
 
 
 def _descend(
@@ -144,8 +172,8 @@ def main(
     """
     result = tune(scenario, worlds, seconds, iterations, rate)
     print(f"compiled in {result.compile_s:.0f} s, tuned in {result.tune_s:.1f} s")
-    for name in TUNED:
-        print(f"{name}: {getattr(result.before, name):.3g} -> {getattr(result.after, name):.3g}")
+    for name, before in result.before.items():
+        print(f"{name}: {before:.3g} -> {result.after[name]:.3g}")
     rms = [1e2 * cost**0.5 for cost in result.unseen_m2]
     print(f"root mean square tracking error, other worlds: {rms[0]:.2f} cm -> {rms[1]:.2f} cm")
     return result

@@ -220,6 +220,9 @@ def test_thruster_in_a_table_in_memory():
     for x, y in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(x, y, rtol=RTOL, atol=ATOL)
     assert_same(partial(thruster.rotor_lag, dt=0.01), *(normal(4, seed=i) for i in range(2)), value)
+    constants = {"settled": np.array([1.0, 0.5]), "transition": np.eye(2) / 3, "mean": np.ones(2)}
+    held = {name: jnp.asarray(number) for name, number in constants.items()}
+    assert_same(partial(thruster.rotor_filter, **held), normal(2, 4), value)
 
 
 def test_tables_of_many_axes():

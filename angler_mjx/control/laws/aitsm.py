@@ -3,7 +3,7 @@
 Per axis, with e = nu_ref - nu and an exponent 0 < r < 1::
 
     s = e + alpha z,   z' = |e|^r sgn(e)
-    tau = M (alpha z' + k_1 |s|^(1/2) sat(s / lambda) + k_2 s) + C(nu) nu + D(nu) nu + g(q)
+    tau = M (alpha z' + k_1 |s|^(1/2) sat(s / lambda) + k_2 s) + C(nu) nu + D(nu_ref) nu_ref + g(q)
     k_1' = k_theta |s| - leak (k_1 - k_min),   k_min <= k_1 <= k_max
 
 On s = 0 the error obeys z' = -|alpha z|^r sgn(z), which reaches zero in finite time: a terminal
@@ -131,7 +131,10 @@ def step(
     s = error + gains.terminal * z
     k_1 = adapt(gains, carry.k_1, s, dt)
     acceleration = gains.terminal * power + slide(gains, k_1, s) + gains.reaching_per_s * s
-    tau = model.model_wrench(vehicle, estimate, acceleration, flow, density, gravity)
+    # Damping for the velocity that is wanted: see `angler_mjx.control.laws.ismc`.
+    tau = model.model_wrench(
+        vehicle, estimate, acceleration, flow, density, gravity, damped=command.nu
+    )
     return AitsmCarry(z=z, k_1=k_1), BodyWrench(tau=tau)
 
 

@@ -30,11 +30,11 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control.cascade import wrap
 from angler_mjx.control.commands import Estimate, PoseTarget, ThrusterPwm
 from angler_mjx.control.laws import ardusub_mixer, ardusub_pid, model
 from angler_mjx.control.laws.ardusub_gains import ArduSubGains, check
 from angler_mjx.control.laws.ardusub_pid import PidCarry, PidParameters, square_root
+from angler_mjx.control.laws.model import wrap
 from angler_mjx.vehicles.params import VehicleParams
 
 __all__ = ["ArduSubCarry", "ArduSubGains", "check", "reset", "step"]

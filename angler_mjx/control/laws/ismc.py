@@ -3,10 +3,12 @@
 Sliding variable, per axis, with e = nu_ref - nu::
 
     s = e - e(0) + K int e dt        (on s = 0: e' = -K e from the first moment)
-    tau = M (K e + rho tanh(s / lambda)) + C(nu) nu + D(nu) nu + g(q)
+    tau = M (K e + rho tanh(s / lambda)) + C(nu) nu + D(nu_ref) nu_ref + g(q)
 
 With the model undone, s' = -rho tanh(s / lambda) + d, d what acts beside the model as an
-acceleration. V = s^T s / 2 gives V' <= -sum |s| (rho tanh(|s| / lambda) - |d|) < 0 wherever
+acceleration. Damping is fed forward for the velocity that is wanted, so that the vehicle's own
+stays in the loop. Undone at the velocity over ground it would be too much by far for a vehicle that
+a current carries along, and push it on: faster than the sliding term can hold, it ran away. V = s^T s / 2 gives V' <= -sum |s| (rho tanh(|s| / lambda) - |d|) < 0 wherever
 rho tanh(|s| / lambda) > |d|: with rho > |d| the state comes into, and stays in, the layer
 |s| <= lambda artanh(|d| / rho). A constant d lets s settle inside it, and then e' = -K e: no error
 is left. After Utkin and Shi, Integral sliding mode in systems operating under uncertainty
@@ -114,7 +116,9 @@ def step(
     outward = jnp.abs(error + grown) > jnp.maximum(bound, jnp.abs(error + before))
     integral = jnp.clip(jnp.where(outward, before, grown), -bound, bound)
     sliding = slide(gains, error + integral)
-    tau = model.model_wrench(vehicle, estimate, slope * error + sliding, flow, density, gravity)
+    tau = model.model_wrench(
+        vehicle, estimate, slope * error + sliding, flow, density, gravity, damped=command.nu
+    )
     return IsmcCarry(integral=integral, fresh=jnp.zeros_like(carry.fresh)), BodyWrench(tau=tau)
 
 

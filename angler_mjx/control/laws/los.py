@@ -19,10 +19,10 @@ import jax.numpy as jnp
 
 from angler_kernels import quaternion
 from angler_kernels.table import take
-from angler_mjx.control.cascade import wrap
 from angler_mjx.control.commands import BodyTwist, Estimate
 from angler_mjx.control.laws import model
 from angler_mjx.control.laws.checks import check_gains
+from angler_mjx.control.laws.model import wrap
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.vehicles.params import VehicleParams
 

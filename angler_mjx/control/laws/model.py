@@ -138,17 +138,26 @@ def model_wrench(
     flow: jax.Array | None,
     density: float,
     gravity: float,
+    damped: jax.Array | None = None,
 ) -> jax.Array:
     """Wrench [6] that gives the vehicle an acceleration [6] in F as it moves now: all terms.
 
     `motion_wrench` at the estimated velocity, with weight, buoyancy and the righting moment of a
-    submerged vehicle.
+    submerged vehicle. ``damped`` [6] is the velocity over ground at which damping is taken, in F;
+    the estimated one if left out.
     """
     current = jnp.zeros_like(estimate.p) if flow is None else flow
     buoyancy = density * gravity * vehicle.volume_m3
     nothing = jnp.zeros_like(estimate.p)
     return (
-        motion_wrench(vehicle, estimate.q, estimate.nu, acceleration, current, estimate.nu)
+        motion_wrench(
+            vehicle,
+            estimate.q,
+            estimate.nu,
+            acceleration,
+            current,
+            estimate.nu if damped is None else damped,
+        )
         - rigid_body.buoyancy_wrench(estimate.q, buoyancy, vehicle.p_cb_m)
         - rigid_body.buoyancy_wrench(estimate.q, -vehicle.mass_kg * gravity, nothing)
     )
@@ -177,3 +186,8 @@ def hold_integral(
     """
     rate = growth if excess is None else growth - excess_per_s * excess
     return jnp.clip(integral + dt * rate, -limit, limit)
+
+
+def wrap(angle: jax.Array) -> jax.Array:
+    """The same angle within [-pi, pi)."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

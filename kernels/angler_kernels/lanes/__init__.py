@@ -1,6 +1,7 @@
 """Functions of one body, run on many with one array for every element."""
 
 from angler_kernels.lanes.folding import Instructions, instructions
+from angler_kernels.lanes.sharing import shared
 from angler_kernels.lanes.table import Table
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
@@ -24,6 +25,7 @@ __all__ = [
     "join",
     "pack",
     "repeat",
+    "shared",
     "split",
     "spread",
     "where",

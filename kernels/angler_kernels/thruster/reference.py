@@ -1,4 +1,4 @@
-"""Table look-ups on a uniform PWM grid and the exact first-order lag, for one thruster."""
+"""Table look-ups on a uniform PWM grid and the rotor's exact dynamics, for one thruster."""
 
 import jax
 import jax.numpy as jnp
@@ -56,3 +56,32 @@ def rotor_lag(
     decay = jnp.exp(-dt / tau)
     gap = thrust - command
     return command + gap * decay, command + gap * ((1.0 - decay) * (tau / dt))
+
+
+def rotor_filter(
+    states: jax.Array,
+    command: jax.Array,
+    settled: jax.Array,
+    transition: jax.Array,
+    mean: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """One step of a linear filter of order k, for a command held over the step.
+
+    The distance of the states from where they settle decays by itself: g = x - settled u,
+    x(t+dt) = settled u + transition g, and the mean thrust is u + mean . g.
+
+    Args:
+        states: [k, ...] N; the first row is the thrust.
+        command: [...] N.
+        settled: [k] states at which the filter rests for a command of 1 N; the first is 1.
+        transition: [k, k] exp(A dt).
+        mean: [k] first row of the mean of exp(A t) over the step.
+
+    Returns:
+        States at the end of the step, and the mean thrust over it: dt times it is the impulse.
+    """
+    lead = (..., *(None,) * command.ndim)
+    rest = settled[lead] * command
+    gap = states - rest
+    after = rest + jnp.sum(transition[lead] * gap, axis=1)
+    return after, command + jnp.sum(mean[lead] * gap, axis=0)

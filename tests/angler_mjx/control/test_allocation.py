@@ -1,11 +1,14 @@
 """Allocation: what the thrusters really deliver of a wrench, and what is given up first."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
-from angler_kernels import thruster
+from angler_kernels import lanes, thruster
 from angler_mjx.control import allocation
 from angler_mjx.control.commands import BodyWrench
 from angler_mjx.vehicles import library, params
@@ -122,3 +125,149 @@ def test_a_saturated_demand_runs_a_thruster_at_its_end(deliver, vehicles):
     room = np.minimum(ends[..., 1:] - thrust, thrust - ends[..., :1])
     assert room.min(axis=-1).max() < 1e-3  # float32 on 50 N through the table.
     assert np.all((pwm.min(axis=-1) < 1100.1) | (pwm.max(axis=-1) > 1899.9))
+
+
+# Beyond what the thrusters can: nearly every demand runs some thruster to its end.
+LARGE = np.array([80, 80, 100, 8, 8, 12])
+FAULTS = [
+    ("bluerov2_heavy", {}),
+    ("bluerov2", {}),
+    ("bluerov2_heavy", {"thruster_6": 0.0}),
+    ("bluerov2_heavy", {"thruster_1": 0.0}),
+    ("bluerov2_heavy", {"thruster_5": 0.4, "thruster_2": 0.7}),
+    ("bluerov2", {"thruster_5": 0.0}),
+]
+
+
+@pytest.fixture(scope="module")
+def faulty():
+    """Allocations of sound and faulty vehicles, in float64."""
+    with jax.enable_x64(True):
+        robots = [
+            params.build(library.load(name), "blue_gazebo", 14.8, thruster_health=health)
+            for name, health in FAULTS
+        ]
+        return params.stack(robots), allocation.build(params.stack(robots))
+
+
+@pytest.fixture(scope="module")
+def methods(faulty):
+    """By name: functions of wrenches [6 vehicles, n, 6] that give PWM and realised wrenches."""
+
+    def jitted(method):
+        def one(given, tau):
+            pwm = method(given, BodyWrench(tau=tau))
+            return pwm.pwm_us, allocation.realised(given, pwm).tau
+
+        many = jax.jit(jax.vmap(jax.vmap(one, (None, 0))))
+
+        def run(tau):
+            with jax.enable_x64(True):
+                return tuple(map(np.asarray, many(faulty[1], jnp.asarray(tau))))
+
+        return run
+
+    methods = (allocation.allocate, allocation.allocate_to_limits)
+    return {method.__name__: jitted(method) for method in methods}
+
+
+def demands(scale, n=40, seed=0):
+    return np.random.default_rng(seed).normal(size=(len(FAULTS), n, 6)) * scale
+
+
+def best(B, commanded, low, high, tau):
+    """What can be had of a wrench, group after group, by linear programming."""
+    had = np.zeros(6)
+    for axes in (ATTITUDE, slice(2, 3), PLANE):
+        more = np.zeros(6)
+        more[axes] = tau[axes]
+        more *= commanded
+        n = B.shape[1]
+        found = linprog(
+            np.append(np.zeros(n), -1.0),
+            A_eq=np.hstack([B, -more[:, None]])[commanded],
+            b_eq=had[commanded],
+            bounds=[(low, high)] * n + [(0, 1)],
+        )
+        assert found.status == 0
+        had = had + found.x[-1] * more
+    return had
+
+
+def test_to_limits_meets_all_that_can_be_met(faulty, methods):
+    """Against linear programming: attitude, then heave, then surge and sway along their line."""
+    vehicles, given = faulty
+    tau = demands(LARGE)
+    pwm, got = methods["allocate_to_limits"](tau)
+    assert pwm.min() >= 1100
+    assert pwm.max() <= 1900
+    short = []
+    for k, rows in enumerate(tau):
+        B, inverse = np.asarray(given.B[k]), np.asarray(given.B_inverse[k])
+        commanded = np.diag(B @ inverse) > 0.5
+        low, high = np.asarray(vehicles.thrust_n[k])[[0, -1]]
+        for wanted, gives in zip(rows, got[k], strict=True):
+            can = best(B, commanded, low, high, wanted)
+            # Thrusts below 0.005 N are left out; the solver's 1e-7 is far less.
+            np.testing.assert_allclose(gives[commanded], can[commanded], atol=NEAR)
+            short.append(np.abs(wanted - can)[commanded].max() > 1.0)
+    assert np.mean(short) > 0.5  # The demands did saturate.
+
+
+def test_to_limits_gives_more_attitude_than_the_pseudo_inverse(methods):
+    tau = demands(LARGE)[0, :, ATTITUDE]
+    shares = []
+    for name in ("allocate", "allocate_to_limits"):
+        got = methods[name](demands(LARGE))[1][0, :, ATTITUDE]
+        shares.append(np.sum(got * tau, axis=-1) / np.sum(tau**2, axis=-1))
+    # Thrusts below 0.005 N are left out, of moments of 14 N m.
+    assert np.all(shares[1] >= shares[0] - 1e-3)
+    assert np.max(shares[1] - shares[0]) > 0.1
+
+
+def test_without_saturation_both_are_the_pseudo_inverse(methods):
+    tau = demands(SMALL / 4)
+    plain, _ = methods["allocate"](tau)
+    full, got = methods["allocate_to_limits"](tau)
+    # float64; the dead band's edges are a jump, but both leave it at the same thrust.
+    np.testing.assert_allclose(full, plain, rtol=0, atol=1e-6)
+    assert np.abs(got - tau)[0].max() < NEAR
+
+
+def test_dead_thrusters_are_not_asked_and_the_wrench_is_met_by_the_others(methods):
+    tau = demands(SMALL / 4)
+    for run in methods.values():
+        pwm, got = run(tau)
+        np.testing.assert_array_equal(pwm[2, :, 5], 1500)
+        np.testing.assert_array_equal(pwm[3, :, 0], 1500)
+        # Seven thrusters of the Heavy still command all six axes; weak ones, too.
+        assert np.abs(got - tau)[[2, 3, 4]].max() < NEAR
+        # With one vertical thruster of two, the small one keeps heave and gives up roll.
+        np.testing.assert_array_equal(pwm[5, :, 4], 1500)
+        assert np.abs(got - tau)[5][:, [0, 1, 2, 5]].max() < NEAR
+
+
+def test_an_unknown_fault_is_asked_as_before(faulty):
+    vehicles, _ = faulty
+    with jax.enable_x64(True):
+        sound = allocation.build(vehicles, np.ones((len(FAULTS), 8)))
+    np.testing.assert_array_equal(sound.B_inverse[2], sound.B_inverse[0])
+    np.testing.assert_array_equal(sound.B[2], vehicles.B[0])
+
+
+def test_on_lanes_it_is_the_same(faulty, methods):
+    tau = demands(LARGE)[4]
+    with jax.enable_x64(True):
+        mine = jax.tree.map(lambda leaf: leaf[4], faulty[1])
+        table = lanes.Table(lambda at: mine.thrust_n[at], (201,), mine.thrust_n.dtype, base=0)
+        held = jax.tree.map(
+            lambda leaf: lanes.pack([np.asarray(x)[()] for x in leaf.ravel()], leaf.shape),
+            replace(mine, thrust_n=jnp.zeros(1)),
+        )
+        command = BodyWrench(tau=lanes.split(jnp.asarray(tau)))
+        ours = lanes.join(
+            lanes.apply(allocation.allocate_to_limits, replace(held, thrust_n=table), command)
+        )
+    pwm, _ = methods["allocate_to_limits"](demands(LARGE))
+    # float64 on signals of 1e3 us.
+    np.testing.assert_allclose(ours.pwm_us, pwm[4], rtol=0, atol=1e-8)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from angler_kernels import quaternion, thruster
-from angler_mjx.control import cascade
+from angler_mjx.control import stack, stages
 from angler_mjx.control.commands import Estimate
+from angler_mjx.control.laws import follow, model
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics import step as physics
 from angler_mjx.sim import fleet
@@ -25,6 +26,7 @@ KINDS = [
     ("bluerov2", "blue_gazebo"),
 ]
 CONTROL_S, PHYSICS_S, STEPS = 0.05, 0.01, 5
+CASCADE, GAINS = stages.build(stages.CONTROLLERS["cascade"], {})
 DEEP = np.array([0.0, 0.0, -10.0])
 WATER = physics.Water()
 
@@ -57,9 +59,8 @@ def fly(robots):
         def control(carry, _):
             state, memory = carry
             at = Estimate(p=state.p, q=state.q, nu=state.nu)
-            memory, _, signal = cascade.step(
-                cascade.Gains(), params, memory, at, path, CONTROL_S, 1000.0, 9.81
-            )
+            action = stack.step(CASCADE, GAINS, params, memory, at, path, CONTROL_S, 1000.0, 9.81)
+            memory, signal = action.memory, action.pwm
             look = jax.vmap(thruster.lookup, (None, 0, None, None))
             thrust = look(params.vehicle.thrust_n, signal.pwm_us, PWM_LOW_US, PWM_STEP_US)
 
@@ -71,7 +72,8 @@ def fly(robots):
             after, _ = jax.lax.scan(advance, state, length=STEPS)
             return (after, memory), (state.p, state.q, state.nu, signal.pwm_us)
 
-        return jax.lax.scan(control, (state, cascade.reset(yaw)), length=600)[1]
+        at = Estimate(p=state.p, q=state.q, nu=state.nu)
+        return jax.lax.scan(control, (state, stack.reset(CASCADE, at, yaw)), length=600)[1]
 
     over_goals = jax.vmap(jax.vmap(one, (0, 0, None, None, None)), (None, None, 0, 0, 0))
 
@@ -164,7 +166,7 @@ def test_a_moving_target_is_followed(fly, robots):
 
 
 def test_guidance_waits_for_a_robot_that_falls_behind():
-    gains = cascade.Gains()
+    gains = follow.FollowGains()
     path = Trajectory(
         time_s=jnp.array([0.0, 10.0]),
         position_m=jnp.array([[0.0, 0, 0], [5.0, 0, 0]]),
@@ -173,10 +175,8 @@ def test_guidance_waits_for_a_robot_that_falls_behind():
     at = Estimate(p=jnp.zeros(3), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
 
     def clock(start):
-        carry = cascade.CascadeCarry(
-            clock_s=jnp.array(start), yaw_rad=jnp.zeros(()), integral=jnp.zeros(6)
-        )
-        carry, target = cascade.guidance(gains, carry, at, path, 0.05)
+        carry = follow.FollowCarry(clock_s=jnp.array(start), yaw_rad=jnp.zeros(()))
+        carry, target = follow.step(gains, carry, at, path, 0.05)
         return float(carry.clock_s) - start, float(target.velocity_mps[0])
 
     # 0.2 m behind: full pace; 0.7 m, half way from 0.4 to 1.0: half; 1.5 m: it stands. float32.
@@ -187,22 +187,22 @@ def test_guidance_waits_for_a_robot_that_falls_behind():
 
 
 def test_guidance_turns_at_a_limited_rate_the_short_way():
-    gains = cascade.Gains()
+    gains = follow.FollowGains()
     path = Trajectory(
         time_s=jnp.array([0.0, 10.0]),
         position_m=jnp.array([[0.0, 0, 0], [-5.0, -1.0, 0]]),
         found=jnp.array(True),
     )
     at = Estimate(p=jnp.zeros(3), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
-    carry = cascade.reset(jnp.array(3.0))
-    after, _ = cascade.guidance(gains, carry, at, path, 0.05)
+    carry = follow.reset(jnp.array(3.0))
+    after, _ = follow.step(gains, carry, at, path, 0.05)
     # The path heads for -169 degrees: from 172 degrees it is 19 degrees on, across the cut. float32
     assert float(after.yaw_rad) == pytest.approx(3.0 + 0.05 * gains.yaw_rate_radps, abs=1e-6)
 
 
 def test_wrap():
     angle = np.linspace(-20, 20, 401)
-    wrapped = np.asarray(cascade.wrap(jnp.asarray(angle)))
+    wrapped = np.asarray(model.wrap(jnp.asarray(angle)))
     assert wrapped.min() >= -np.pi
     assert wrapped.max() <= np.pi
     # float32 on angles up to 20.

@@ -31,7 +31,34 @@ def test_overrides_replace_keys_and_merge_tables(scenario_file):
     assert scenario.time.horizon_s == 20.0
 
 
+def test_faults_and_rotors_reach_the_fleet(tmp_path):
+    path = write(
+        tmp_path,
+        '[[fleet]]\nvehicle = "bluerov2"\n'
+        "thruster_health = { thruster_5 = 0.25, thruster_1 = 0.0 }\n"
+        'fault_known = false\nrotor_response = "third_order"',
+    )
+    (kind,) = load_scenario(path).members()[-1].variants
+    assert kind.thruster_health == (("thruster_5", 0.25), ("thruster_1", 0.0))
+    assert not kind.fault_known
+    assert kind.rotor_response == "third_order"
+    (other,) = load_scenario("open_water_current").members()[0].variants
+    assert (other.thruster_health, other.fault_known, other.rotor_response) == ((), True, None)
+
+
 FAULTS = {
+    "unknown thruster": (
+        '[[fleet]]\nvehicle = "bluerov2"\nthruster_health = { thruster_9 = 0.0 }',
+        ["fleet", "thruster_9", "thruster_1", "thruster_6"],
+    ),
+    "health out of range": (
+        '[[fleet]]\nvehicle = "bluerov2"\nthruster_health = { thruster_3 = 1.5 }',
+        ["fleet", "thruster_3", "1.5", "between 0"],
+    ),
+    "unknown response": (
+        '[[fleet]]\nvehicle = "bluerov2"\nrotor_response = "second_order"',
+        ["fleet", "rotor_response", "first_order", "third_order"],
+    ),
     "unknown key": ('nmae = "x"', ["nmae", "unknown key"]),
     "wrong unit": (
         "[world.obstacles.dynamic]\nradius_cm = [40.0, 75.0]",
@@ -53,7 +80,41 @@ FAULTS = {
         ["time", "control_dt_s / physics_dt_s", "whole number"],
     ),
     "unknown engine": ('engine = "warp"', ["engine", "warp", "mjx"]),
-    "unknown gain": ("[controller]\ngains = { speed = 1.0 }", ["gains", "speed", "unknown gain"]),
+    "unknown controller": ('[controller]\nname = "lqr"', ["controller", "lqr", "cascade, pid"]),
+    "unknown stage": ('[controller]\nstages = ["follow", "mpc"]', ["'mpc'", "pid_velocity"]),
+    "no stage": ("[controller]\nstages = []", ["controller.stages", "at least 1"]),
+    "name and stages": (
+        '[controller]\nname = "pid"\nstages = ["follow", "ardusub"]',
+        ["controller", "name or stages"],
+    ),
+    "stages that do not fit": (
+        '[controller]\nstages = ["follow", "velocity", "pseudo_inverse"]',
+        ["'follow' gives PoseTarget", "'velocity' below it takes BodyTwist"],
+    ),
+    "no signals at the end": (
+        '[controller]\nstages = ["follow", "pose", "velocity"]',
+        ["'velocity', gives BodyWrench", "ThrusterPwm"],
+    ),
+    "no path at the beginning": (
+        '[controller]\nstages = ["pose", "velocity", "pseudo_inverse"]',
+        ["'pose', takes PoseTarget or TrackingTarget", "begin with follow or reference or los"],
+    ),
+    "gains of no stage": (
+        '[controller]\nname = "pid"\ngains.velocity.velocity_per_s = 1.0',
+        ["gains.velocity", "pid_velocity"],
+    ),
+    "unknown gain": (
+        "[controller.gains.velocity]\nspeed = 1.0",
+        ["gains.velocity.speed = 1", "unknown gain", "velocity_per_s"],
+    ),
+    "gain of the wrong sign": (
+        "[controller.gains.velocity]\nvelocity_per_s = -2.5",
+        ["gains of velocity", "velocity_per_s = -2.5"],
+    ),
+    "gains in one heap": (
+        "[controller.gains]\nvelocity_per_s = 2.5",
+        ["gains.velocity_per_s = 2.5", "[controller.gains.velocity]"],
+    ),
 }
 
 

@@ -111,7 +111,7 @@ def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
     )
     path = jax.vmap(_polyline)(points)
     rows = obstacles.draw(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
-    variant, cascade, body = fleet.draw(kinds, next(keys))
+    variant, control, body = fleet.draw(kinds, next(keys))
     environment = Environment(
         grid=grid,
         floor_z_m=lo[2],
@@ -126,7 +126,7 @@ def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
         redraws=jnp.zeros((), jnp.int32),
         valid=jnp.asarray(True),
     )
-    return World(environment=environment, variant=variant, body=body, cascade=cascade, path=path)
+    return World(environment=environment, variant=variant, body=body, control=control, path=path)
 
 
 def _polyline(corners: jax.Array) -> Trajectory:

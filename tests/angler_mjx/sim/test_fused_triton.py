@@ -52,7 +52,7 @@ def test_control_step_takes_signals(scenes):
     """One kind of robot, nothing to meet, float32, signals from outside."""
     build, members, obstacles = scenes
     scene = build(3, members=members("bluerov2"), config=obstacles["none"])
-    shape = (8, *scene.worlds.variant.shape, scene.fleet.cascade.vehicle.B.shape[-1])
+    shape = (8, *scene.worlds.variant.shape, scene.fleet.control.vehicle.B.shape[-1])
     signals = np.random.default_rng(0).uniform(1300, 1700, shape)
     ends = []
     for engine in (TritonEngine(lanes=2, interpret=True), by_name("mjx", "xla")):

@@ -105,6 +105,42 @@ def test_a_set_without_any_damping_on_an_axis_is_refused():
     assert "no damping at all on axis 0" in complaint(data)
 
 
+THIRD = ("rotor", "third_order")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        ((*THIRD, "denominator"), [1.0, 1.0, 9258.0, 108700.0], "would swing for ever"),
+        ((*THIRD, "denominator"), [1.0, -89.0, 9258.0, 108700.0], "greater than 0"),
+        ((*THIRD, "denominator"), [1.0, 89.0, 9258.0], "missing"),
+        ((*THIRD, "numerator"), [0.0, 6136.0, 100000.0], "must be equal"),
+        (("rotor", "response"), "second_order", "third_order"),
+    ],
+)
+def test_a_wrong_rotor_is_refused(path, value, says):
+    message = complaint(changed(path, value))
+    assert "rotor" in message
+    assert says in message
+
+
+def test_third_order_needs_its_numbers():
+    data = changed(("rotor", "response"), "third_order")
+    assert parse(VehicleConfig, data, source="a").rotor.response == "third_order"
+    del data["rotor"]["third_order"]
+    assert "needs a table [rotor.third_order]" in complaint(data)
+
+
+def test_health_is_by_name_in_the_order_of_the_file():
+    config = load("bluerov2")
+    assert config.find_health({"thruster_5": 0.5, "thruster_1": 0}) == (0, 1, 1, 1, 0.5, 1)
+    with pytest.raises(ConfigError, match=r"no thruster 'thruster_7'; it has thruster_1, .*_6"):
+        config.find_health({"thruster_7": 0.0})
+    for share in (-0.1, 1.01, math.nan):
+        with pytest.raises(ConfigError, match=f"'thruster_2'.*health {share} is not between"):
+            config.find_health({"thruster_2": share})
+
+
 def test_every_group_needs_its_source():
     data = copy.deepcopy(HEAVY)
     del data["parameter_sets"]["wu2018"]["damping"]["source"]

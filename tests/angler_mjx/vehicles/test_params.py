@@ -115,6 +115,16 @@ def test_numbers_of_the_file_arrive_unchanged(heavy):
     assert params.thrust_n.shape == params.power_w.shape == (201,)
 
 
+def test_a_fault_is_in_the_numbers_of_the_robot(heavy):
+    sound = build(heavy, "wu2018", 16.0)
+    faulty = build(heavy, "wu2018", 16.0, thruster_health={"thruster_8": 0.0, "thruster_1": 0.5})
+    np.testing.assert_array_equal(faulty.thruster_health, [0.5, 1, 1, 1, 1, 1, 1, 0])
+    np.testing.assert_array_equal(faulty.thruster_exists, [True] * 7 + [False])
+    # Geometry and speeds stay those of the sound vehicle.
+    np.testing.assert_array_equal(faulty.B, sound.B)
+    np.testing.assert_array_equal(faulty.terminal_speed_mps, sound.terminal_speed_mps)
+
+
 def test_stack_pads_without_changing_a_robot(heavy, light):
     robots = [build(light, None, 14.8), build(heavy, "wu2018", 16.0)]
     fleet = stack(robots)

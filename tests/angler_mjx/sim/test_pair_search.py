@@ -1,0 +1,112 @@
+"""The search among listed pairs against the search in turn, on shapes with many equal distances."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_kernels import lanes
+from angler_mjx.sim import pair_search
+from angler_mjx.sim.lane_search import Met, Nearest, Others, Seeker, in_turn
+
+N, R, W = 5, 3, 40
+"""Shapes, robots and worlds: 600 pairs, which are several chunks."""
+FIRST = 2
+"""Number of shape 0; two of the robots are shapes themselves."""
+RADIUS_M = 0.5
+
+
+def points(seed, rows):
+    """Points [rows, W] on a lattice of 1 m: distances are equal often, and without rounding."""
+    drawn = np.random.default_rng(seed).integers(0, 4, (3, rows, W)).astype(np.float32)
+    return [jnp.asarray(x) for x in drawn]
+
+
+def search(how, mine, theirs, limit, running, start_gap):
+    """The nearest shapes; a gap is the distance along the axes, as it has no root to round."""
+    one = partial(lanes.pack, shape=())
+    state = (lanes.pack(theirs, (3,)), one([jnp.arange(N * W).reshape(N, W) % 2 == 0]))
+
+    def load(index):
+        rows = (index, np.s_[:]) if how is in_turn else index
+        p, fixed = pair_search.pick(state, rows)
+        # Nothing of a shape is known by its bounding sphere alone: twice its place is its speed.
+        return Met(p=p, reach=RADIUS_M, details=lambda: (fixed, None, [2.0 * x for x in p]))
+
+    def exact(me, met):
+        fixed, _, v = met.details()
+        gap = sum(jnp.abs(x - y) for x, y in zip(me.p, met.p, strict=True)) - 2.0 * RADIUS_M
+        return gap, fixed[()], v
+
+    me = Seeker(
+        p=lanes.pack(mine, (3,)),
+        a=one([np.float32(0.0)]),
+        b=one([np.float32(0.0)]),
+        r=one([np.float32(0.0)]),
+        radius_m=one([np.float32(RADIUS_M)]),
+        running=one([running]),
+        limit_m=one([jnp.full((R, W), limit, jnp.float32)]),
+    )
+    zero = jnp.zeros((R, W))
+    start = Nearest(
+        gap=jnp.full((R, W), start_gap, jnp.float32),
+        index=jnp.full((R, W), -1),
+        fixed=running & False,
+        v=(zero, zero, zero),
+    )
+    others = Others(count=N, load=load, first=FIRST)
+    return how(me, others, exact, start, np.arange(R)[:, None] + 1)
+
+
+@pytest.fixture(scope="module")
+def both():
+    """A function of the same arguments that gives what each search finds."""
+    functions = [jax.jit(partial(search, how)) for how in (pair_search.among_listed, in_turn)]
+    return lambda *args: [function(*args) for function in functions]
+
+
+CASES = {
+    "some": (1.0, 0.6, np.inf),
+    "all": (np.inf, 1.0, np.inf),
+    "touching only": (-np.inf, 1.0, np.inf),
+    "none": (np.inf, 0.0, np.inf),
+    "one found before": (np.inf, 1.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_finds_what_the_search_in_turn_finds(both, case):
+    limit, share, start_gap = CASES[case]
+    running = jnp.asarray(np.random.default_rng(3).random((R, W)) < share)
+    ours, theirs = both(points(1, R), points(2, N), limit, running, start_gap)
+    # The numbers are whole and halves: nothing is rounded.
+    jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+    found = np.asarray(ours.index) >= 0
+    assert found.any() == (case != "none")
+    assert not found[~np.asarray(running)].any()
+    # No robot finds itself: robots 1 and 2 are shapes 0 and 1 of these.
+    assert (np.asarray(ours.index) != np.arange(R)[:, None] + 1).all()
+
+
+def test_there_are_ties_and_several_chunks():
+    mine, theirs = np.stack(points(1, R)), np.stack(points(2, N))
+    gaps = np.abs(mine[:, None] - theirs[:, :, None]).sum(axis=0)
+    ties = np.sum(gaps == gaps.min(axis=0), axis=0) > 1
+    assert ties.mean() > 0.2
+    assert N * R * W > 4 * pair_search.CHUNK
+
+
+def test_has_the_derivative_of_the_search_in_turn():
+    def cost(mine, how):
+        found = search(how, mine, points(2, N), np.inf, jnp.ones((R, W), bool), 3.0)
+        return jnp.sum(found.gap**2 + found.v[0])
+
+    ours, theirs = (
+        jax.grad(cost)([x + 0.25 for x in points(1, R)], how)
+        for how in (pair_search.among_listed, in_turn)
+    )
+    # Multiples of a quarter.
+    jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+    assert np.count_nonzero(ours[0]) > R * W / 2
