@@ -1,7 +1,8 @@
 """The mathematics of the navigation filter: covariance in time, and through measurements.
 
-The error state [15] is dp, dv (in W), dtheta (a rotation in W: R_true = exp(dtheta) R), dbg, dba
-(true minus believed). Covariances stay exactly symmetric: every product that makes them is.
+The error state [19] is dp, dv (in W), dtheta (a rotation in W: R_true = exp(dtheta) R), dbg, dba,
+and what does not change: offset of the depth, bias of the heading, hard iron (two); true minus
+believed. Covariances stay exactly symmetric: every product that makes them is.
 Written with elementwise products, so that it runs on lanes, and in full float32 on GPUs.
 """
 
@@ -10,8 +11,10 @@ import jax.numpy as jnp
 
 from angler_kernels.rigid_body import matrix_times
 
-N_STATE = 15
-P, V, THETA, GYRO_BIAS, ACCEL_BIAS = (slice(i, i + 3) for i in range(0, N_STATE, 3))
+N_STATE = 19
+P, V, THETA, GYRO_BIAS, ACCEL_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
+DEPTH, HEADING, IRON = slice(15, 16), slice(16, 17), slice(17, 19)
+PARTS = (P, V, THETA, GYRO_BIAS, ACCEL_BIAS, DEPTH, HEADING, IRON)
 """Places of the error state's parts."""
 
 
@@ -27,30 +30,39 @@ def skew(v: jax.Array) -> jax.Array:
     )
 
 
+def rows(*given: tuple[slice, jax.Array]) -> jax.Array:
+    """A matrix [m, 19] of what there is of it, by the parts of the error state; else zero."""
+    count, dtype = given[0][1].shape[0], given[0][1].dtype
+    found = {part.start: columns for part, columns in given}
+    zero = [jnp.zeros((count, part.stop - part.start), dtype) for part in PARTS]
+    columns = [found.get(part.start, z) for part, z in zip(PARTS, zero, strict=True)]
+    return jnp.concatenate(columns, axis=1)
+
+
 def propagate(
     covariance: jax.Array, rotation: jax.Array, force: jax.Array, dt: jax.Array
 ) -> jax.Array:
-    """Covariance F P F^T [15, 15] after one period, without process noise.
+    """Covariance F P F^T [19, 19] after one period, without process noise.
 
     dv' = dv - dt [f]x dtheta - dt R dba, dp' = dp + dt (dv + dv') / 2, dtheta' = dtheta - dt R dbg.
 
     Args:
-        covariance: [15, 15], symmetric.
+        covariance: [19, 19], symmetric.
         rotation: [3, 3] R, F to W, at mid-step.
         force: [3] specific force in W, m/s^2.
         dt: [] s.
     """
     of_attitude, of_bias = -dt * skew(force), -dt * rotation
 
-    def move(rows: jax.Array) -> jax.Array:
-        v, theta, gyro_bias = rows[V], rows[THETA], rows[GYRO_BIAS]
-        faster = v + times(of_attitude, theta) + times(of_bias, rows[ACCEL_BIAS])
+    def move(x: jax.Array) -> jax.Array:
+        v, theta, gyro_bias = x[V], x[THETA], x[GYRO_BIAS]
+        faster = v + times(of_attitude, theta) + times(of_bias, x[ACCEL_BIAS])
         return jnp.concatenate(
             [
-                rows[P] + 0.5 * dt * (v + faster),
+                x[P] + 0.5 * dt * (v + faster),
                 faster,
                 theta + times(of_bias, gyro_bias),
-                rows[9:],
+                x[9:],
             ]
         )
 
@@ -77,6 +89,7 @@ def add_noise(
         + [(gyro_std * dt) ** 2] * 3
         + [gyro_walk_std**2] * 3
         + [accel_walk_std**2] * 3
+        + [jnp.zeros_like(speed)] * 4
     )
     between = 0.5 * dt * speed
     both = jnp.eye(N_STATE, k=3, dtype=covariance.dtype) + jnp.eye(
@@ -107,9 +120,9 @@ def fuse(
     everything stays as it was.
 
     Args:
-        covariance: [15, 15].
-        error: [15] correction so far, from measurements of the same moment.
-        rows: [m, 15] H.
+        covariance: [19, 19].
+        error: [19] correction so far, from measurements of the same moment.
+        rows: [m, 19] H.
         residual: [m] measured minus believed, before any correction.
         variance: [m] r.
         gate: bound for the squared innovation, a quantile of chi-square with m degrees.

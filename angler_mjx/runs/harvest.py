@@ -15,6 +15,9 @@ from angler_mjx.world.environment import Environment
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
 
+ESTIMATE = "estimate"
+"""Group of what the controllers were told, where that was not the truth."""
+
 _SAMPLED = {
     "p_m": "p",
     "q": "q",
@@ -27,6 +30,16 @@ _SAMPLED = {
     "obstacle_q": "obstacle_q",
 }
 """Name on disk and in `Sample`."""
+
+_BELIEVED = {
+    "p_m": "p",
+    "q": "q",
+    "nu": "nu",
+    "position_std_m": "position_std_m",
+    "velocity_std_mps": "velocity_std_mps",
+    "attitude_std_rad": "attitude_std_rad",
+}
+"""Name on disk, in the group ``estimate``, and in `Belief`."""
 
 
 @jax.tree_util.register_dataclass
@@ -129,6 +142,11 @@ def arrays(tile: FinishedTile, samples: int) -> Arrays:
         name: partial(_joined, [getattr(part, field) for part in tile.parts], samples)
         for name, field in _SAMPLED.items()
     }
+    beliefs = [part.belief for part in tile.parts if part.belief is not None]
+    if beliefs:
+        for name, field in _BELIEVED.items():
+            rows = [getattr(belief, field) for belief in beliefs]
+            made[f"{ESTIMATE}/{name}"] = partial(_joined, rows, samples)
     made["pwm_us"] = partial(_whole_numbers, made["pwm_us"])
     made["outcome"] = partial(_bytes, made["outcome"])
     made["plan_time_s"] = lambda worlds: np.asarray(tile.constants.plan_time_s)[worlds]

@@ -66,6 +66,9 @@ def _one_world(
     path = grid_planner.plan(
         environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
     )
+    # Folded with the robot's number, so that a robot more changes nothing for those before it.
+    robots = jnp.arange(variant.shape[0], dtype=jnp.uint32)
+    of_robot = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.fold_in(key, 2), robots)
     looked_up = scenario.engine == "fused"
     return World(
         environment=environment,
@@ -74,4 +77,5 @@ def _one_world(
         control=control,
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
+        sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
     )

@@ -21,7 +21,7 @@ from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
 from angler_mjx.runs import shards
-from angler_mjx.runs.harvest import Arrays
+from angler_mjx.runs.harvest import ESTIMATE, Arrays
 from angler_mjx.world import store
 from angler_mjx.world.environment import Environment
 
@@ -57,6 +57,16 @@ _ABOUT: dict[str, tuple[str, str]] = {
 }
 """Sampled arrays [world, time, robot or obstacle, ...]: unit and meaning."""
 
+_TOLD: dict[str, tuple[int, str, str]] = {
+    "p_m": (3, "m", "centre of mass as the controllers were told it, world frame"),
+    "q": (4, "1", "attitude as they were told it, quaternion wxyz, body to world"),
+    "nu": (6, "m/s, rad/s", "velocity over ground as they were told it, body frame"),
+    "position_std_m": (3, "m", "standard deviations of the estimate, world frame; 0 for the truth"),
+    "velocity_std_mps": (3, "m/s", "standard deviations of the velocity, world frame"),
+    "attitude_std_rad": (3, "rad", "standard deviations of the attitude, about the world's axes"),
+}
+"""Sampled arrays [world, time, robot, ...] of the group of estimates: width, unit and meaning."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
@@ -68,10 +78,14 @@ class Shape:
     thrusters: int
     obstacles: int
     plan_points: int
+    estimated: bool = False
+    """Whether any robot's controllers were told something other than the truth."""
 
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
         floats = self.robots * (3 + 4 + 6 + 3 + 3) + self.obstacles * 7
+        if self.estimated:
+            floats += self.robots * sum(width for width, _, _ in _TOLD.values())
         small = self.robots * (2 * self.thrusters + 1)
         return self.samples * (4 * floats + small) + self.robots * self.plan_points * 16
 
@@ -133,6 +147,10 @@ class Recorder:
         self._sampled("outcome", (shape.robots,), np.uint8)
         self._sampled("obstacle_p_m", (shape.obstacles, 3), np.float32)
         self._sampled("obstacle_q", (shape.obstacles, 4), np.float32)
+        if shape.estimated:
+            for name, (width, unit, meaning) in _TOLD.items():
+                tail = (shape.samples, shape.robots, width)
+                self._create(f"{ESTIMATE}/{name}", tail, np.float32, unit, meaning)
         points = (shape.robots, shape.plan_points)
         self._create("plan_time_s", points, np.float32, "s", "time of each way-point")
         self._create("plan_m", (*points, 3), np.float32, "m", "way-points, world frame")
@@ -175,7 +193,11 @@ class Recorder:
     @cached_property
     def _arrays(self) -> dict[str, Any]:
         """By name, opened once: opening costs as much as writing a small tile."""
-        return dict(self._group.arrays())
+        arrays: dict[str, Any] = dict(self._group.arrays())
+        if self._shape.estimated:
+            group: Any = self._group[ESTIMATE]
+            arrays.update({f"{ESTIMATE}/{name}": array for name, array in group.arrays()})
+        return arrays
 
     def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
         """Write one tile.

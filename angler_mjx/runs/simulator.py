@@ -17,6 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding
 
 from angler_mjx.control import stack
+from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices as on_devices
@@ -216,7 +217,7 @@ class Simulator:
         return self._reset(self.fleet, worlds)
 
     def step(
-        self, worlds: World, state: WorldState, command: Command | None = None
+        self, worlds: World, state: WorldState, command: Command | Mixed | None = None
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -224,7 +225,8 @@ class Simulator:
             worlds: from ``worlds``.
             state: from ``reset`` or the step before.
             command: to the controllers of all robots instead of their paths, [world, robot]
-                leading; it enters at the first stage that takes its type.
+                leading; it enters at the first stage that takes its type. `Mixed` drives each
+                robot by a command of another type.
 
         Returns:
             The next state, and the sample of the state before with its command.
@@ -234,7 +236,9 @@ class Simulator:
                 robot of every world.
         """
         if command is not None:
-            stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
+            lead = state.tally.outcome.shape
+            for one in command.commands if isinstance(command, Mixed) else [command]:
+                stack.check_command(self.spec.stages, one, lead)
         return self._step(self.fleet, worlds, state, command)
 
     def segment(

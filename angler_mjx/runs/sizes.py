@@ -19,6 +19,7 @@ def shape_of(simulator: Simulator) -> Shape:
         thrusters=world.control.vehicle.B.shape[-1],
         obstacles=world.environment.obstacles.kind.shape[-1],
         plan_points=world.path.time_s.shape[-1],
+        estimated=scenario.senses,
     )
 
 

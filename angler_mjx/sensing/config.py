@@ -125,11 +125,15 @@ class TruthNoiseConfig(FileModel):
     attitude_deg: NotNegative = 0.5
     velocity_mps: NotNegative = 0.01
     rate_radps: NotNegative = 0.005
+    current_mps: NotNegative = 0.02
 
 
 class SensorsConfig(FileModel):
     """The instruments of one robot."""
 
+    noise: bool = True
+    """False: readings are exact. They still come at their rates, after their latency, and only with
+    bottom lock or at the surface; the filter goes on believing the figures below."""
     imu: ImuConfig = ImuConfig()
     depth: DepthConfig = DepthConfig()
     ahrs: AhrsConfig = AhrsConfig()

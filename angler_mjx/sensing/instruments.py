@@ -93,15 +93,11 @@ def attitude(
 ) -> jax.Array:
     """Attitude [4] as the AHRS has it: the true one turned in W by its errors.
 
-    The compass sees the Earth's horizontal field, in F (sin psi, cos psi) for a heading psi from
-    east, plus the robot's own h: off by atan2(h_x cos psi - h_y sin psi, 1 + h_x sin psi + h_y
-    cos psi). That the robot leans is left out of this, as a compass corrects for it.
+    That the robot leans is left out of `iron_error`, as a compass corrects for it.
     """
     if not noise:
         return truth.q
-    heading = quaternion.yaw(truth.q)
-    sin, cos, h = jnp.sin(heading), jnp.cos(heading), carry.hard_iron
-    iron = jnp.arctan2(h[0] * cos - h[1] * sin, 1.0 + h[0] * sin + h[1] * cos)
+    iron = iron_error(carry.hard_iron, quaternion.yaw(truth.q))
     error = jnp.stack(
         [
             params.level_std_rad * normal[0],
@@ -110,6 +106,16 @@ def attitude(
         ]
     )
     return quaternion.multiply(quaternion.exp(error), truth.q)
+
+
+def iron_error(iron: jax.Array, heading: jax.Array) -> jax.Array:
+    """What a compass is off by [], rad, by the robot's own field h [2].
+
+    It sees the Earth's horizontal field, in F (sin psi, cos psi) for a heading psi from east, plus
+    h: atan2(h_x cos psi - h_y sin psi, 1 + h_x sin psi + h_y cos psi).
+    """
+    sin, cos = jnp.sin(heading), jnp.cos(heading)
+    return jnp.arctan2(iron[0] * cos - iron[1] * sin, 1.0 + iron[0] * sin + iron[1] * cos)
 
 
 def dvl_velocity(params: DvlParams, truth: Truth, normal: jax.Array, noise: bool) -> jax.Array:

@@ -111,6 +111,7 @@ class TruthNoiseParams:
     attitude_std_rad: jax.Array
     velocity_std_mps: jax.Array
     rate_std_radps: jax.Array
+    current_std_mps: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -134,9 +135,33 @@ class SensorParams:
     with bottom lock or at the surface. The figures above remain what a filter believes."""
 
 
-def build(
-    config: SensorsConfig, control_dt_s: float, gravity_mps2: float, noise: bool = True
-) -> SensorParams:
+def check(config: SensorsConfig, control_dt_s: float) -> None:
+    """Refuse instruments that cannot be (host side).
+
+    Args:
+        config: of the robot.
+        control_dt_s: control period, s.
+
+    Raises:
+        ConfigError: a USBL whose latency is not shorter than its period, or a DVL whose altitudes
+            leave nothing between them.
+    """
+    dvl, usbl = config.dvl, config.usbl
+    if not dvl.min_altitude_m < dvl.max_altitude_m:
+        raise ConfigError(
+            f"sensors.dvl.min_altitude_m = {dvl.min_altitude_m}: "
+            f"must be below max_altitude_m = {dvl.max_altitude_m}"
+        )
+    every = max(1, round(usbl.period_s / control_dt_s))
+    if usbl.fitted and round(usbl.latency_s / control_dt_s) >= every:
+        raise ConfigError(
+            f"sensors.usbl.latency_s = {usbl.latency_s}: must be shorter than "
+            f"period_s = {usbl.period_s} by at least one control period of {control_dt_s} s; "
+            "one fix is under way at a time"
+        )
+
+
+def build(config: SensorsConfig, control_dt_s: float, gravity_mps2: float) -> SensorParams:
     """Compile the instruments of one robot.
 
     Rates become whole control periods: the nearest, at least one.
@@ -145,18 +170,12 @@ def build(
         config: of the robot.
         control_dt_s: control period, s.
         gravity_mps2: m/s^2.
-        noise: False for exact readings.
 
     Raises:
-        ConfigError: a USBL whose latency is not shorter than its period, or a DVL whose altitudes
-            leave nothing between them.
+        ConfigError: as `check`.
     """
+    check(config, control_dt_s)
     depth, ahrs, dvl, gps, truth = config.depth, config.ahrs, config.dvl, config.gps, config.truth
-    if not dvl.min_altitude_m < dvl.max_altitude_m:
-        raise ConfigError(
-            f"sensors.dvl.min_altitude_m = {dvl.min_altitude_m}: "
-            f"must be below max_altitude_m = {dvl.max_altitude_m}"
-        )
 
     def every(fitted: bool, rate_hz: float) -> jax.Array:
         return _steps(fitted, 1.0 / rate_hz, control_dt_s)
@@ -199,10 +218,11 @@ def build(
             attitude_std_rad=_number(math.radians(truth.attitude_deg)),
             velocity_std_mps=_number(truth.velocity_mps),
             rate_std_radps=_number(truth.rate_radps),
+            current_std_mps=_number(truth.current_mps),
         ),
         dt_s=_number(control_dt_s),
         gravity_mps2=_number(gravity_mps2),
-        noise=noise,
+        noise=config.noise,
     )
 
 
@@ -229,16 +249,9 @@ def _walk(density: float, tau: float, dt: float) -> tuple[float, float]:
 
 
 def _usbl(config: UsblConfig, dt: float) -> UsblParams:
-    every = _steps(config.fitted, config.period_s, dt)
     latency = round(config.latency_s / dt)
-    if config.fitted and latency >= every:
-        raise ConfigError(
-            f"sensors.usbl.latency_s = {config.latency_s}: must be shorter than "
-            f"period_s = {config.period_s} by at least one control period of {dt} s; "
-            "one fix is under way at a time"
-        )
     return UsblParams(
-        every=every,
+        every=_steps(config.fitted, config.period_s, dt),
         latency=jnp.asarray(latency, jnp.int32),
         latency_s=_number(latency * dt),
         offset_m=_vector(config.offset_m),

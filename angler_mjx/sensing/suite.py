@@ -126,6 +126,17 @@ def disturb(params: SensorParams, key: jax.Array, step: jax.Array, truth: Truth)
     return instruments.disturbed(params.truth, truth, normal, params.noise)
 
 
+def disturb_current(
+    params: SensorParams, key: jax.Array, step: jax.Array, current: jax.Array
+) -> jax.Array:
+    """The true current [3] with white noise, m/s; exact with ``noise`` False."""
+    if not params.noise:
+        return current
+    key = jax.random.fold_in(jax.random.fold_in(key, step + 1), 2)
+    normal = jax.random.normal(key, (3,), current.dtype)
+    return current + params.truth.current_std_mps * normal
+
+
 def _imu_velocity(params: SensorParams, truth: Truth) -> jax.Array:
     """Velocity [3] of the IMU's place, m/s in W."""
     velocity = instruments.velocity_at(truth.nu, params.imu.offset_m)

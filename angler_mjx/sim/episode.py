@@ -15,9 +15,9 @@ from angler_mjx.control import stack
 from angler_mjx.control.stack import Command
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody, VehicleState
-from angler_mjx.sim import robot
+from angler_mjx.sim import robot, senses
 from angler_mjx.sim.detection import detect
-from angler_mjx.sim.state import Sample, SimSpec, Tally, World, WorldState
+from angler_mjx.sim.state import Belief, Sample, SimSpec, Tally, World, WorldState
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.environment import Environment
@@ -64,6 +64,7 @@ def reset(spec: SimSpec, engine: Multibody, bodies: Any, world: World) -> WorldS
             impact_speed_mps=jnp.full(n, jnp.nan, dtype),
         ),
         step=jnp.zeros((), jnp.int32),
+        senses=senses.reset(spec, world, vehicles),
     )
 
 
@@ -91,13 +92,20 @@ def control_step(
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s
     flow = jax.vmap(currents.velocity, (None, 0, None))(environment.current, before.p, t)
+    told = flow if stack.wants_flow(spec.stages) else None
+    known: VehicleState | Belief = before
+    sensed, belief = state.senses, None
+    if spec.crews:
+        with jax.named_scope("sensing"):
+            sensed, belief = senses.step(spec, world, sensed, state.step, before, told)
+        known, told = belief, belief.flow
     with jax.named_scope("control"):
         carry, target, pwm = jax.vmap(partial(robot.decide, spec))(
             fleet,
             state.carry,
-            before,
+            known,
             world.path if command is None else command,
-            flow if stack.wants_flow(spec.stages) else None,
+            told,
         )
     settled, power = jax.vmap(robot.thrust_and_power)(fleet.vehicle, pwm)
     vehicles = _advance_vehicles(spec, engine, world, before, settled, t)
@@ -130,9 +138,15 @@ def control_step(
         outcome=state.tally.outcome,
         obstacle_p=state.obstacles.p,
         obstacle_q=state.obstacles.q,
+        belief=belief,
     )
     after = WorldState(
-        vehicles=vehicles, carry=carry, obstacles=moving, tally=tally, step=state.step + 1
+        vehicles=vehicles,
+        carry=carry,
+        obstacles=moving,
+        tally=tally,
+        step=state.step + 1,
+        senses=sensed,
     )
     return after, sample
 

@@ -5,6 +5,7 @@ rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obs
 worlds, so the worlds lie side by side in memory.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,7 @@ from angler_mjx.control import stack
 from angler_mjx.control.stack import Command
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import episode, lane_judge, lane_steps, pair_search
+from angler_mjx.sim import episode, lane_judge, lane_steps, pair_search, senses
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.fused_layout import (
     Given,
@@ -31,10 +32,11 @@ from angler_mjx.sim.fused_layout import (
     spread_out,
     to_arrays,
     to_lanes,
+    vehicles_of,
     world_state,
 )
 from angler_mjx.sim.lane_search import Met, Others
-from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
+from angler_mjx.sim.state import Belief, Sample, SimSpec, World, WorldState
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -57,9 +59,14 @@ class FusedEngine:
         command: Command | None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        scene = scene_of(fleet, worlds)
-        after, sample = _control_step(spec, scene, moving_of(fleet, state), state.step[0], command)
-        return world_state(after, state.step + 1), to_arrays(sample, 2)
+        scene, number = scene_of(fleet, worlds), state.step[0]
+        sensed, belief = state.senses, None
+        if spec.crews:
+            sensed, belief = senses.step_tile(spec, worlds, sensed, number, state.vehicles)
+        moving = moving_of(fleet, state)
+        after, sample = _control_step(spec, scene, moving, number, command, belief)
+        seen: Sample = replace(to_arrays(sample, 2), belief=belief)
+        return world_state(after, state.step + 1, sensed), seen
 
     def segment(
         self,
@@ -78,46 +85,62 @@ class FusedEngine:
         rebuilds: list[Any] = []
 
         @jax.jit  # traced once, for the types of its results and for the loop
-        def step(
-            row: list[jax.Array], number: jax.Array
-        ) -> tuple[list[jax.Array], list[jax.Array]]:
-            after, sample = _control_step(spec, scene, rebuild(row), number, command)
+        def step(row: list[jax.Array], sensed: Any, number: jax.Array) -> tuple[Any, Any, Any]:
+            moving, belief = rebuild(row), None
+            if spec.crews:
+                there = vehicles_of(moving)
+                sensed, belief = senses.step_tile(spec, worlds, sensed, number, there)
+            after, sample = _control_step(spec, scene, moving, number, command, belief)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
             both = zip(lanes.flatten(after)[0], row, strict=True)
-            return [lanes.spread(x, old) for x, old in both], now
+            return [lanes.spread(x, old) for x, old in both], sensed, (now, belief)
 
-        template = jax.eval_shape(step, row, state.step[0])[1]
-        nothing = [jnp.zeros(leaf.shape, leaf.dtype) for leaf in template]
+        template = jax.eval_shape(step, row, state.senses, state.step[0])[2]
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
         def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
-            row, kept, number = carry
-            row, now = step(row, number)
-            kept = [jnp.where(i == 0, new, old) for new, old in zip(now, kept, strict=True)]
-            return (row, kept, number + 1), None
+            row, sensed, kept, number = carry
+            row, sensed, now = step(row, sensed, number)
+            kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
+            return (row, sensed, kept, number + 1), None
 
         def recorded(carry: Any, _: None) -> tuple[Any, Any]:
-            row, step = carry
-            (row, kept, step), _ = jax.lax.scan(
-                one, (row, nothing, step), jnp.arange(steps_per_sample)
+            row, sensed, step = carry
+            (row, sensed, kept, step), _ = jax.lax.scan(
+                one, (row, sensed, nothing, step), jnp.arange(steps_per_sample)
             )
-            return (row, step), kept
+            return (row, sensed, step), kept
 
-        (row, _), kept = jax.lax.scan(recorded, (row, state.step[0]), length=n_sample)
-        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample)
-        return after, to_arrays(rebuilds[0](kept), 3)
+        start = (row, state.senses, state.step[0])
+        (row, sensed, _), (kept, belief) = jax.lax.scan(recorded, start, length=n_sample)
+        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, sensed)
+        belief = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), belief)
+        seen: Sample = replace(to_arrays(rebuilds[0](kept), 3), belief=belief)
+        return after, seen
 
 
 def _control_step(
-    spec: SimSpec, scene: Scene, moving: Moving, step: jax.Array, command: Command | None
+    spec: SimSpec,
+    scene: Scene,
+    moving: Moving,
+    step: jax.Array,
+    command: Command | None,
+    belief: Belief | None,
 ) -> tuple[Moving, Sample]:
-    """One control step of all worlds; ``command`` [W, R, ...] instead of the paths."""
+    """One control step of all worlds.
+
+    ``command`` [W, R, ...] stands in for the paths, ``belief`` [W, R, ...] for what the controllers
+    know.
+    """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(step, like.dtype) * spec.control_dt_s
     moved, samples = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
         with jax.named_scope("robots"):
-            after, said = lanes.shared(partial(_advance, spec, scene, given, robots, t, command))
+            after, said = lanes.shared(
+                partial(_advance, spec, scene, given, robots, t, command, belief)
+            )
         moved.append(after)
         samples.append(said)
     obstacles = moving.obstacles
@@ -185,18 +208,23 @@ def _advance(
     robots: Robots,
     t: jax.Array,
     command: Command | None,
+    belief: Belief | None,
 ) -> tuple[Any, dict[str, Any]]:
     """Controller and physics of a group: what it comes to, and its part of the sample."""
     before, outcome = robots.vehicle, robots.tally.outcome
     told = given.path if command is None else to_lanes(of_group(command, given.group), 2)
     flow = lane_steps.flow_at(scene.current, before.p, t)
+    known, felt = before, flow if stack.wants_flow(spec.stages) else None
+    if belief is not None:
+        known = to_lanes(of_group(belief, given.group), 2)
+        felt = known.flow
     carry, decision = lane_steps.control_robots(
         spec,
         given.params,
-        before,
+        known,
         robots.carry,
         told,
-        flow if stack.wants_flow(spec.stages) else None,
+        felt,
     )
     vehicle, broken = lane_steps.move_robots(
         spec, given.params.vehicle, scene.current, before, outcome, decision.thrust_n, t

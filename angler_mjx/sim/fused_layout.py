@@ -16,7 +16,7 @@ from angler_mjx.sim import episode, lane_judge, lane_steps
 from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.lane_steps import Cells
 from angler_mjx.sim.planes import is_table
-from angler_mjx.sim.state import Tally, World, WorldState
+from angler_mjx.sim.state import Senses, Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -135,7 +135,15 @@ def moving_of(fleet: Fleet, state: WorldState) -> Moving:
     return Moving(groups=tuple(map(of, fleet.groups)), obstacles=to_lanes(state.obstacles, 2))
 
 
-def world_state(moving: Moving, step: jax.Array) -> WorldState:
+def vehicles_of(moving: Moving) -> VehicleState:
+    """Where all robots are, as arrays [W, R, ...]."""
+    vehicles: VehicleState = to_arrays(
+        side_by_side([robots.vehicle for robots in moving.groups]), 2
+    )
+    return vehicles
+
+
+def world_state(moving: Moving, step: jax.Array, senses: tuple[Senses | None, ...]) -> WorldState:
     """The inverse of `moving_of`; ``step`` [W]."""
     robots = to_arrays(side_by_side(moving.groups), 2)
     return WorldState(
@@ -144,6 +152,7 @@ def world_state(moving: Moving, step: jax.Array) -> WorldState:
         obstacles=to_arrays(moving.obstacles, 2),
         tally=robots.tally,
         step=step,
+        senses=senses,
     )
 
 

@@ -4,21 +4,27 @@ Four kernels make a control step: controller, physics steps, obstacles, and dete
 tally. A program works on neighbouring worlds of one robot of the fleet; its state stays in
 registers over all physics steps of the control period, and it writes the record itself. Other
 shapes are read from memory, so fleets of any size fit. Robots of one vehicle share a program.
+Instruments and navigation filters, where robots have any, are plain JAX between the kernels.
 """
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.stack import Command
-from angler_mjx.sim import triton
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import senses, triton
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.fused import FusedEngine
-from angler_mjx.sim.segment_layout import Arrays, Segment
-from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
+from angler_mjx.sim.planes import Layout
+from angler_mjx.sim.segment_layout import AHEAD, Arrays, Segment
+from angler_mjx.sim.state import Belief, Sample, SimSpec, World, WorldState
 from angler_mjx.sim.tile import Tile
-from angler_mjx.sim.triton_kernels import Kernels
+from angler_mjx.sim.triton_kernels import Kernels, Launch
 
 UNROLLED = 10
 """Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
@@ -102,26 +108,83 @@ class TritonEngine:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
 
         worlds, state, command = jax.tree.map(fill, (worlds, state, command))
-        part = Segment(Tile(fleet, worlds), state, n_sample, steps_per_sample, command)
-        end = _fly(Kernels(self._program, spec, part), part)
+        sense, belief = partial(senses.step_tile, spec, worlds), None
+        if spec.crews:
+            _, belief = jax.eval_shape(sense, state.senses, state.step[0], state.vehicles)
+        tile = Tile(fleet, worlds)
+        part = Segment(tile, state, n_sample, steps_per_sample, command, belief)
+        kernels = Kernels(self._program, spec, part)
+        if part.known is None:
+            end = _fly(kernels, part)
+        else:
+            end = _fly_sensing(kernels, part, partial(_look, sense, part, part.known))
         cut: tuple[WorldState, Sample] = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
         return cut
 
 
+def _look(
+    sense: Callable[[Any, jax.Array, VehicleState], tuple[Any, Belief]],
+    part: Segment,
+    layout: Layout,
+    base: jax.Array,
+    k: jax.Array,
+    x: Arrays,
+) -> Arrays:
+    """What the controllers are told in control step ``base + k``, and its record: no kernel."""
+    tile, count = part.tile, base[0] + k[0]
+    vehicles = part.vehicle.unpack(x.robots, (tile.worlds, tile.robots))
+    sensed, belief = sense(x.senses, part.first[0] + count, vehicles)
+    place, is_sample = count // part.every, count % part.every == 0
+
+    def record(kept: jax.Array, new: jax.Array) -> jax.Array:
+        return kept.at[place].set(jnp.where(is_sample, new, kept[place]))
+
+    return replace(
+        x,
+        senses=sensed,
+        known=layout.pack(belief, tile.dtype),
+        believed=jax.tree.map(record, x.believed, belief),
+    )
+
+
 def _fly(kernels: Kernels, part: Segment) -> Arrays:
     """The arrays after all steps of a segment."""
-    step = kernels.step()
+    obstacles, robots = kernels.launches()
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        for k in range(count):
+            at = jnp.array([k], jnp.int32)
+            if k % AHEAD == 0:
+                x = obstacles(base, at, x)
+            x = robots(base, at, x)
+        return x
+
+    return _chunks(steps, UNROLLED, part)
+
+
+def _fly_sensing(kernels: Kernels, part: Segment, look: Launch) -> Arrays:
+    """As `_fly`, with ``look`` before the robots act. It is long: it is in the program once."""
+    obstacles, robots = kernels.launches()
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
+            return robots(base, k[None], look(base, k[None], x)), None
+
+        x = obstacles(base, jnp.zeros(1, jnp.int32), x)
+        return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
+
+    return _chunks(steps, AHEAD, part)
+
+
+def _chunks(steps: Callable[[jax.Array, int, Arrays], Arrays], size: int, part: Segment) -> Arrays:
+    """All control steps of a segment: of a base int32 [1], a number of them, and the arrays."""
 
     def some(carry: tuple[jax.Array, Arrays], _: None) -> tuple[Any, None]:
         base, x = carry
-        for k in range(UNROLLED):
-            x = step(base, k, x)
-        return (base + UNROLLED, x), None
+        return (base + size, steps(base, size, x)), None
 
-    chunks, rest = divmod(part.steps, UNROLLED)
+    chunks, rest = divmod(part.steps, size)
     base, x = jnp.zeros(1, jnp.int32), part.start
     if chunks:
         (base, x), _ = jax.lax.scan(some, (base, x), length=chunks)
-    for k in range(rest):
-        x = step(base, k, x)
-    return x
+    return steps(base, rest, x) if rest else x

@@ -17,7 +17,7 @@ from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sim import robot
-from angler_mjx.sim.state import SimSpec
+from angler_mjx.sim.state import Belief, SimSpec
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world import currents, obstacle_motion
 from angler_mjx.world.currents import Current
@@ -62,7 +62,7 @@ class Decision:
 def control_robots(
     spec: SimSpec,
     params: ControlParams,
-    vehicle: VehicleState,
+    vehicle: VehicleState | Belief,
     carry: Memory,
     command: Command,
     flow: Lanes | None,
@@ -72,7 +72,7 @@ def control_robots(
     Args:
         spec: settings.
         params: of the robots.
-        vehicle: state.
+        vehicle: state, or what is believed of it.
         carry: memory of the controllers.
         command: to the controllers: the robots' paths, or what drives them instead.
         flow: velocity [3] of the water where the robots are, if the controllers want it.
@@ -81,9 +81,7 @@ def control_robots(
         partial(robot.decide, spec), params, carry, vehicle, command, flow
     )
     settled, power = lanes.apply(robot.thrust_and_power, params.vehicle, pwm)
-    return carry, Decision(
-        pwm_us=pwm.pwm_us, target_m=target, thrust_n=settled, power_w=power
-    )
+    return carry, Decision(pwm_us=pwm.pwm_us, target_m=target, thrust_n=settled, power_w=power)
 
 
 def move_robots(

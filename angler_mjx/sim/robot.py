@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import thruster
-from angler_mjx.control import stack
+from angler_mjx.control import mixed, stack
 from angler_mjx.control.commands import Estimate, ThrusterPwm
+from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import ControlParams, Memory
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.detection import Contact
-from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
+from angler_mjx.sim.state import Belief, Outcome, SimSpec, Tally, Touched
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 
@@ -31,7 +32,7 @@ def decide(
     spec: SimSpec,
     params: ControlParams,
     carry: Memory,
-    state: VehicleState,
+    state: VehicleState | Belief,
     command: Any,
     flow: jax.Array | None,
 ) -> tuple[Memory, jax.Array, ThrusterPwm]:
@@ -41,14 +42,15 @@ def decide(
         spec: settings.
         params: of the robot.
         carry: the controllers' memory.
-        state: of the robot.
+        state: of the robot, or what is believed of it.
         command: to the controllers: its path, or what drives it instead.
         flow: [3] water velocity there, in W, if the controllers want to know it.
 
     Returns:
         Their new memory, the position [3] that they aim at, and the thruster signals.
     """
-    action = stack.step(
+    step = mixed.step if isinstance(command, Mixed) else stack.step
+    action = step(
         spec.stages,
         spec.gains,
         params,

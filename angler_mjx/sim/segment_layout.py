@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.stack import Command
-from angler_mjx.sim.state import Sample, WorldState
+from angler_mjx.sim.planes import Layout
+from angler_mjx.sim.state import Belief, Sample, Senses, WorldState
 from angler_mjx.sim.tile import Tile
 
 AHEAD = 5
@@ -95,6 +96,12 @@ class Arrays:
     """`Drift` of `AHEAD` steps."""
     seen: jax.Array
     """Record of the obstacles."""
+    senses: tuple[Senses | None, ...]
+    """As in `WorldState`, [W] leads: what robots know of themselves is not the kernels' work."""
+    known: jax.Array | None
+    """`Belief`, for the controllers; None where they are told the truth."""
+    believed: Belief | None
+    """Record of it, [samples, W, R, ...]."""
 
 
 class Segment:
@@ -109,6 +116,7 @@ class Segment:
         vehicle, memory, tally, bodies, order, deed, drift: layouts of their parts.
         command: what drives the controllers instead of the paths, and its layout; if there is.
         said, moved, seen: shelves of the samples.
+        known: layout of what the controllers are told, from shapes of it; if it is not the truth.
     """
 
     def __init__(
@@ -118,6 +126,7 @@ class Segment:
         n_sample: int,
         every: int,
         command: Command | None,
+        belief: Belief | None,
     ) -> None:
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
@@ -145,6 +154,7 @@ class Segment:
         self.said = tile.shelf(tile.layout(control, tile.robots), n_sample)
         self.moved = tile.shelf(tile.layout(motion, tile.robots), n_sample)
         self.seen = tile.shelf(tile.layout(obstacle, tile.obstacles), n_sample)
+        self.known = None if belief is None else Layout.of(belief, 2)
         # Written before it is read: it need not be filled.
         room = partial(_room, dtype=tile.dtype)
         self.start = Arrays(
@@ -158,6 +168,11 @@ class Segment:
             bodies=bodies,
             track=room(AHEAD * self.drift.size if tile.some_obstacle else 1),
             seen=room(self.seen.size if tile.some_obstacle else 1),
+            senses=state.senses,
+            known=None if self.known is None else room(self.known.size),
+            believed=jax.tree.map(
+                lambda leaf: jnp.zeros((n_sample, *leaf.shape), leaf.dtype), belief
+            ),
         )
 
     def result(self, end: Arrays) -> tuple[WorldState, Sample]:
@@ -177,9 +192,11 @@ class Segment:
             obstacles=self.bodies.unpack(end.bodies, of_body),
             tally=self.tally.unpack(end.tally, of_robot),
             step=state.step + self.steps,
+            senses=end.senses,
         )
         said, moved = self.said.unpack(end.said), self.moved.unpack(end.moved)
-        return after, Sample(**vars(said), **vars(moved), **vars(seen))
+        belief = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.believed)
+        return after, Sample(**vars(said), **vars(moved), **vars(seen), belief=belief)
 
 
 def _room(size: int, dtype: Any) -> jax.Array:

@@ -2,15 +2,18 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, Literal
 
 import jax
 
 from angler_mjx.control import stages
+from angler_mjx.control.measurements import NavigationCarry
+from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.control.stack import ControlParams, Memory, Stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
+from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -42,6 +45,18 @@ CASCADE = stages.named("cascade")
 
 
 @dataclass(frozen=True, kw_only=True)
+class Crew:
+    """Neighbouring robots of a fleet whose controllers are not given the truth."""
+
+    first: int
+    count: int
+    source: Literal["noisy", "ekf"]
+    """The true state with white noise, or what a navigation filter makes of instruments."""
+    params: NavigationParams
+    """[count] leads."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SimSpec:
     """Settings of the simulation that are fixed while it is compiled."""
 
@@ -56,6 +71,8 @@ class SimSpec:
     gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
     (`angler_mjx.sim.gradients`)."""
+    crews: tuple[Crew, ...] = ()
+    """All other robots' controllers are given the truth."""
 
     @property
     def control_dt_s(self) -> float:
@@ -77,6 +94,8 @@ class World:
     cell_neighbours: jax.Array | None = None
     """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all
     segments where the engine looks cells up in it."""
+    sensing_key: jax.Array | None = None
+    """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has no crews."""
 
 
 @jax.tree_util.register_dataclass
@@ -106,6 +125,39 @@ class Tally:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
+class Senses:
+    """Memory of the robots of a crew; [count] leads."""
+
+    instruments: SensorCarry
+    filter: NavigationCarry
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """What the controllers of the robots are told of their own motion; [R] leads.
+
+    Standard deviations are zero where they are told the truth.
+    """
+
+    p: jax.Array
+    """[R, 3] m in W."""
+    q: jax.Array
+    """[R, 4]."""
+    nu: jax.Array
+    """[R, 6] in F."""
+    flow: jax.Array | None
+    """[R, 3] current, m/s in W; None where no stage wants it. Zero, still water, from a filter."""
+    position_std_m: jax.Array
+    """[R, 3] along the axes of W, as the two that follow."""
+    velocity_std_mps: jax.Array
+    """[R, 3]"""
+    attitude_std_rad: jax.Array
+    """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
 class WorldState:
     """What changes from step to step in one world."""
 
@@ -116,6 +168,8 @@ class WorldState:
     tally: Tally
     step: jax.Array
     """int32 [] control steps taken."""
+    senses: tuple[Senses | None, ...] = ()
+    """Of each crew; None for noise on the truth, which has no memory."""
 
 
 @jax.tree_util.register_dataclass
@@ -141,3 +195,5 @@ class Sample:
     """[n_obstacle, 3] m in W."""
     obstacle_q: jax.Array
     """[n_obstacle, 4]."""
+    belief: Belief | None = None
+    """What the controllers were told; None where all are told the truth."""

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from angler_kernels import lanes
 from angler_mjx.control import stack
@@ -26,6 +25,9 @@ from angler_mjx.sim.segment_layout import (
 )
 from angler_mjx.sim.state import SimSpec
 
+type Launch = Callable[[jax.Array, jax.Array, Arrays], Arrays]
+"""What is done in control step ``base + k``."""
+
 
 class Kernels:
     """The four kernels for one segment, each as one launch of it.
@@ -37,19 +39,21 @@ class Kernels:
         """Bind them to a segment."""
         self._program, self._spec, self._part, self._tile = program, spec, part, part.tile
 
-    def step(self) -> Callable[[jax.Array, int, Arrays], Arrays]:
-        """One control step: of ``base``, the number ``k`` in the loop's body, and the arrays."""
+    def launches(self) -> tuple[Launch, Launch]:
+        """The obstacles, `AHEAD` control steps of them, and what the robots do in one."""
         groups = self._tile.groups
         # Functions of their own, so that each is traced and lowered once for all launches.
         acts = [(jax.jit(partial(self.control, g)), jax.jit(partial(self.move, g))) for g in groups]
         judgements = [jax.jit(partial(self.judge, group)) for group in groups]
         go_ahead = jax.jit(self.go_ahead)
 
-        def step(base: jax.Array, k: int, x: Arrays) -> Arrays:
-            at = jnp.array([k], jnp.int32)
-            if self._tile.some_obstacle and k % AHEAD == 0:
-                bodies, track, seen = go_ahead(base, at, x)
-                x = replace(x, bodies=bodies, track=track, seen=seen)
+        def obstacles(base: jax.Array, at: jax.Array, x: Arrays) -> Arrays:
+            if not self._tile.some_obstacle:
+                return x
+            bodies, track, seen = go_ahead(base, at, x)
+            return replace(x, bodies=bodies, track=track, seen=seen)
+
+        def robots(base: jax.Array, at: jax.Array, x: Arrays) -> Arrays:
             for control, move in acts:
                 memory, order, said = control(base, at, x)
                 x = replace(x, memory=memory, order=order, said=said)
@@ -60,7 +64,7 @@ class Kernels:
                 x = replace(x, tally=tally)
             return x
 
-        return step
+        return obstacles, robots
 
     def control(
         self, group: Group, base: jax.Array, k: jax.Array, x: Arrays
@@ -68,7 +72,9 @@ class Kernels:
         """The controllers of one control step, and their record."""
         tile = self._tile
         command = [data for _, data in self._part.command]
-        constant = [self._part.first, base, k, *tile.arrays, x.robots, *command]
+        own = x.robots if x.known is None else x.known
+        layout = self._part.vehicle if self._part.known is None else self._part.known
+        constant = [self._part.first, base, k, *tile.arrays, own, *command]
 
         def kernel(*refs: Any) -> None:
             (first, base, k), data = refs[:3], refs[3:8]
@@ -77,11 +83,13 @@ class Kernels:
             row, lane, at, store = self._place(group.first)
             count = base[0] + k[0]
             constants = tile.robot(data, lane)
-            vehicle = self._part.vehicle.read(triton.loader(state), lane)
+            vehicle = layout.read(triton.loader(state), lane)
             told, flow = constants.path, None
             if given:
                 told = self._part.command[0][0].read(triton.loader(given[0]), lane)
-            if stack.wants_flow(self._spec.stages):
+            if self._part.known is not None:
+                flow = vehicle.flow
+            elif stack.wants_flow(self._spec.stages):
                 current = tile.water(data, at).current
                 flow = lane_steps.flow_at(current, vehicle.p, self._time(first[0] + count))
             carry, decision = lane_steps.control_robots(

@@ -40,8 +40,8 @@ def motion(t):
 
 def build(noise=True, **tables):
     """Sensor parameters with parts of the configuration replaced."""
-    chosen = sensing_config.SensorsConfig.model_validate(tables)
-    return params.build(chosen, DT, GRAVITY, noise)
+    chosen = sensing_config.SensorsConfig.model_validate({"noise": noise, **tables})
+    return params.build(chosen, DT, GRAVITY)
 
 
 def believed(truth):
@@ -49,7 +49,7 @@ def believed(truth):
 
 
 def errors(sensors, sensed, carry, truth):
-    """Error state [15]: true minus believed."""
+    """Error state [19]: true minus believed."""
     velocity = instruments.velocity_at(truth.nu, sensors.imu.offset_m)
     turn = instruments.turned(quaternion.conjugate(truth.q), quaternion.conjugate(carry.q))
     return jnp.concatenate(
@@ -59,6 +59,9 @@ def errors(sensors, sensed, carry, truth):
             turn,
             sensed.gyro_turn_on + sensed.gyro_walk - carry.gyro_bias,
             sensed.accel_turn_on + sensed.accel_walk - carry.accel_bias,
+            (sensed.surface_m - carry.depth_offset)[None],
+            (sensed.heading_bias_rad - carry.heading_bias)[None],
+            sensed.hard_iron - carry.hard_iron,
         ]
     )
 

@@ -21,7 +21,7 @@ DEEP = (1.0, 2.0, -5.0)
 
 
 def build(noise=True, dt=DT, **tables):
-    return params.build(SensorsConfig.model_validate(tables), dt, G, noise)
+    return params.build(SensorsConfig.model_validate({"noise": noise, **tables}), dt, G)
 
 
 def truth(p=DEEP, turn=(0.0, 0.0, 0.0), nu=(0.0,) * 6, altitude=5.0):

@@ -1,0 +1,65 @@
+"""Crews of a fleet: neighbouring robots whose controllers are not told the truth."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.navigation import NavigationParams
+from angler_mjx.sensing import params
+from angler_mjx.sensing.config import SensorsConfig
+from angler_mjx.sim.state import Crew
+
+type Source = Literal["truth", "noisy", "ekf"]
+"""What controllers are told: the true state, that with white noise, or a filter's estimate."""
+
+
+def told_truth(source: Source, config: SensorsConfig) -> bool:
+    """Whether controllers are told the truth: noise that is switched off is none."""
+    return source == "truth" or (source == "noisy" and not config.noise)
+
+
+def build(
+    robots: Sequence[tuple[Source, SensorsConfig]], control_dt_s: float, gravity_mps2: float
+) -> tuple[Crew, ...]:
+    """Compile the instruments of a fleet (host side).
+
+    Args:
+        robots: of each robot what it is told, and its instruments.
+        control_dt_s: control period, s.
+        gravity_mps2: m/s^2.
+
+    Raises:
+        ConfigError: see `angler_mjx.sensing.params.check`.
+    """
+    crews, first = [], 0
+    for (source, true, _), members in itertools.groupby(robots, _alike):
+        row = [params.build(config, control_dt_s, gravity_mps2) for _, config in members]
+        if source != "truth" and not true:
+            sensors: params.SensorParams = jax.tree.map(lambda *x: jnp.stack(x), *row)
+            crews.append(
+                Crew(
+                    first=first,
+                    count=len(row),
+                    source=source,
+                    params=_for_each(NavigationParams(sensors=sensors), len(row)),
+                )
+            )
+        first += len(row)
+    return tuple(crews)
+
+
+def _alike(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]:
+    """What the robots of a crew have in common."""
+    source, config = robot
+    return source, told_truth(source, config), config.noise
+
+
+def _for_each(believes: NavigationParams, count: int) -> NavigationParams:
+    """With the numbers of the beginning for every robot."""
+    names = [name for name in vars(believes) if name != "sensors"]
+    rows: dict[str, Any] = {name: jnp.full(count, getattr(believes, name)) for name in names}
+    return replace(believes, **rows)

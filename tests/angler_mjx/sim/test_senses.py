@@ -1,0 +1,175 @@
+"""What controllers are told: exactly the truth without noise, and the same in every engine."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.control import stages
+from angler_mjx.runs import crews
+from angler_mjx.sensing.config import SensorsConfig
+from angler_mjx.sim.engines import MjxEngine
+from angler_mjx.sim.fused import FusedEngine
+from angler_mjx.sim.fused_triton import TritonEngine
+from angler_mjx.world.grid import Grid, height_above_bottom
+
+WORLDS, SAMPLES, EVERY = 2, 12, 5
+ALL = {"usbl": {"fitted": True, "latency_s": 0.3, "period_s": 0.5}, "gps": {"fitted": True}}
+EXACT = {"noise": False}
+TOLD = [("truth", {}), ("noisy", {}), ("ekf", ALL), ("ekf", {})]
+
+
+def tell(scene, told, controller="cascade"):
+    """A scene whose robots are told of themselves, and whose controllers use the current."""
+    robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
+    spec = scene.spec
+    controllers, gains = stages.build(stages.CONTROLLERS[controller], {})
+    spec = replace(
+        spec,
+        stages=controllers,
+        gains=gains,
+        crews=crews.build(robots, spec.control_dt_s, spec.water.gravity_mps2),
+    )
+    keys = jax.random.split(jax.random.key(5), (WORLDS, len(robots)))
+    worlds = replace(scene.worlds, sensing_key=jax.random.key_data(keys)) if spec.crews else None
+    return replace(scene, spec=spec, worlds=worlds or scene.worlds)
+
+
+def fly(engine, scene, samples=SAMPLES):
+    """Final state and samples [W, samples, R, ...]."""
+    # One for all: it is the same to rounding (test_fused), and compiled once.
+    start = jax.jit(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
+    count = {"n_sample": samples, "steps_per_sample": EVERY}
+    run = jax.jit(partial(engine.segment, scene.spec, **count))
+    return jax.device_get(run(scene.fleet, scene.worlds, start))
+
+
+def assert_close(ours, theirs, tolerance):
+    for (path, x), y in zip(
+        jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True
+    ):
+        name = jax.tree_util.keystr(path)
+        if jnp.issubdtype(y.dtype, jnp.floating):
+            np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance, err_msg=name)
+        else:
+            np.testing.assert_array_equal(x, y, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def place(scenes):
+    """Two worlds of four robots of a kind, without obstacles, in the present float type."""
+    build, members, obstacles = scenes
+    return lambda: build(WORLDS, members=members("bluerov2") * len(TOLD), config=obstacles["none"])
+
+
+@pytest.fixture(scope="module")
+def double(place):
+    """The scene in float64, and how mjx flies it with a controller that uses the current."""
+    with jax.enable_x64(True):
+        scene = tell(place(), TOLD, "tracking")
+        return scene, fly(MjxEngine(), scene)
+
+
+def test_the_fused_engine_tells_the_same(double):
+    scene, theirs = double
+    with jax.enable_x64(True):
+        ours = fly(FusedEngine(), scene)
+    # As for all of an engine in float64: rounding has no room to grow.
+    assert_close(ours, theirs, 1e-9)
+
+
+def test_kernels_tell_the_same(double):
+    scene, (_, theirs) = double
+    with jax.enable_x64(True):
+        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, samples=3)
+    assert_close(ours, jax.tree.map(lambda x: x[:, :3], theirs), 1e-9)
+
+
+def test_each_robot_is_told_what_it_is_to_be_told(double):
+    _, (after, seen) = double
+    belief, dt = seen.belief, 0.05
+    for name in ("p", "q", "nu"):
+        np.testing.assert_array_equal(getattr(belief, name)[:, :, 0], getattr(seen, name)[:, :, 0])
+    np.testing.assert_array_equal(belief.flow[:, :, 0], seen.current_mps[:, :, 0])
+    assert not belief.position_std_m[:, :, 0].any()
+    off = belief.p - seen.p
+    # White noise of 2 cm; 72 numbers give its size to 8 %, four of those.
+    assert np.std(off[:, :, 1]) == pytest.approx(0.02, rel=0.3)
+    np.testing.assert_allclose(belief.position_std_m[:, :, 1], 0.02)
+    # Filters: within four and a half of their own standard deviations (one in 1e5).
+    for robot in (2, 3):
+        assert np.all(np.abs(off[:, :, robot]) < 4.5 * belief.position_std_m[:, :, robot])
+    # No instrument shows the current: still water.
+    assert not belief.flow[:, :, 2:].any()
+    assert np.abs(seen.current_mps).max() > 0.05
+    # Keys of their own: the two filters begin differently, and so do the worlds.
+    assert len(np.unique(np.round(off[:, 0, 2:, 0], 9))) == 2 * WORLDS
+    assert after.senses[0] is None
+    assert after.senses[1].filter.covariance.shape == (WORLDS, 2, 19, 19)
+    assert SAMPLES * EVERY * dt == 3.0
+
+
+@pytest.fixture(scope="module")
+def exact(place):
+    """In float32: samples where the truth is told, and with filters of exact instruments."""
+    scene = place()
+    filters = tell(scene, [("ekf", EXACT)] * 4)
+    return {
+        "truth": fly(FusedEngine(), tell(scene, [("truth", {})] * 4))[1],
+        "fused": fly(FusedEngine(), filters)[1],
+        "mjx": fly(MjxEngine(), filters)[1],
+    }
+
+
+def test_without_noise_the_filter_is_near_the_truth(exact):
+    truth, seen = exact["truth"], exact["fused"]
+    # The filter reckons by the trapezoidal rule: off by dt^2 / 12 times the change of acceleration
+    # in a period, which is 1 m/s^2 where thrusters start.
+    np.testing.assert_allclose(seen.belief.p, seen.p, atol=3e-4)
+    # The robot goes where the filter takes it to be.
+    np.testing.assert_allclose(seen.p, truth.p, atol=6e-4)
+    assert np.abs(np.diff(truth.p, axis=1)).max() > 0.05
+    assert truth.belief is None
+
+
+def test_in_float32_engines_differ_by_rounding(exact):
+    ours, theirs = exact["fused"], exact["mjx"]
+    # Three seconds: 1e-6 m of rounding at 12 m in each of 60 steps, fed back through controllers.
+    np.testing.assert_allclose(ours.p, theirs.p, atol=3e-5)
+    np.testing.assert_allclose(ours.belief.p, theirs.belief.p, atol=3e-5)
+    np.testing.assert_allclose(ours.belief.nu, theirs.belief.nu, atol=3e-4)
+
+
+def test_truth_without_noise_is_the_truth():
+    told = [("truth", {}), ("noisy", EXACT), ("noisy", {}), ("ekf", EXACT), ("ekf", {})]
+    robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
+    built = crews.build(robots, 0.05, 9.81)
+    assert [(crew.first, crew.count, crew.source) for crew in built] == [
+        (2, 1, "noisy"),
+        (3, 1, "ekf"),
+        (4, 1, "ekf"),
+    ]
+    assert [crew.params.sensors.noise for crew in built] == [True, False, True]
+
+
+def test_height_above_bottom_is_that_of_the_first_rock_below():
+    rng = np.random.default_rng(0)
+    occupied = rng.random((4, 5, 6)) < 0.3
+    grid = Grid(
+        occupied=jnp.asarray(occupied),
+        origin_m=jnp.array([-2.0, 1.0, -9.0]),
+        cell_m=jnp.asarray(1.5),
+    )
+    points = rng.uniform([-3.0, 0.0, -9.0], [5.0, 9.5, 0.5], (200, 3))
+    ours = jax.vmap(height_above_bottom, (None, None, 0))(grid, jnp.asarray(-9.5), points)
+    for p, height in zip(points, ours, strict=True):
+        i, j = np.floor((p[:2] - [-2.0, 1.0]) / 1.5).astype(int)
+        tops = [-9.5]
+        if 0 <= i < 4 and 0 <= j < 5:
+            tops += [-9.0 + 1.5 * (k + 1) for k in range(6) if occupied[i, j, k]]
+        # float32 of heights of ten metres.
+        expected = p[2] - max(top for top in tops if top <= p[2])
+        assert height == pytest.approx(expected, abs=1e-5)
