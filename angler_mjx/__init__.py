@@ -7,19 +7,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from angler_mjx.control.commands import ThrusterPwm
+    from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+    from angler_mjx.control.joint_goal import JointGoal, JointPoint
+    from angler_mjx.control.joint_trajectory import JointTrajectory
     from angler_mjx.runs.folder import Run
     from angler_mjx.runs.rollout import resume, rollout
     from angler_mjx.runs.scenario import Scenario, load_scenario
     from angler_mjx.runs.simulator import Simulator
+    from angler_mjx.session.batch import BatchSession
+    from angler_mjx.session.interface import Observation, Session
     from angler_mjx.sim.state import Outcome
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "BatchSession",
+    "BodyTwist",
+    "BodyWrench",
+    "JointGoal",
+    "JointPoint",
+    "JointTrajectory",
+    "Observation",
     "Outcome",
+    "PoseTarget",
     "Run",
     "Scenario",
+    "Session",
     "Simulator",
     "ThrusterPwm",
     "load_scenario",
@@ -28,9 +41,18 @@ __all__ = [
 ]
 
 _HOME = {
+    "BatchSession": "angler_mjx.session.batch",
+    "BodyTwist": "angler_mjx.control.commands",
+    "BodyWrench": "angler_mjx.control.commands",
+    "JointGoal": "angler_mjx.control.joint_goal",
+    "JointPoint": "angler_mjx.control.joint_goal",
+    "JointTrajectory": "angler_mjx.control.joint_trajectory",
+    "Observation": "angler_mjx.session.interface",
     "Outcome": "angler_mjx.sim.state",
+    "PoseTarget": "angler_mjx.control.commands",
     "Run": "angler_mjx.runs.folder",
     "Scenario": "angler_mjx.runs.scenario",
+    "Session": "angler_mjx.session.interface",
     "Simulator": "angler_mjx.runs.simulator",
     "ThrusterPwm": "angler_mjx.control.commands",
     "load_scenario": "angler_mjx.runs.scenario",

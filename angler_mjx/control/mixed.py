@@ -69,7 +69,8 @@ def step(
     entries = [stack.entry(stages, type(command)) for command in mixed.commands]
     chosen = [mixed.which == k for k in range(len(entries))]
     yaw = quaternion.yaw(estimate.q)
-    below, used, told = None, mixed.which < 0, mixed.which < 0
+    below: Any = None
+    used = told = mixed.which < 0
     aim, demanded = estimate.p, jnp.full_like(estimate.nu, jnp.nan)
     carries = []
     for i, stage in enumerate(stages):

@@ -105,6 +105,9 @@ class Memory:
     """Carry of each stage."""
     realised: BodyWrench | None
     """For the stages that want it; None where none does."""
+    demanded: BodyWrench | None = None
+    """What the thrusters were asked for in the step before, NaN where by signals alone: for those
+    who watch. None where nobody does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +119,7 @@ class Action:
     """[3] position that was aimed at, in W; where no stage aimed at one, the robot's own."""
     pwm: ThrusterPwm
     demanded: BodyWrench | None
-    """The wrench that the thrusters were asked for; None where no stage gave one."""
+    """The wrench that the thrusters were asked for; None where there was none above the signals."""
 
 
 def takes(stage: Stage) -> str:
@@ -204,7 +207,8 @@ def step(
     """
     first = entry(stages, type(command))
     carries = list(memory.stages)
-    aim, demanded, told = _aim(command, estimate.p), None, False
+    aim, told = _aim(command, estimate.p), False
+    demanded = command if isinstance(command, BodyWrench) else None
     for i in range(first, len(stages)):
         stage = stages[i]
         given = Given(
@@ -224,11 +228,17 @@ def step(
             stages=tuple(carries),
             # Of a step in which those who want it had no say they would learn nothing.
             realised=allocation.realised(params.allocation, command) if told else memory.realised,
+            demanded=None if memory.demanded is None else _known(demanded, estimate),
         ),
         target_m=aim,
         pwm=command,
         demanded=demanded,
     )
+
+
+def _known(demanded: BodyWrench | None, estimate: Estimate) -> BodyWrench:
+    """A wrench, of NaN where there is none."""
+    return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
 
 
 def _aim(command: Any, before: jax.Array) -> jax.Array:

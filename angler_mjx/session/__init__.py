@@ -1,0 +1,1 @@
+"""One scene, step by step, whatever drives it: the simulator, or real autopilots."""
