@@ -6,13 +6,15 @@ Sliding variable, per axis, with e = nu_ref - nu::
     tau = M (K e + rho tanh(s / lambda)) + C(nu) nu + D(nu_ref) nu_ref + g(q)
 
 With the model undone, s' = -rho tanh(s / lambda) + d, d what acts beside the model as an
-acceleration. Damping is fed forward for the velocity that is wanted, so that the vehicle's own
-stays in the loop. Undone at the velocity over ground it would be too much by far for a vehicle that
-a current carries along, and push it on: faster than the sliding term can hold, it ran away. V = s^T s / 2 gives V' <= -sum |s| (rho tanh(|s| / lambda) - |d|) < 0 wherever
+acceleration. V = s^T s / 2 gives V' <= -sum |s| (rho tanh(|s| / lambda) - |d|) < 0 wherever
 rho tanh(|s| / lambda) > |d|: with rho > |d| the state comes into, and stays in, the layer
 |s| <= lambda artanh(|d| / rho). A constant d lets s settle inside it, and then e' = -K e: no error
 is left. After Utkin and Shi, Integral sliding mode in systems operating under uncertainty
 conditions, CDC 1996; Slotine and Li 1991, section 7.2 for the layer.
+
+Damping is fed forward for the velocity that is wanted, so that the vehicle's own stays in the loop.
+Undone at the velocity over ground, where a current carries the vehicle along it would push it on by
+far more than there is damping: faster than the sliding term can hold, the vehicle would run away.
 
 The layer bounds the slope rho / lambda of the sliding term, which a control period dt and the lag
 of the rotors allow up to about 0.25 / dt. Nor must it be so thick that the term does nothing: a
@@ -42,15 +44,15 @@ class IsmcGains:
 
     velocity_per_s: float = 2.0
     """K of the linear axes."""
-    rate_per_s: float = 3.0
+    rate_per_s: float = 5.0
     """K of the angular axes."""
     sliding_mps2: float = 4.0
     """rho of the linear axes: the largest disturbance that is held."""
-    sliding_radps2: float = 4.0
-    """rho of the angular axes."""
+    sliding_radps2: float = 6.0
+    """rho of the angular axes: the Munk moment of a current that nobody told is the largest."""
     layer_mps: float = 1.5
     """lambda of the linear axes."""
-    layer_radps: float = 1.5
+    layer_radps: float = 1.2
     """lambda of the angular axes."""
 
 

@@ -35,8 +35,10 @@ _MOVES_MPS = 0.05
 class LosGains:
     """Gains of the guidance."""
 
-    lookahead_m: float = 0.8
-    """D: how far ahead on the path the robot aims."""
+    lookahead_m: float = 0.35
+    """D: how far ahead on the path the robot aims. Bends of radius R are cut by about D^2 / (2 R);
+    with the velocity loop's k the way back to the path has a damping of sqrt(k D / U) / 2, 0.66 at
+    0.5 m/s with the default gains."""
     integral_per_s: float = 0.1
     """sigma: weight of the integral of the error; 0 for plain line of sight."""
     integral_limit_m: float = 5.0

@@ -56,7 +56,7 @@ def flown(pool):
             pid,
             pid.PidGains(
                 velocity=pid_velocity.PidVelocityGains(
-                    velocity_integral_per_s2=0.0, rate_integral_per_s2=0.0
+                    velocity_per_s=2.5, velocity_integral_per_s2=0.0, rate_integral_per_s2=0.0
                 )
             ),
             pool,

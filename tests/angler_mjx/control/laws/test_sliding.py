@@ -15,7 +15,7 @@ DT = 0.05
 
 def test_the_sliding_term_of_ismc_acts():
     """At |s| = 0.1 m/s it is worth 0.27 m/s^2; the law it is modelled on has 0.0005 there."""
-    gains = ismc.IsmcGains()
+    gains = ismc.IsmcGains(sliding_radps2=4.0, layer_radps=1.5)
     s = jnp.array([0.1, -0.1, 1e-3, 1.5, -9.0, 0.0])
     term = np.asarray(ismc.slide(gains, s))
     assert np.all(np.sign(term) == np.sign(s))

@@ -65,7 +65,7 @@ def stacked(*gains):
 
 
 def test_the_velocity_loop_recovers(robots, pool):
-    gains = pid_velocity.PidVelocityGains()
+    gains = pid_velocity.PidVelocityGains(velocity_per_s=2.5, velocity_integral_per_s2=2.0)
     wound = dataclasses.replace(gains, integral_limit_mps2=60.0, back_calculation_per_s=0.0)
     clamped = dataclasses.replace(gains, back_calculation_per_s=0.0)
     unclamped = dataclasses.replace(gains, integral_limit_mps2=60.0)

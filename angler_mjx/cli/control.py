@@ -1,0 +1,98 @@
+"""`angler control`: trials of the controllers, as tables, figures and seeds."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.cli.device import Device, choose
+from angler_mjx.errors import ConfigError
+
+
+def control(
+    controller: tuple[str, ...] = (),
+    draws: int = 0,
+    draw: int | None = None,
+    out: Path | None = None,
+    device: Device | None = None,
+) -> None:
+    """Fly the trials of the controllers: steps, a figure of eight, random draws.
+
+    Every shipped vehicle with every parameter set is flown, in open water, its state known exactly.
+
+    Args:
+        controller: Controllers by name, as in --controller cascade tracking; all if left out.
+        draws: Random draws of each controller (vehicle, battery, current, gains), seeds from 0 on;
+            10000 take about a minute a controller on two cores.
+        draw: Fly the draw of this seed alone and say what came of it.
+        out: Document whose tables are replaced; figures go to images/ and seeds to
+            control_draws.csv beside it. Printed only if left out.
+        device: Where to compute; JAX's choice if left out.
+    """
+    if draws < 0 or (draw is not None and draw < 0):
+        raise ConfigError("--draws, --draw: give 0 or more")
+    choose(device)
+    from angler_mjx.control.stages import CONTROLLERS
+    from angler_mjx.trials import kinds
+
+    names = controller or tuple(CONTROLLERS)
+    for name in names:
+        kinds.spec_of(name)
+    if draw is not None:
+        _one(names, draw)
+    else:
+        _all(names, draws, out)
+
+
+def _one(names: Sequence[str], seed: int) -> None:
+    from angler_mjx.trials import draws, listing
+
+    for name in names:
+        (verdict,) = draws.fly(name, [seed])
+        print(listing.verdict_text(name, verdict))
+
+
+def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
+    from rich.console import Console
+
+    from angler_mjx.trials import document, figures, kinds, listing, steps, trial
+    from angler_mjx.viewing import style
+
+    vehicles = kinds.shipped()
+    console = Console(stderr=True)
+    trials = []
+    for name in names:
+        console.print(f"{name} ...", style="dim")
+        with _progress(console, n_draw) as done:
+            trials.append(trial.fly(name, vehicles, n_draw, done))
+    third: tuple[steps.Step, ...] = ()
+    if "cascade" in names:
+        console.print("cascade with rotors of third order ...", style="dim")
+        third = steps.fly("cascade", vehicles, "third_order").steps
+    body = document.text(trials, third, "images")
+    if out is None:
+        print(body)
+        return
+    document.write(out, body)
+    if n_draw:
+        listing.write_draws(out.parent / "control_draws.csv", trials)
+    for one in trials:
+        style.save(
+            figures.draw(one), out.parent / "images" / f"control_{one.controller}.png", palette=128
+        )
+    print(out)
+
+
+def _progress(console: Any, n_draw: int) -> Any:
+    """A bar of draws; what it gives takes the number of those just done."""
+    from contextlib import contextmanager
+
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    @contextmanager
+    def bar() -> Any:
+        columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as shown:
+            task = shown.add_task("draws", total=n_draw, visible=n_draw > 0)
+            yield lambda count: shown.advance(task, count)
+
+    return bar()

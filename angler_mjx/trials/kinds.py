@@ -1,0 +1,124 @@
+"""The vehicles that are flown: every shipped file with every parameter set."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.control import allocation, stages
+from angler_mjx.control.commands import PoseTarget
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.stack import ControlParams
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim.state import SimSpec
+from angler_mjx.vehicles import library, params
+from angler_mjx.vehicles.rotor_config import RotorResponse
+
+BATTERY_V = 16.0
+"""Of four lithium cells, nearly full."""
+CRUISE_MPS = 0.5
+"""What the controllers are told to cruise at; the pose loop allows 1.5 times as much."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """One vehicle with one of its parameter sets."""
+
+    vehicle: str
+    parameter_set: str
+
+    @property
+    def label(self) -> str:
+        """As tables name it."""
+        return f"{self.vehicle}, {self.parameter_set}"
+
+
+@cache
+def shipped() -> tuple[Kind, ...]:
+    """Every vehicle file that is shipped, with each of its parameter sets."""
+    return tuple(
+        Kind(vehicle=name, parameter_set=chosen)
+        for name in library.available()
+        for chosen in library.load(name).parameter_sets
+    )
+
+
+def build(
+    kinds: Sequence[Kind],
+    battery_v: Sequence[float] | None = None,
+    rotor_response: RotorResponse | None = None,
+) -> ControlParams:
+    """Parameters of robots, one of each kind (host side).
+
+    Args:
+        kinds: n of them.
+        battery_v: [n] V; ``BATTERY_V`` for all if left out.
+        rotor_response: first or third order; what the vehicle files say if left out.
+
+    Returns:
+        [n] leads.
+    """
+    volts = [BATTERY_V] * len(kinds) if battery_v is None else battery_v
+    configs = {name: library.load(name) for name in {kind.vehicle for kind in kinds}}
+    stacked = params.stack(
+        [
+            params.build(
+                configs[kind.vehicle], kind.parameter_set, volt, rotor_response=rotor_response
+            )
+            for kind, volt in zip(kinds, volts, strict=True)
+        ]
+    )
+    return ControlParams(
+        vehicle=stacked,
+        allocation=allocation.build(stacked),
+        cruise_speed_mps=jnp.full(len(kinds), CRUISE_MPS),
+    )
+
+
+@cache
+def loose() -> frozenset[Kind]:
+    """The shipped vehicles that nothing holds level: neither weight nor thrusters.
+
+    No controller can be asked to keep the attitude of a vehicle with its centre of buoyancy no
+    higher than its centre of mass, and with thrusters that cannot both roll and pitch it.
+    """
+    vehicles = shipped()
+    params = build(vehicles)
+    rights = np.asarray(params.vehicle.p_cb_m)[:, 2] > 0.0
+    commanded = np.any(np.asarray(params.allocation.B_inverse)[:, :, 3:5] != 0.0, axis=1)
+    level = rights | commanded.all(axis=1)
+    return frozenset(kind for kind, held in zip(vehicles, level, strict=True) if not held)
+
+
+def spec_of(controller: str) -> SimSpec:
+    """Settings of a flight with a stack that has a name, with its default gains.
+
+    Raises:
+        ConfigError: there is no such stack.
+    """
+    if controller not in stages.CONTROLLERS:
+        raise ConfigError(
+            f"unknown controller {controller!r}; there is {', '.join(stages.CONTROLLERS)}"
+        )
+    stack, gains = stages.build(stages.CONTROLLERS[controller], {})
+    return SimSpec(stages=stack, gains=gains)
+
+
+def holds_poses(spec: SimSpec) -> bool:
+    """Whether a stack can be told a pose; those that cannot go along way-points, their own way."""
+    return any(PoseTarget in stage.takes for stage in spec.stages)
+
+
+def keeps_time(spec: SimSpec) -> bool:
+    """Whether a stack follows a trajectory in time; those that do not follow its path alone."""
+    return any(JointTrajectory in stage.takes for stage in spec.stages)
+
+
+def chosen(tree: Any, rows: Sequence[int]) -> Any:
+    """Rows of a pytree of arrays, by number."""
+    index = np.asarray(rows)
+    return jax.tree.map(lambda leaf: leaf[index], tree)
