@@ -10,7 +10,7 @@ from typing import Any
 
 import tyro
 
-from angler_mjx.cli import bench, env, export, rollout, vehicle
+from angler_mjx.cli import bench, control, env, export, rollout, teleop, vehicle
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
@@ -36,9 +36,11 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "figures": rollout.figures,
     "replay": rollout.replay,
     "export": export.export,
+    "teleop": teleop.teleop,
     "env": _env,
     "vehicle": _vehicle,
     "bench": bench.bench,
+    "control": control.control,
 }
 """Commands of one word; the groups stand here for the help text alone."""
 

@@ -68,7 +68,7 @@ def show(run: Run, world: int) -> None:
         ConfigError: the run stored no trajectories, or does not hold that world.
     """
     rr = _rerun(run, world)
-    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ):
+    if not has_display():
         raise UnsupportedError(
             f"no display to open the viewer on; copy {run.path / REPLAY} to a machine with one and "
             f"open it there with `rerun {REPLAY}`, or serve it from here with "
@@ -76,18 +76,35 @@ def show(run: Run, world: int) -> None:
         )
     scenes = [scene.read(run, world)]
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    spawn(recording, _blueprint(scenes))
+    _log(recording, scenes)
+    recording.flush()
+
+
+def has_display() -> bool:
+    """Whether there is a display to open the viewer on."""
+    named = (os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    return sys.platform != "linux" or any(named)
+
+
+def spawn(recording: "rr.RecordingStream", blueprint: "rrb.Blueprint") -> None:
+    """Open the viewer on a recording.
+
+    Raises:
+        UnsupportedError: it cannot be started.
+    """
+    import rerun as rr
+
     # The viewer's command lies beside this Python, which need not be on the PATH.
     scripts = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
     try:
         rr.spawn(
             executable_path=shutil.which("rerun", path=scripts),
             recording=recording,
-            default_blueprint=_blueprint(scenes),
+            default_blueprint=blueprint,
         )
     except RuntimeError as error:
         raise UnsupportedError(f"the Rerun viewer cannot be started: {error}") from error
-    _log(recording, scenes)
-    recording.flush()
 
 
 def _rerun(run: Run, world: int) -> ModuleType:
@@ -143,21 +160,7 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
     import rerun.blueprint as rrb
 
     root = f"/{_root(one.world)}"
-    low, high = one.bounds_m
-    middle, size = 0.5 * (low + high), float(max(high - low))
-    space = rrb.Spatial3DView(
-        origin=root,
-        contents=[f"{root}/space/**"],
-        name="World",
-        background=[16, 38, 54],
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=middle + size * np.array([0.95, -1.35, 0.75]),
-            look_target=middle - size * np.array([0.0, 0.0, 0.08]),
-            eye_up=[0.0, 0.0, 1.0],
-        ),
-    )
+    space = space_view(one.bounds_m, root)
     whole = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
         end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
@@ -175,3 +178,29 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
     )
     arrived = maps.describe(one).split(",")[0]
     return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")
+
+
+def space_view(bounds_m: tuple[np.ndarray, np.ndarray], root: str) -> "rrb.Spatial3DView":
+    """A view from above of everything under ``root/space``.
+
+    Args:
+        bounds_m: lower and upper corner [3] of the world.
+        root: path of its entities, with the leading slash.
+    """
+    import rerun.blueprint as rrb
+
+    low, high = bounds_m
+    middle, size = 0.5 * (low + high), float(max(high - low))
+    return rrb.Spatial3DView(
+        origin=root,
+        contents=[f"{root}/space/**"],
+        name="World",
+        background=[16, 38, 54],
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=middle + size * np.array([0.95, -1.35, 0.75]),
+            look_target=middle - size * np.array([0.0, 0.0, 0.08]),
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+    )

@@ -34,15 +34,16 @@ def log_world(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
         root: path of its entities.
     """
     recording.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _surroundings(recording, scene, f"{root}/space")
-    _obstacles(recording, scene, f"{root}/space/obstacles")
+    log_surroundings(recording, scene, f"{root}/space")
+    log_obstacles(recording, scene, f"{root}/space/obstacles")
     for robot in scene.robots:
         _robot(recording, scene, robot, root)
     recording.log(f"{root}/fleet", _fleet_table(scene), static=True)
     _events(recording, scene, f"{root}/events")
 
 
-def _surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+    """Log rock, floor and bounds of a world under ``root``."""
     grid = scene.environment.grid
     low, high = scene.bounds_m
     cell, floor = float(grid.cell_m), float(scene.environment.floor_z_m)
@@ -84,7 +85,7 @@ def _surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> Non
     )
 
 
-def _obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+def log_obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
     """Spheres, boxes and capsules, one entity a shape: size and colour once, poses in time."""
     given = scene.environment.obstacles
     kind, exists = np.asarray(given.kind), np.asarray(given.exists)
@@ -121,7 +122,7 @@ def _obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
 
 def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root: str) -> None:
     name = f"robot_{robot.index}"
-    color = _bright(style.robot_color(robot.index))
+    color = bright(style.robot_color(robot.index))
     space = f"{root}/space/{name}"
     times = [_times(scene.time_s)]
     recording.log(
@@ -139,7 +140,7 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
         times,
         rr.Transform3D.columns(translation=robot.p_m, quaternion=_xyzw(robot.q)),
     )
-    _vehicle(recording, library.load(robot.vehicle), f"{space}/vehicle", color)
+    log_vehicle(recording, library.load(robot.vehicle), f"{space}/vehicle", color)
     recording.send_columns(
         f"{space}/current",
         times,
@@ -160,7 +161,9 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
     recording.send_columns(series, times, rr.Scalars.columns(scalars=away))
 
 
-def _vehicle(recording: rr.RecordingStream, config: VehicleConfig, path: str, color: _Rgba) -> None:
+def log_vehicle(
+    recording: rr.RecordingStream, config: VehicleConfig, path: str, color: _Rgba
+) -> None:
     """The visible shapes of a vehicle, and its hull's capsules in the robot's colour."""
     center = np.asarray(config.base.center_of_mass_m)
     for shape in config.visual.shapes:
@@ -286,7 +289,7 @@ def _z_to(axis: np.ndarray) -> np.ndarray:
     return unit
 
 
-def _bright(name: str) -> _Rgba:
+def bright(name: str) -> _Rgba:
     """A colour of the figures, half-way to white: legible on the viewer's dark ground."""
     r, g, b, a = _rgba(name)
     return (r + 255) // 2, (g + 255) // 2, (b + 255) // 2, a

@@ -1,0 +1,83 @@
+"""`angler teleop`: robots of one world driven from the keyboard, or by a file of timed keys."""
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from angler_mjx.cli.device import Device, choose
+
+if TYPE_CHECKING:
+    from angler_mjx.teleop.loop import Driven
+
+
+def teleop(
+    scenario: Annotated[str, tyro.conf.Positional],
+    robots: str | None = None,
+    session: Literal["batch", "sitl"] = "batch",
+    script: Path | None = None,
+    realtime: bool = False,
+    out: Path | None = None,
+    world: int = 0,
+    seed: int | None = None,
+    rerun: bool = False,
+    duration: float | None = None,
+    speed: float = 0.5,
+    turn: float = 0.5,
+    silence: float = 0.8,
+    device: Device = "cpu",
+) -> None:
+    """Drive robots of one world by keys while the others follow their plans.
+
+    The keys are those of teleop_twist_keyboard; ? shows them, Q ends.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        robots: Robots to drive, as in 0,2; all if left out. Tab goes from one to the next.
+        session: What moves: the simulator, or real autopilots.
+        script: File of timed keys instead of the keyboard.
+        realtime: Run a script at real time and not as fast as possible; the keyboard always is.
+        out: Run folder to make, for figures, replays and exports.
+        world: Index of the world.
+        seed: Seed of the run; the scenario's if left out.
+        rerun: Open the Rerun viewer beside the terminal; with --out, save the replay there too.
+        duration: Seconds to drive; until Q or the end of the script if left out.
+        speed: Linear speed at the beginning, m/s.
+        turn: Angular speed at the beginning, rad/s.
+        silence: Seconds without a key after which a driven robot stops. Below the delay of the
+            keyboard's repetition, driving stutters.
+        device: Where to compute.
+    """
+    choose(device)
+    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.teleop import driving
+
+    settings = driving.Settings(
+        robots=robots,
+        session=session,
+        script=script,
+        realtime=realtime,
+        out=out,
+        world=world,
+        rerun=rerun,
+        duration_s=duration,
+        speed_mps=speed,
+        turn_radps=turn,
+        silence_s=silence,
+    )
+    loaded = load_scenario(scenario, **({} if seed is None else {"seed": seed}))
+    done, run = driving.run(loaded, settings, tell=partial(print, file=sys.stderr))
+    _report(done)
+    if run is not None:
+        print(run.path)
+
+
+def _report(done: "Driven") -> None:
+    """How it went, in a line for all and a line for each robot."""
+    pace = "as fast as possible" if done.overruns is None else str(done.overruns)
+    print(f"{done.scene_s:.2f} s of the scene in {done.wall_s:.2f} s, {done.steps} steps, {pace}")
+    for i, status in enumerate(done.last.status):
+        refused = f", refused: {status.refused}" if status.refused else ""
+        print(f"robot_{i}: {status.outcome.name.lower()}{refused}")

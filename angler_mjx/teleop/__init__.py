@@ -1,0 +1,1 @@
+"""Robots of a scene driven by a person at a terminal, or by a file of timed keys."""

@@ -1,0 +1,139 @@
+"""Driving from beginning to end: session, keys, screen, recording and viewer put together."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.folder import Run
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.teleop import live_view, opening, script
+from angler_mjx.teleop.loop import Driven, Watcher, drive
+from angler_mjx.teleop.pilot import SILENCE_S, Pilot
+from angler_mjx.teleop.recording import Recording
+from angler_mjx.teleop.script import Script
+from angler_mjx.teleop.signals import Stop, breakable, stoppable
+from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
+from angler_mjx.viewing import replay
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a person chooses on the command line."""
+
+    robots: str | None = None
+    """As in ``0,2``; all if None."""
+    session: opening.Kind = "batch"
+    script: Path | None = None
+    """File of keys; the keyboard if None."""
+    realtime: bool = True
+    """The keyboard always is."""
+    out: Path | None = None
+    """Run folder to make."""
+    world: int = 0
+    rerun: bool = False
+    duration_s: float | None = None
+    speed_mps: float = 0.5
+    turn_radps: float = 0.5
+    silence_s: float = SILENCE_S
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense.
+
+        Raises:
+            ConfigError: naming the flag and its value.
+        """
+        given = {
+            "duration": self.duration_s,
+            "speed": self.speed_mps,
+            "turn": self.turn_radps,
+            "silence": self.silence_s,
+        }
+        for flag, value in given.items():
+            if value is not None and not 0.0 < value < math.inf:
+                raise ConfigError(f"--{flag} {value:g}: give a number above 0")
+
+
+def run(
+    scenario: Scenario, settings: Settings, tell: Callable[[str], None] | None = None
+) -> tuple[Driven, Run | None]:
+    """Drive robots of one world of a scenario.
+
+    Args:
+        scenario: whose world and robots.
+        settings: who is driven, and how.
+        tell: told why nothing moves yet.
+
+    Returns:
+        How it went, and the run folder if one was asked for and at least one step was driven.
+
+    Raises:
+        ConfigError: something of the scenario or the settings cannot be used; nothing is left.
+        UnsupportedError: the viewer or the kind of session is not there.
+        RunError: the session broke off, or the disk gave out; nothing is left.
+    """
+    driven = opening.choose(settings.robots, len(scenario.members()))
+    keys = Keyboard() if settings.script is None else Script(script.load(settings.script))
+    if settings.rerun:
+        live_view.require(settings.out)
+    with ExitStack() as stack:
+        interrupt = stack.enter_context(breakable())
+        recording = None
+        if settings.out is not None:
+            recording = stack.enter_context(Recording(settings.out, scenario, settings.world))
+        begun = time.perf_counter()
+        session = opening.open_session(settings.session, scenario, settings.world, tell)
+        compile_s = time.perf_counter() - begun
+        stack.callback(session.close)
+        interrupt.check()
+        pilot = Pilot(
+            session.robots,
+            driven,
+            speed_mps=settings.speed_mps,
+            turn_radps=settings.turn_radps,
+            silence_s=settings.silence_s,
+        )
+        title = f"{scenario.name}, world {settings.world}"
+        watchers: list[Watcher] = []
+        if recording is not None:
+            recording.begin(session)
+            watchers.append(recording)
+        if settings.rerun and replay.has_display():
+            watchers.append(live_view.open_viewer(session, pilot, title))
+        stop = stack.enter_context(stoppable())
+        done = _drive(session, pilot, keys, title, stop, settings, watchers)
+        stop.closing = True
+        recorded = None if recording is None else recording.finish(done, compile_s)
+        if recorded is not None and settings.rerun:
+            replay.write(recorded)
+    return done, recorded
+
+
+def _drive(
+    session: opening.Drivable,
+    pilot: Pilot,
+    keys: Keyboard | Script,
+    title: str,
+    stop: Stop,
+    settings: Settings,
+    watchers: Sequence[Watcher],
+) -> Driven:
+    """Drive with the terminal taken, if there is one, and give it back."""
+    with ExitStack() as terminal:
+        screen = terminal.enter_context(Screen()) if has_screen() else None
+        if isinstance(keys, Keyboard):
+            terminal.enter_context(keys)
+        return drive(
+            session,
+            pilot,
+            keys,
+            title=title,
+            stop=stop,
+            realtime=settings.realtime or settings.script is None,
+            duration_s=settings.duration_s,
+            screen=screen,
+            watchers=watchers,
+        )

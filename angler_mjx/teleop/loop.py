@@ -1,0 +1,131 @@
+"""The loop: keys in, commands out, a step of the scene, at real time or as fast as possible."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.session.interface import Observation, Session
+from angler_mjx.teleop import status
+from angler_mjx.teleop.pace import Overruns, Pace
+from angler_mjx.teleop.pilot import Pilot
+from angler_mjx.teleop.script import TimedKey
+from angler_mjx.teleop.signals import Stop
+
+PAINT_S = 0.1
+"""From one painting of the screen to the next, by the wall clock."""
+
+
+class Keys(Protocol):
+    """Where keys come from."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether no more will come."""
+        ...
+
+    def read(self, time_s: float) -> list[str]:
+        """Keys since the last call; ``time_s`` is that of the scene."""
+        ...
+
+
+class Painter(Protocol):
+    """Shows lines."""
+
+    def paint(self, lines: Sequence[str]) -> None:
+        """Show them from the top."""
+        ...
+
+
+class Watcher(Protocol):
+    """Told of every step: a recorder, a viewer."""
+
+    def after(self, observation: Observation) -> None:
+        """A step is done, and this is what it led to."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Driven:
+    """How it went."""
+
+    steps: int
+    scene_s: float
+    """Of the scene."""
+    wall_s: float
+    overruns: Overruns | None
+    """None where nobody kept real time."""
+    keys: tuple[TimedKey, ...]
+    """All that were pressed, with the time of the scene at which they took effect."""
+    last: Observation
+
+
+def drive(
+    session: Session,
+    pilot: Pilot,
+    keys: Keys,
+    *,
+    title: str,
+    stop: Stop,
+    realtime: bool,
+    duration_s: float | None = None,
+    screen: Painter | None = None,
+    watchers: Sequence[Watcher] = (),
+) -> Driven:
+    """Drive a session until a key, a signal, the duration or the end of the keys ends it.
+
+    Args:
+        session: reset, and whatever it compiles is compiled.
+        pilot: turns keys into commands.
+        keys: where they come from.
+        title: of the scene, for the screen.
+        stop: whether a signal asked for the end.
+        realtime: one step in each control period of the wall clock; else as fast as possible.
+        duration_s: of the scene, at most; no limit if None.
+        screen: to show how it goes.
+        watchers: told of every step.
+    """
+    observation = session.observe()
+    begun, begin_s, steps = time.perf_counter(), observation.time_s, 0
+    pace = Pace(session.dt_s) if realtime else None
+    pressed: list[TimedKey] = []
+    painted = -PAINT_S
+    while not stop.asked:
+        now = observation.time_s
+        if screen is not None and time.perf_counter() - painted >= PAINT_S:
+            painted = time.perf_counter()
+            overruns = None if pace is None else pace.overruns
+            screen.paint(status.lines(title, session.robots, observation, pilot, overruns))
+        for key in keys.read(now):
+            pressed.append(TimedKey(now, key))
+            pilot.press(key, now)
+        # A thousandth of a period: times are sums in floating point.
+        over = duration_s is not None and now - begin_s > duration_s - 1e-3 * session.dt_s
+        if pilot.ended or over or (duration_s is None and keys.finished):
+            break
+        observation = _step(session, pilot, observation)
+        steps += 1
+        for watcher in watchers:
+            watcher.after(observation)
+        if pace is not None:
+            pace.wait()
+    return Driven(
+        steps=steps,
+        scene_s=observation.time_s - begin_s,
+        wall_s=time.perf_counter() - begun,
+        overruns=None if pace is None else pace.overruns,
+        keys=tuple(pressed),
+        last=observation,
+    )
+
+
+def _step(session: Session, pilot: Pilot, observation: Observation) -> Observation:
+    """One step; a robot that has no plan to go back to stops instead."""
+    orders = pilot.orders(observation)
+    for robot in orders.resume:
+        try:
+            session.resume_plan(robot)
+        except ConfigError as error:
+            pilot.refuse(robot, str(error), observation.time_s)
+    return session.step(orders.commands)

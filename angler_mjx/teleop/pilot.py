@@ -1,0 +1,251 @@
+"""From keys to commands: who is driven, how fast, and what happens when the keys fall silent.
+
+Each robot that may be driven is in one of four modes. It begins with its plan. A key that drives
+takes it over (teleop). Silence, or a key that stops, brakes it (stopping): it is told a twist of
+zero until it is slow, and then the pose at which it came to rest (hold). ``p`` gives it back to its
+plan. Nothing here knows of terminals or of wall clocks: times are those of the scene.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.control.commands import BodyTwist, Estimate, PoseTarget
+from angler_mjx.control.stack import Command
+from angler_mjx.session.interface import Observation, RobotInfo
+from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Action, Direction
+
+SILENCE_S = 0.8
+"""Without a key for so long a robot stops. A key that is held repeats only after a while: 0.66 s on
+an X server that nobody configured, 0.5 s on most desktops. A shorter time would stop the robot in
+that gap; in a longer one it goes on blindly, 0.4 m in 0.8 s at 0.5 m/s."""
+
+REST_MPS, REST_RADPS = 0.03, 0.05
+"""Slower than this a robot that brakes is at rest, and holds its position."""
+
+BRAKE_S = 4.0
+"""A robot that has not come to rest in this time (the current may be too much for it) is told to
+hold where it is then."""
+
+
+class Mode(Enum):
+    """What drives a robot."""
+
+    PLAN = "plan"
+    TELEOP = "teleop"
+    STOPPING = "stopping"
+    HOLD = "hold"
+
+
+@dataclass
+class _Helm:
+    """One robot's."""
+
+    mode: Mode = Mode.PLAN
+    direction: Direction = STILL
+    since_s: float = 0.0
+    """The last key while it is driven, or when it began to brake."""
+    told: bool = True
+    """Whether the session knows of the mode."""
+    remark: str = ""
+    """What a person should know, until the next key."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orders:
+    """What a session is to be told before its next step."""
+
+    commands: dict[int, Command] = field(default_factory=dict)
+    resume: tuple[int, ...] = ()
+    """Robots that go back to their plans."""
+
+
+class Pilot:
+    """Drives some robots of a scene by keys.
+
+    Attributes:
+        driven: indices of the robots that it may drive.
+        chosen: those that keys go to now.
+        speed_mps: set linear speed.
+        turn_radps: set angular speed.
+        help_wanted: whether the help is to be shown.
+        ended: whether a key asked for the end.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[RobotInfo],
+        driven: Sequence[int],
+        *,
+        speed_mps: float,
+        turn_radps: float,
+        silence_s: float = SILENCE_S,
+    ) -> None:
+        """Everybody follows the plan; keys go to the first of ``driven``."""
+        self.driven = tuple(driven)
+        self.chosen: tuple[int, ...] = self.driven[:1]
+        self.speed_mps = speed_mps
+        self.turn_radps = turn_radps
+        self.silence_s = silence_s
+        self.help_wanted = False
+        self.ended = False
+        self._robots = robots
+        self._helms = {i: _Helm() for i in self.driven}
+
+    def mode(self, robot: int) -> Mode:
+        """What drives a robot; the plan, for one that is not driven from here."""
+        helm = self._helms.get(robot)
+        return Mode.PLAN if helm is None else helm.mode
+
+    def remark(self, robot: int) -> str:
+        """What a person should know of a robot; empty if nothing."""
+        helm = self._helms.get(robot)
+        return "" if helm is None else helm.remark
+
+    def press(self, key: str, time_s: float) -> None:
+        """Take a key.
+
+        Args:
+            key: one character.
+            time_s: when, in seconds of the scene.
+        """
+        for helm in self._chosen():
+            helm.remark = ""
+        if key in MOVES and MOVES[key] != STILL:
+            for helm in self._chosen():
+                helm.mode, helm.direction, helm.since_s = Mode.TELEOP, MOVES[key], time_s
+        elif key in FACTORS:
+            linear, angular = FACTORS[key]
+            self.speed_mps *= linear
+            self.turn_radps *= angular
+            for helm in self._chosen():
+                if helm.mode is Mode.TELEOP:
+                    helm.since_s = time_s
+        elif key in ACTIONS:
+            self._act(ACTIONS[key])
+        else:
+            for robot in self.chosen:
+                self.stop(robot, time_s)
+
+    def stop(self, robot: int, time_s: float) -> None:
+        """Brake a robot, whatever drives it; one that brakes or holds already goes on with that."""
+        helm = self._helms[robot]
+        if helm.mode in (Mode.PLAN, Mode.TELEOP):
+            helm.mode, helm.since_s, helm.told = Mode.STOPPING, time_s, False
+
+    def refuse(self, robot: int, reason: str, time_s: float) -> None:
+        """A robot cannot do what was asked for: it stops, and a person is told why."""
+        self.stop(robot, time_s)
+        self._helms[robot].remark = reason
+
+    def orders(self, observation: Observation) -> Orders:
+        """What follows from the keys so far, for the step that begins now."""
+        time_s, estimate = observation.time_s, observation.estimate
+        commands: dict[int, Command] = {}
+        resume = []
+        for robot, helm in self._helms.items():
+            q, nu = np.asarray(estimate.q)[robot], np.asarray(estimate.nu)[robot]
+            if helm.mode is Mode.TELEOP and time_s - helm.since_s > self.silence_s:
+                self.stop(robot, time_s)
+            if helm.mode is Mode.STOPPING and helm.told and _over(helm, nu, time_s):
+                helm.mode, helm.told = Mode.HOLD, False
+            if helm.mode is Mode.TELEOP:
+                # Told anew at each step: the level frame turns within F as the robot tilts.
+                nu = level_twist(self._velocity(helm.direction), q)
+                commands[robot] = BodyTwist(nu=jnp.asarray(within(nu, self._robots[robot])))
+            elif not helm.told:
+                if helm.mode is Mode.PLAN:
+                    resume.append(robot)
+                elif helm.mode is Mode.HOLD:
+                    commands[robot] = hold_here(estimate, robot)
+                else:
+                    commands[robot] = BodyTwist(nu=jnp.zeros(6))
+            helm.told = True
+        return Orders(commands=commands, resume=tuple(resume))
+
+    def _chosen(self) -> list[_Helm]:
+        return [self._helms[i] for i in self.chosen]
+
+    def _act(self, action: Action) -> None:
+        match action:
+            case Action.NEXT:
+                at = self.driven.index(self.chosen[-1]) + 1
+                self.chosen = (self.driven[at % len(self.driven)],)
+            case Action.ALL:
+                self.chosen = self.driven
+            case Action.PLAN | Action.HOLD:
+                mode = Mode.PLAN if action is Action.PLAN else Mode.HOLD
+                for helm in self._chosen():
+                    if helm.mode is not mode:
+                        helm.mode, helm.told = mode, False
+            case Action.HELP:
+                self.help_wanted = not self.help_wanted
+            case Action.QUIT:
+                self.ended = True
+
+    def _velocity(self, direction: Direction) -> np.ndarray:
+        """[4] surge, sway, heave in m/s and turn in rad/s, as set."""
+        return np.append(self.speed_mps * np.array(direction[:3]), self.turn_radps * direction.yaw)
+
+
+def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """A velocity in a robot's level frame as a twist in F.
+
+    The level frame has the robot's heading and an upright z axis, so that forward stays level and
+    up stays up while the robot tilts. nu_F = [R^T Rz(psi) v, R^T e_z r], R from F to W.
+
+    Args:
+        velocity: [4] surge, sway, heave, m/s, and yaw rate, rad/s.
+        q: [4] attitude, F to W.
+
+    Returns:
+        nu [6] in F.
+    """
+    surge, sway, heave, turn = velocity
+    yaw = heading(q)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    linear = np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave])
+    angular = np.array([0.0, 0.0, turn])
+    return np.append(_to_body(q, linear), _to_body(q, angular))
+
+
+def within(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:
+    """A twist nu [6] in F, slowed to what a robot can do; its direction stays."""
+    linear, angular = nu[:3], nu[3:]
+    speeds = np.abs(linear) / np.asarray(robot.max_speed_mps)
+    turn = float(np.linalg.norm(angular)) / robot.max_turn_radps
+    return np.append(linear / max(1.0, float(speeds.max())), angular / max(1.0, turn))
+
+
+def _to_body(q: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """A vector [3] of W in F, on the host: a few operations of JAX take longer than a step."""
+    w, axis = float(q[0]), -np.asarray(q[1:], float)
+    once = 2.0 * np.cross(axis, vector)
+    turned: np.ndarray = vector + w * once + np.cross(axis, once)
+    return turned
+
+
+def hold_here(estimate: Estimate, robot: int) -> PoseTarget:
+    """The pose at which a robot of a scene is, to be held."""
+    q = np.asarray(estimate.q)[robot]
+    return PoseTarget(
+        position_m=jnp.asarray(np.asarray(estimate.p)[robot]),
+        velocity_mps=jnp.zeros(3),
+        yaw_rad=jnp.asarray(heading(q)),
+    )
+
+
+def heading(q: np.ndarray) -> float:
+    """Heading psi, rad, about z up, 0 = east, of an attitude q [4] (Fossen 2021, eq. 2.81)."""
+    w, x, y, z = (float(part) for part in q)
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _over(helm: _Helm, nu: np.ndarray, time_s: float) -> bool:
+    """Whether a robot that brakes has come to rest, or has tried for long enough."""
+    slow = np.linalg.norm(nu[:3]) < REST_MPS and np.linalg.norm(nu[3:]) < REST_RADPS
+    return bool(slow) or time_s - helm.since_s > BRAKE_S

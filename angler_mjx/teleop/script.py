@@ -1,0 +1,141 @@
+"""Files of timed keys: what a person would press, and when, in seconds of the scene.
+
+One key a line: ``2.5 <tab>``. A key that is held stands with the time from which and until which:
+``3-8 i``; it repeats as a keyboard does. A ``#`` that begins a line or follows a space begins a
+comment.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.teleop import keys
+
+REPEAT_S = 0.1
+"""Between two keys of one that is held: no faster than a control loop looks, no slower than a
+dead-man's time allows."""
+
+SHOWN = 10
+"""Faults of a file that are told; a file with more is not one of keys."""
+
+_SLACK_S = 1e-6
+"""Times of the scene are sums of periods in floating point."""
+
+_LINE = re.compile(r"(?P<begin>\S+?)(?:-(?P<end>[^\s-]\S*))?\s+(?P<key>\S+)")
+
+
+@dataclass(frozen=True)
+class TimedKey:
+    """A key and when it is pressed."""
+
+    time_s: float
+    key: str
+
+
+class Script:
+    """Keys that come at their times."""
+
+    def __init__(self, timed: Sequence[TimedKey]) -> None:
+        """Keys in the order of time."""
+        self._timed = list(timed)
+        self._next = 0
+
+    def read(self, time_s: float) -> list[str]:
+        """Keys whose time has come since the last call."""
+        first = self._next
+        while self._next < len(self._timed) and self._timed[self._next].time_s <= time_s + _SLACK_S:
+            self._next += 1
+        return [timed.key for timed in self._timed[first : self._next]]
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last key has been read."""
+        return self._next == len(self._timed)
+
+
+def load(path: Path) -> list[TimedKey]:
+    """Read a file of keys.
+
+    Raises:
+        ConfigError: it cannot be read, holds no key, or has lines that make no sense (with
+            their numbers).
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"--script {path}: cannot be read ({error})") from error
+    timed: list[TimedKey] = []
+    faults: list[str] = []
+    latest = 0.0
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not (stripped := re.sub(r"(^|\s)#.*", "", line).strip()):
+            continue
+        try:
+            found = _parse(stripped)
+            if found[0].time_s < latest:
+                raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
+        except ValueError as error:
+            faults.append(f"  line {number}: {stripped!r}: {error}")
+            continue
+        latest = found[0].time_s
+        timed += found
+    if faults:
+        count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
+        more = [f"  and {len(faults) - SHOWN} more"] if len(faults) > SHOWN else []
+        raise ConfigError("\n".join([f"--script {path}: {count}", *faults[:SHOWN], *more]))
+    if not timed:
+        raise ConfigError(f"--script {path}: holds no key; give lines such as `2.0 i`")
+    # A held key goes on past the lines that follow it.
+    return sorted(timed, key=lambda one: one.time_s)
+
+
+def save(path: Path, timed: Sequence[TimedKey]) -> None:
+    """Write a file that `load` reads: the same keys at the same times."""
+    lines = [f"{one.time_s!r} {keys.name(one.key)}\n" for one in timed]
+    path.write_text("".join(["# seconds of the scene, key\n", *lines]), encoding="utf-8")
+
+
+def _parse(line: str) -> list[TimedKey]:
+    """Keys of a line.
+
+    Raises:
+        ValueError: saying what of it makes no sense.
+    """
+    if (match := _LINE.fullmatch(line)) is None:
+        raise ValueError("give a time in seconds and a key, as in `2.0 i`")
+    begin = _seconds(match["begin"])
+    key = _key(match["key"])
+    if match["end"] is None:
+        return [TimedKey(begin, key)]
+    end = _seconds(match["end"])
+    if end <= begin:
+        raise ValueError(f"is held until {end:g} s, which is not after {begin:g} s")
+    count = int((end - begin) / REPEAT_S + _SLACK_S) + 1
+    return [TimedKey(begin + i * REPEAT_S, key) for i in range(count)]
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a time in seconds") from None
+    if not 0.0 <= value < float("inf"):
+        raise ValueError(f"{text} is not a time from 0 s on")
+    return value
+
+
+def _key(text: str) -> str:
+    """The key of its written form.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if len(text) == 1:
+        return text
+    word = text[1:-1].lower()
+    if text.startswith("<") and text.endswith(">") and word in keys.NAMES:
+        return keys.NAMES[word]
+    known = ", ".join(f"<{name}>" for name in keys.NAMES)
+    raise ValueError(f"{text!r} is not a key; give one character, or {known}")
