@@ -10,7 +10,8 @@ from angler_mjx.benchmark.speed import check_repeats
 from angler_mjx.control.stages import CONTROLLERS
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs import devices
-from angler_mjx.runs.scenario import FleetEntry, Scenario, load_scenario, shipped
+from angler_mjx.runs.fleet_config import FleetEntry
+from angler_mjx.runs.scenario import Scenario, load_scenario, shipped
 
 type Kind = Literal["dynamics", "simulation", "recording", "preparation", "generation", "clearance"]
 type Engine = Literal["mjx", "fused"]
