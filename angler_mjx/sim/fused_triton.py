@@ -181,7 +181,8 @@ def _chunks(steps: Callable[[jax.Array, int, Arrays], Arrays], size: int, part: 
 
     def some(carry: tuple[jax.Array, Arrays], _: None) -> tuple[Any, None]:
         base, x = carry
-        return (base + size, steps(base, size, x)), None
+        x = steps(base, size, x)
+        return (base + size, x), None
 
     chunks, rest = divmod(part.steps, size)
     base, x = jnp.zeros(1, jnp.int32), part.start
