@@ -1,6 +1,8 @@
 """What is written beside every row: where it was measured, and how far from the device's limits."""
 
+import shlex
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from angler_mjx.benchmark.roofline import DeviceSpeed, bound
@@ -9,8 +11,14 @@ from angler_mjx.runs.provenance import describe_environment
 
 
 def around(device: DeviceSpeed) -> dict[str, Any]:
-    """Device with its measured limits and driver, versions, machine, commit and command."""
-    return {**describe_environment(), **asdict(device)}
+    """Device with its measured limits and driver, versions, machine, commit and command.
+
+    Rows are for others to read: of absolute paths in the command the last name is kept.
+    """
+    found = {**describe_environment(), **asdict(device)}
+    words = shlex.split(found["command"])
+    named = [Path(word).name if Path(word).is_absolute() else word for word in words]
+    return {**found, "command": shlex.join(named)}
 
 
 def complete(row: Row, device: DeviceSpeed) -> dict[str, Any]:

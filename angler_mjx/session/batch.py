@@ -257,7 +257,7 @@ class BatchSession:
             watched = Watched(
                 trajectory=board.slot(JointTrajectory),
                 allowed=self._allowed,
-                before=self._desk.results,  # type: ignore[arg-type]
+                before=jax.device_put(self._desk.results),
             )
         view: View = jax.device_get(look(self._worlds, self._state, pwm_us, watched))
         return view

@@ -96,9 +96,10 @@ class Board:
     def told(self) -> Mixed:
         """The commands of one step; after it no stage is fresh any more."""
         if self._told is None:
-            mixed = Mixed(which=self._which, fresh=self._fresh, commands=tuple(self._slots))  # type: ignore[arg-type]
             # Copied: a device array may share the memory of the numpy array that it is made of.
-            self._told = jax.device_put(jax.tree.map(np.copy, mixed))
+            copies = jax.tree.map(np.copy, (self._which, self._fresh, tuple(self._slots)))
+            which, fresh, commands = jax.device_put(copies)
+            self._told = Mixed(which=which, fresh=fresh, commands=commands)
         told = self._told
         if self._fresh.any():
             self._fresh[:] = 0

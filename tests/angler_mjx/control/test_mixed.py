@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from angler_kernels import quaternion
-from angler_mjx.control import allocation, joint_trajectory, mixed, stack, stages
-from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate, PoseTarget, ThrusterPwm
+from angler_mjx.control import joint_trajectory, mixed, stack, stages
+from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.control.laws.targets import TrackingTarget, as_tracking
 from angler_mjx.control.mixed import Mixed
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.vehicles import library, params
 
 WATER = (0.05, 1000.0, 9.81)
 PATH = Trajectory(
@@ -37,26 +35,6 @@ COMMANDS = (
     ThrusterPwm(pwm_us=jnp.linspace(1400.0, 1650.0, 8)),
 )
 KINDS = [type(command).__name__ for command in COMMANDS]
-
-
-@pytest.fixture(scope="module")
-def robot():
-    """A Heavy with all it knows, and a state: moving, tilted, off its path."""
-    given = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
-    stacked = allocation.build(jax.tree.map(lambda leaf: leaf[None], given))
-    known = ControlParams(
-        vehicle=given,
-        allocation=jax.tree.map(lambda leaf: leaf[0], stacked),
-        cruise_speed_mps=jnp.array(0.5),
-    )
-    q = np.array([1.0, 0.05, -0.08, 0.2])
-    at = Estimate(
-        p=jnp.array([0.1, -0.2, -10.1]),
-        q=jnp.asarray(q / np.linalg.norm(q)),
-        nu=jnp.array([0.2, -0.1, 0.05, 0.02, 0.03, -0.1]),
-        flow=jnp.array([0.1, 0.2, 0.0]),
-    )
-    return known, at
 
 
 def of(controller):

@@ -14,10 +14,8 @@ from angler_mjx.control.joint_goal import JointGoal, JointPoint
 from angler_mjx.control.joint_goal import build as build_goal
 from angler_mjx.control.laws import follow
 from angler_mjx.control.laws.targets import TrackingTarget
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.vehicles import library, params
 
 DT, DENSITY, GRAVITY = 0.05, 1000.0, 9.81
 PATH = Trajectory(
@@ -25,26 +23,6 @@ PATH = Trajectory(
     position_m=jnp.array([[0.3, 0.0, -10.0], [4.0, 0.0, -10.0], [4.0, 4.0, -11.0]]),
     found=jnp.array(True),
 )
-
-
-@pytest.fixture(scope="module")
-def robot():
-    """A Heavy with all it knows, and a state: moving, tilted, off its path."""
-    given = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
-    stacked = allocation.build(jax.tree.map(lambda leaf: leaf[None], given))
-    known = ControlParams(
-        vehicle=given,
-        allocation=jax.tree.map(lambda leaf: leaf[0], stacked),
-        cruise_speed_mps=jnp.array(0.5),
-    )
-    q = np.array([1.0, 0.05, -0.08, 0.2])
-    at = Estimate(
-        p=jnp.array([0.1, -0.2, -10.1]),
-        q=jnp.asarray(q / np.linalg.norm(q)),
-        nu=jnp.array([0.2, -0.1, 0.05, 0.02, 0.03, -0.1]),
-        flow=jnp.array([0.1, 0.2, 0.0]),
-    )
-    return known, at
 
 
 def run(robot, names, command, memory=None):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -227,3 +228,16 @@ def _steps(
         return engine.control_step(spec, kinds, worlds, state, command)
 
     return jax.lax.scan(one, start, signals, length=STEPS)
+
+
+@pytest.fixture
+def as_if_on_an_h200(monkeypatch):
+    """The part of JAX that lowers Triton kernels is told which device they are for.
+
+    It asks in a private way; a JAX that asks otherwise makes the tests fail here.
+    """
+    device = SimpleNamespace(compute_capability="9.0")
+    monkeypatch.setattr(
+        "jax._src.pallas.triton.pallas_call_registration.gpu_info_lib",
+        SimpleNamespace(get_gpu_info=lambda: device),
+    )

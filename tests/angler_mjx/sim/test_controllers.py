@@ -5,7 +5,6 @@ And what else can drive the controllers: all kinds of commands, on lanes and in 
 
 from dataclasses import replace
 from functools import cache, partial
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -245,17 +244,8 @@ def test_a_command_drives_whole_segments_alike(scene, at_rest, engines_by_name):
 
 # The cascade's are lowered elsewhere; the others have no operation that these have not.
 @pytest.mark.parametrize("name", ["los", "tracking", "ismc", "aitsm", "ardusub"])
-def test_kernels_of_every_controller_lower_for_cuda(name, scene, at_rest, monkeypatch):
-    try:
-        from jax._src.pallas.triton import pallas_call_registration as registration
-
-        monkeypatch.setattr(
-            registration,
-            "gpu_info_lib",
-            SimpleNamespace(get_gpu_info=lambda: SimpleNamespace(compute_capability="9.0")),
-        )
-    except (ImportError, AttributeError) as error:
-        pytest.skip(f"this version of JAX asks the device in another way: {error}")
+@pytest.mark.usefixtures("as_if_on_an_h200")
+def test_kernels_of_every_controller_lower_for_cuda(name, scene, at_rest):
     spec, engine = spec_of(scene, stages.CONTROLLERS[name]), TritonEngine()
     with jax.enable_x64(True):
         state = at_rest(spec)

@@ -1,7 +1,6 @@
 """The Pallas kernels against the other engines, interpreted here; and that they lower for CUDA."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -70,18 +69,9 @@ def test_control_step_takes_signals(scenes):
     assert np.abs(ends[0][0].nu).max() > 0.1
 
 
-def test_kernels_lower_for_cuda(scenes, monkeypatch):
+@pytest.mark.usefixtures("as_if_on_an_h200")
+def test_kernels_lower_for_cuda(scenes):
     """Triton's part of the compiler knows every operation in them; no device is needed for that."""
-    try:
-        from jax._src.pallas.triton import pallas_call_registration as registration
-
-        monkeypatch.setattr(
-            registration,
-            "gpu_info_lib",
-            SimpleNamespace(get_gpu_info=lambda: SimpleNamespace(compute_capability="9.0")),
-        )
-    except (ImportError, AttributeError) as error:
-        pytest.skip(f"this version of JAX asks the device in another way: {error}")
     build, _, _ = scenes
     scene, engine = build(2), TritonEngine()
     state = jax.eval_shape(partial(engine.reset, scene.spec), scene.fleet, scene.worlds)

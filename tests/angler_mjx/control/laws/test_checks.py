@@ -10,7 +10,6 @@ from angler_mjx.control.laws import (
     computed_torque,
     ismc,
     los,
-    pid,
     pid_pose,
     pid_velocity,
     tracking,
@@ -54,10 +53,3 @@ def test_defaults_pass_and_any_bad_number_is_named(law, gains):
 def test_what_divides_must_not_be_zero_and_pairs_must_fit(law, gains, named):
     with pytest.raises(ConfigError, match=named):
         law.check(gains)
-
-
-def test_a_stack_is_checked_in_all_its_parts():
-    bad = pid.PidGains(velocity=pid_velocity.PidVelocityGains(rate_per_s=-4.0))
-    with pytest.raises(ConfigError, match=r"pid_velocity: rate_per_s = -4 "):
-        pid.check(bad)
-    pid.check(pid.PidGains())

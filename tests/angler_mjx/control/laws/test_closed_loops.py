@@ -12,7 +12,6 @@ from angler_mjx.control.laws import (
     aitsm,
     computed_torque,
     ismc,
-    pid,
     pid_pose,
     pid_velocity,
     tracking,
@@ -21,19 +20,13 @@ from angler_mjx.control.laws import (
 DT, DENSITY, GRAVITY = 0.05, 1000.0, 9.81
 
 
-def on_pose(law, gains, pool):
-    return law.reset, lambda vehicle, carry, at, target, flow: law.step(
-        gains, vehicle, carry, at, pool.as_pose(target), DT, DENSITY, GRAVITY
-    )
-
-
 def on_tracking(law, gains):
     return law.reset, lambda vehicle, carry, at, target, flow: law.step(
         gains, vehicle, carry, at, target, DT, DENSITY, GRAVITY, flow
     )
 
 
-def on_twist(law, gains, pool):
+def on_twist(law, gains, pool, *, told_current=True):
     """Below the pose loop."""
 
     def control(vehicle, carry, at, target, flow):
@@ -41,7 +34,8 @@ def on_twist(law, gains, pool):
         above, twist = pid_pose.step(
             pid_pose.PidPoseGains(), vehicle, carry[0], at, pose, DT, DENSITY, GRAVITY
         )
-        below, wrench = law.step(gains, vehicle, carry[1], at, twist, DT, DENSITY, GRAVITY, flow)
+        more = {"flow": flow} if told_current else {}
+        below, wrench = law.step(gains, vehicle, carry[1], at, twist, DT, DENSITY, GRAVITY, **more)
         return (above, below), wrench
 
     return lambda at: (pid_pose.reset(at), law.reset(at)), control
@@ -51,15 +45,14 @@ def on_twist(law, gains, pool):
 def flown(pool):
     """Flights of a law by name, each flown once."""
     laws = {
-        "pid": on_pose(pid, pid.PidGains(), pool),
-        "p": on_pose(
-            pid,
-            pid.PidGains(
-                velocity=pid_velocity.PidVelocityGains(
-                    velocity_per_s=2.5, velocity_integral_per_s2=0.0, rate_integral_per_s2=0.0
-                )
+        "pid": on_twist(pid_velocity, pid_velocity.PidVelocityGains(), pool, told_current=False),
+        "p": on_twist(
+            pid_velocity,
+            pid_velocity.PidVelocityGains(
+                velocity_per_s=2.5, velocity_integral_per_s2=0.0, rate_integral_per_s2=0.0
             ),
             pool,
+            told_current=False,
         ),
         "computed_torque": on_tracking(computed_torque, computed_torque.ComputedTorqueGains()),
         "tracking": on_tracking(tracking, tracking.TrackingGains()),

@@ -15,7 +15,8 @@ from angler_mjx.control.laws import (
     computed_torque,
     ismc,
     los,
-    pid,
+    pid_pose,
+    pid_velocity,
     tracking,
 )
 from angler_mjx.control.trajectory import Trajectory
@@ -23,7 +24,8 @@ from angler_mjx.vehicles import library, params
 
 POINTS = np.array([[0, 0, -10], [2, 0, -10], [2, 3, -11], [2, 3, -11.0]])
 GAINS = {
-    "pid": (pid, pid.PidGains(), "pose"),
+    "pid_pose": (pid_pose, pid_pose.PidPoseGains(), "pose"),
+    "pid_velocity": (pid_velocity, pid_velocity.PidVelocityGains(), "twist"),
     "computed_torque": (computed_torque, computed_torque.ComputedTorqueGains(), "tracking"),
     "tracking": (tracking, tracking.TrackingGains(), "tracking"),
     "ismc": (ismc, ismc.IsmcGains(), "twist"),
@@ -49,7 +51,7 @@ def test_lanes_agree_with_vmap(robots, states, pool, name):
         ),
     }
     wrench = BodyWrench(tau=estimate.nu * 3.0)
-    more = {"realised": wrench} if name in ("pid", "tracking") else {}
+    more = {"realised": wrench} if name in ("pid_velocity", "tracking") else {}
 
     def twice(vehicle, at, command, more):
         """Two steps: the second has a memory to read."""
