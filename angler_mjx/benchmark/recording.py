@@ -228,8 +228,8 @@ def _plain(path: Path, size: int) -> None:
     block = memoryview(_noise())
     with path.open("wb", buffering=0) as file:
         for begin in range(0, size, BLOCK_BYTES):
-            file.write(block[: min(BLOCK_BYTES, size - begin)])
-            shards.start_disk(file.fileno())
+            written = file.write(block[: min(BLOCK_BYTES, size - begin)])
+            shards.start_disk(file.fileno(), begin, written)
 
 
 def _timed(write: Callable[[], None], place: Path) -> float:

@@ -22,6 +22,9 @@ from angler_mjx.planning.traffic import Balls
 QUARTER = {axes: 0.25 * axes**0.5 for axes in (0, 1, 2, 3)}
 """Radius of the balls that cover a step over so many axes, cells; 0 axes: waiting."""
 
+AT_ONCE = 16
+"""Robots that are marked without a loop: unrolled for 256, compiling takes minutes."""
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -213,9 +216,21 @@ class _Stamp:
         up = jnp.clip(jnp.floor(z + wide / cell), -1.0, 32.0).astype(jnp.int32)
         down = jnp.clip(jnp.ceil(z - wide / cell), -1.0, 32.0).astype(jnp.int32)
         bits = span_bits(down, up)
-        words = jnp.zeros((x.shape[0],), jnp.uint32)
-        for k in range(centre.shape[0]):
+        n_robot = centre.shape[0]
+
+        def mark(words: jax.Array, k: int | jax.Array) -> jax.Array:
             square = (x - centre[k, 0]) ** 2 + (y - centre[k, 1]) ** 2
             inside = (square < wide[k] ** 2) & (wide[k] >= 0.0)
-            words |= jnp.where(inside, bits[k], jnp.uint32(0))
+            return words | jnp.where(inside, bits[k], jnp.uint32(0))
+
+        def mark_some(group: jax.Array, words: jax.Array) -> jax.Array:
+            for k in range(AT_ONCE):
+                words = mark(words, jnp.minimum(group * AT_ONCE + k, n_robot - 1))
+            return words
+
+        words = jnp.zeros((x.shape[0],), jnp.uint32)
+        if n_robot > AT_ONCE:
+            return jax.lax.fori_loop(0, -(-n_robot // AT_ONCE), mark_some, words)
+        for k in range(n_robot):
+            words = mark(words, k)
         return words

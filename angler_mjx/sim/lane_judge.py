@@ -19,7 +19,7 @@ from angler_kernels.table import take
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
-from angler_mjx.sim.lane_search import Met, Nearest, Others, Search, Seeker, in_turn
+from angler_mjx.sim.lane_search import Met, Nearest, Others, Search, Seeker, of_lanes
 from angler_mjx.sim.lane_steps import Cells, Lanes, Shape
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
 from angler_mjx.vehicles.params import VehicleParams
@@ -61,7 +61,7 @@ def judge(
         robots: all robots of the same world after the step; none if there is but one.
         row: which of its world's robots each lane is.
         t: [] s at the beginning of the step.
-        search: how the nearest shape is found; `in_turn` if None.
+        search: how the nearest shape is found; `of_lanes` if None.
     """
     a, b = lanes.apply(_hull, vehicle, state.p, state.q)
     v = lanes.apply(_velocity, state.q, state.nu)
@@ -77,7 +77,7 @@ def judge(
         fixed=running & False,
         v=(zero, zero, zero),
     )
-    look, one = search or in_turn, partial(lanes.pack, shape=())
+    look, one = search or of_lanes, partial(lanes.pack, shape=())
     me = Seeker(
         p=state.p,
         a=a,

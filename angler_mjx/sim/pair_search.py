@@ -2,7 +2,7 @@
 
 Of thousands of pairs of a robot and a shape a handful are near enough to matter. All pairs are
 looked at for that; those that are wanted are listed, and their distances worked out a chunk at a
-time. A kernel, whose lanes are few, does better with `lane_search.in_turn`.
+time. A kernel, whose lanes are few, does better with `lane_search.of_lanes`.
 """
 
 from typing import Any

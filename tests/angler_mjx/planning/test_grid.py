@@ -1,5 +1,6 @@
 import heapq
 import itertools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,7 @@ import pytest
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
+from angler_mjx.planning import search
 from angler_mjx.planning.grid import GridPlannerConfig, plan
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
@@ -252,6 +254,14 @@ def test_batch_equals_single(planner, plans, worlds):
         # 0.1 mm and 0.1 ms: the two programs may round differently in float32 at 100 s.
         np.testing.assert_allclose(alone.position_m, plans.position_m[w], atol=1e-4)
         np.testing.assert_allclose(alone.time_s, plans.time_s[w], atol=1e-4)
+
+
+def test_marking_robots_in_groups_marks_the_same(plans, worlds, monkeypatch):
+    # Four robots in groups of three: the last group is not full.
+    monkeypatch.setattr(search, "AT_ONCE", 3)
+    in_groups = jax.jit(partial(plan, config=CONFIG))(worlds[0], RADIUS, SPEED)
+    for got, want in zip(jax.tree.leaves(in_groups), jax.tree.leaves(plans), strict=True):
+        np.testing.assert_array_equal(got, want[0])
 
 
 def corridor(bay):

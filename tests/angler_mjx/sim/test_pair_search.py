@@ -1,4 +1,4 @@
-"""The search among listed pairs against the search in turn, on shapes with many equal distances."""
+"""The searches with lists against the search in turn, on shapes with many equal distances."""
 
 from functools import partial
 
@@ -9,10 +9,19 @@ import pytest
 
 from angler_kernels import lanes
 from angler_mjx.sim import pair_search
-from angler_mjx.sim.lane_search import Met, Nearest, Others, Seeker, in_turn
+from angler_mjx.sim.lane_search import (
+    GROUP,
+    SLOTS,
+    Met,
+    Nearest,
+    Others,
+    Seeker,
+    in_groups,
+    in_turn,
+)
 
-N, R, W = 5, 3, 40
-"""Shapes, robots and worlds: 600 pairs, which are several chunks."""
+N, R, W = 45, 3, 8
+"""Shapes, robots and worlds: several chunks of pairs, and more groups than a lane can note."""
 FIRST = 2
 """Number of shape 0; two of the robots are shapes themselves."""
 RADIUS_M = 0.5
@@ -30,7 +39,9 @@ def search(how, mine, theirs, limit, running, start_gap):
     state = (lanes.pack(theirs, (3,)), one([jnp.arange(N * W).reshape(N, W) % 2 == 0]))
 
     def load(index):
-        rows = (index, np.s_[:]) if how is in_turn else index
+        rows = index
+        if how is not pair_search.among_listed:
+            rows = (index, np.s_[:] if jnp.ndim(index) == 0 else np.arange(W))
         p, fixed = pair_search.pick(state, rows)
         # Nothing of a shape is known by its bounding sphere alone: twice its place is its speed.
         return Met(p=p, reach=RADIUS_M, details=lambda: (fixed, None, [2.0 * x for x in p]))
@@ -61,9 +72,10 @@ def search(how, mine, theirs, limit, running, start_gap):
 
 
 @pytest.fixture(scope="module")
-def both():
+def searches():
     """A function of the same arguments that gives what each search finds."""
-    functions = [jax.jit(partial(search, how)) for how in (pair_search.among_listed, in_turn)]
+    kinds = (pair_search.among_listed, in_groups, in_turn)
+    functions = [jax.jit(partial(search, how)) for how in kinds]
     return lambda *args: [function(*args) for function in functions]
 
 
@@ -77,12 +89,13 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_finds_what_the_search_in_turn_finds(both, case):
+def test_finds_what_the_search_in_turn_finds(searches, case):
     limit, share, start_gap = CASES[case]
     running = jnp.asarray(np.random.default_rng(3).random((R, W)) < share)
-    ours, theirs = both(points(1, R), points(2, N), limit, running, start_gap)
+    ours, grouped, in_turn = searches(points(1, R), points(2, N), limit, running, start_gap)
     # The numbers are whole and halves: nothing is rounded.
-    jax.tree.map(np.testing.assert_array_equal, ours, theirs)
+    jax.tree.map(np.testing.assert_array_equal, ours, in_turn)
+    jax.tree.map(np.testing.assert_array_equal, grouped, in_turn)
     found = np.asarray(ours.index) >= 0
     assert found.any() == (case != "none")
     assert not found[~np.asarray(running)].any()
@@ -90,12 +103,13 @@ def test_finds_what_the_search_in_turn_finds(both, case):
     assert (np.asarray(ours.index) != np.arange(R)[:, None] + 1).all()
 
 
-def test_there_are_ties_and_several_chunks():
+def test_there_are_ties_and_several_chunks_and_too_many_groups():
     mine, theirs = np.stack(points(1, R)), np.stack(points(2, N))
     gaps = np.abs(mine[:, None] - theirs[:, :, None]).sum(axis=0)
     ties = np.sum(gaps == gaps.min(axis=0), axis=0) > 1
     assert ties.mean() > 0.2
     assert N * R * W > 4 * pair_search.CHUNK
+    assert N > GROUP * SLOTS
 
 
 def test_has_the_derivative_of_the_search_in_turn():
