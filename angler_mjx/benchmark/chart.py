@@ -92,7 +92,7 @@ def _series(row: dict[str, Any]) -> tuple[str, ...]:
 
 def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     workload, engine, device, robots = name
-    color = style.robot_color(place)
+    color, again = style.robot_color(place), place // len(style.ROBOTS) % 2 == 1
     worlds = [row["worlds"] for row in rows]
     median = [row["median"] for row in rows]
     below = [row["median"] - row["low"] for row in rows]
@@ -104,7 +104,9 @@ def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, An
         color=color,
         marker=_MARKS[place % len(_MARKS)],
         markersize=5.5,
-        linestyle=("-", "--")[place // len(style.ROBOTS) % 2],
+        # Where colours repeat: single points have no line that could tell them apart.
+        markerfacecolor=style.PAPER if again else color,
+        linestyle="--" if again else "-",
         linewidth=1.8,
         capsize=2.5,
         label=f"{workload}, {_robots(int(robots))}, {engine}, {device}",
@@ -122,19 +124,19 @@ def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
         name = (row["workload"], _device(row))
         of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
         sizes.setdefault(name, set()).add(row["worlds"])
-    above = math.inf
+    above, left = math.inf, True
     for (workload, device), bound in sorted(of.items(), key=lambda item: -item[1]):
         if not bound or len(sizes[workload, device]) < 2:
             continue
         axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
-        # Below its line where there is another one just above it.
-        side = "bottom" if above > 1.8 * bound else "top"
+        # In turn at two places where lines lie close together.
+        left = above > 1.8 * bound or not left
         axes.text(
-            0.01,
-            bound * (1.06 if side == "bottom" else 0.94),
+            0.01 if left else 0.27,
+            1.06 * bound,
             f"roofline: {workload}, {device}",
             transform=axes.get_yaxis_transform(),
-            va=side,
+            va="bottom",
             fontsize=8.0,
             color=style.QUIET,
         )
