@@ -230,7 +230,8 @@ class _Stamp:
 
         words = jnp.zeros((x.shape[0],), jnp.uint32)
         if n_robot > AT_ONCE:
-            return jax.lax.fori_loop(0, -(-n_robot // AT_ONCE), mark_some, words)
+            marked: jax.Array = jax.lax.fori_loop(0, -(-n_robot // AT_ONCE), mark_some, words)
+            return marked
         for k in range(n_robot):
             words = mark(words, k)
         return words
