@@ -4,11 +4,12 @@
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-EXTRAS := view,plan,sitl,dev
+EXTRAS := view,plan,sitl,tune,dev
 CODE := angler_mjx kernels sitl_bridge experiments tests
 
-# Compiled programs survive the process, so each is compiled once per checkout.
-export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/xla
+# Compiled programs survive the process and the checkout, in the folder that `angler` uses too.
+export JAX_COMPILATION_CACHE_DIR ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/angler-mjx/xla
+export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS ?= 0.2
 # Take a Python that is there; never fetch one behind the user's back.
 export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1

@@ -149,6 +149,7 @@ def wrenches_push(session: Session, bounds: Bounds) -> None:
 
 def neutral_signals_let_it_drift(session: Session, bounds: Bounds) -> None:
     """With neutral signals nothing is held: a moving robot coasts, and slows down by drag."""
+    accepts(session, bounds.robot, ThrusterPwm)
     accepts(session, bounds.robot, BodyTwist)
     robot = session.robots[bounds.robot]
     session.reset()

@@ -165,6 +165,14 @@ class Damping(FileModel):
         return self
 
 
+class ArduSub(FileModel):
+    """How the vehicle is known to the ArduSub firmware."""
+
+    frame: Literal["vectored", "vectored_6dof"]
+    """Its frame there; thrusters must stand in ``layout`` as that frame numbers its motors."""
+    source: Source
+
+
 class ParameterSet(FileModel):
     """One published or identified set of coefficients of the vehicle."""
 
@@ -187,6 +195,8 @@ class VehicleConfig(FileModel):
     thrusters: Thrusters
     rotor: Rotor
     visual: Visual
+    ardusub: ArduSub | None = None
+    """None: no real ArduSub can steer it."""
     parameter_sets: Annotated[dict[Name, ParameterSet], Field(min_length=1)]
 
     @model_validator(mode="after")

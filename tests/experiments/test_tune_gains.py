@@ -33,7 +33,7 @@ def test_tuning_lowers_the_cost(tmp_path):
     assert result.costs_m2[-1] < 0.9 * result.costs_m2[0]
     before, after = result.unseen_m2
     assert after < before
-    assert result.before["velocity.velocity_per_s"] == 2.5
+    assert result.before["velocity.velocity_per_s"] == 4.0
     assert set(result.after) == set(result.before)
     assert all(gain > 0 and gain != result.before[name] for name, gain in result.after.items())
 

@@ -1,4 +1,4 @@
-"""Surrogate of ArduSub 4.5's own control: from a pose target to PWM, gains named as its parameters.
+"""Surrogate of ArduSub's own control: from a pose target to PWM, gains named as its parameters.
 
 Written from the documented shape of the firmware's loops, so that batches behave like it does:
 
@@ -15,11 +15,10 @@ has none for these frames by default), failsafes. Acceleration is the difference
 velocity. The firmware runs at 400 Hz; the surrogate flies alike with control periods of
 10 and 50 ms.
 
-The thrusters' dead band is not compensated, as there. With the firmware's gains the integral of
-velocity then hunts across it: after a step of 2 m in still water the position swings by 0.3 m,
-slowly less; heading keeps an error of up to 4 degrees. In a current that takes the thrusters out
-of their dead band, station is kept to centimetres. A higher ``PSC_VELXY_P`` makes the swing
-less: 5 cm with 5.
+The thrusters' dead band is not compensated, as there. So in still water the position swings
+across it, by 12 cm from end to end for the BlueROV2 after a step of 2 m, which is what the real
+firmware does too (docs/sitl.md); heading keeps an error of up to 4 degrees. In a current that
+takes the thrusters out of their dead band, station is kept to centimetres.
 
 The parameters are those of `ardusub_gains`.
 """

@@ -1,6 +1,7 @@
 """Parameters of the ArduSub surrogate, by the firmware's names, in its units: cm, cdeg, Hz.
 
-Defaults are those of ArduSub 4.5; ``WPNAV_*`` are what multicopters share, but for the speed.
+Defaults are what an ArduSub (4.6.0-dev, SITL) answers when it is asked for its parameters; all of
+them were compared. ``SERVO_TRIM`` stands for the ``SERVOn_TRIM`` of its motors.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ class ArduSubGains:
     """ArduSub's parameters, by its names and in its units, with its defaults for Sub."""
 
     PSC_POSXY_P: float = 1.0
-    PSC_VELXY_P: float = 1.0
+    PSC_VELXY_P: float = 6.0
+    """What Sub starts with; the position controller that it shares with others has 1 for it."""
     PSC_VELXY_I: float = 0.5
     PSC_VELXY_D: float = 0.0
     PSC_VELXY_IMAX: float = 1000.0

@@ -21,11 +21,11 @@ from angler_mjx.vehicles.params import VehicleParams
 class VelocityGains:
     """Gains of the velocity loop, as accelerations: each vehicle brings its own inertia."""
 
-    velocity_per_s: float = 2.5
+    velocity_per_s: float = 4.0
     """Acceleration per m/s of error."""
-    rate_per_s: float = 4.0
+    rate_per_s: float = 6.0
     """Angular acceleration per rad/s of error."""
-    integral_per_s2: float = 1.5
+    integral_per_s2: float = 3.0
     """Growth of the acceleration held against the current."""
     integral_limit_mps2: float = 3.0
     """Anti-windup: bound of that acceleration."""

@@ -1,0 +1,127 @@
+"""`angler tune`: gains found on thousands of flights."""
+
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Literal, Self
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from angler_mjx.cli.device import Device, choose
+
+
+def tune(
+    scenario: Annotated[str, tyro.conf.Positional],
+    controller: str,
+    objective: Literal["ise", "energy", "robust"],
+    out: Path | None = None,
+    rollouts: int = 480,
+    generations: int = 40,
+    seed: int = 0,
+    method: Literal["gradient", "cma"] | None = None,
+    resume: bool = False,
+    device: Device | None = None,
+) -> None:
+    """Tune the gains of a controller on the robots of a scenario.
+
+    Steps, standing still and a figure of eight are flown in open water, in drawn currents, with
+    masses other than believed. The folder holds gains.toml, a table that scenarios take as it is,
+    a report with figures and, for ardusub, parameter files for ground stations.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        controller: Name of the controller, as in scenarios.
+        objective: ise (error of pose), energy (the same and energy by way), or robust (worst tenth,
+            failures and oscillation).
+        out: Folder to make; runs/tune-CONTROLLER-OBJECTIVE if left out.
+        rollouts: Flights of each candidate; as many others are held out.
+        generations: Of the search: 8 or more candidates each for cma, one for gradient.
+        seed: Of the flights and of the search.
+        method: How to search; gradient for ise and energy of controllers that do not switch, else
+            cma, if left out.
+        resume: Go on with an interrupted tuning in the same folder, with the same arguments.
+        device: Where to compute; JAX's choice if left out.
+    """
+    choose(device)
+    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.tuning import problem
+    from angler_mjx.tuning import tune as tuning
+
+    loaded = load_scenario(scenario)
+    problem.spec_of(loaded, controller)
+    settings = problem.Settings(
+        scenario=loaded,
+        controller=controller,
+        objective=objective,
+        method=method or problem.method_of(objective, controller),
+        rollouts=rollouts,
+        generations=generations,
+        seed=seed,
+    )
+    place = out or Path("runs") / f"tune-{controller}-{objective}"
+    with _Bar() as bar:
+        found = tuning.tune(settings, place, bar, resume=resume)
+    print(
+        f"objective, 1 before: {found.train.cost:.3f} on the flights tuned on, "
+        f"{found.held_out.cost:.3f} on others"
+    )
+    for knob, turn in zip(found.problem.knobs, found.turns, strict=True):
+        for name, before, after in zip(knob.gains, knob.start, knob.values(turn), strict=True):
+            print(f"  {knob.stage}.{name}: {before:g} -> {after:g}")
+    print(place)
+    if not found.complete:
+        print("interrupted: go on with --resume", file=sys.stderr)
+        sys.exit(130)
+
+
+class _Bar:
+    """Flights done, the least cost so far, and the time left, on stderr."""
+
+    def __init__(self) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("flights"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+        )
+        self._task = self._bar.add_task("setting up", total=None)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def start(self, flights: int, done: int) -> None:
+        """See `angler_mjx.tuning.tune.Progress`."""
+        self._bar.reset(self._task, description="compiling", total=flights, completed=done)
+
+    def flown(self, flights: int) -> None:
+        """See `angler_mjx.tuning.tune.Progress`."""
+        self._bar.advance(self._task, flights)
+
+    def generation(self, number: int, best: float) -> None:
+        """See `angler_mjx.tuning.tune.Progress`."""
+        self._bar.update(self._task, description=f"generation {number}, best {best:.4f}")
+
+    def measuring(self) -> None:
+        """See `angler_mjx.tuning.tune.Progress`."""
+        self._bar.update(self._task, description="measuring what was found")

@@ -1,0 +1,252 @@
+"""The flights that candidates are judged by: vehicles, courses, currents and masses, by seeds.
+
+Flights go in turn through the robots of the scenario and through three courses, so each pair, a
+group, has as many as any other. Everything else of a flight is drawn from its own seed. All
+candidates fly the same ones.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.control.stack import Command, ControlParams
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.sim import fleet
+from angler_mjx.trials import eight, kinds
+from angler_mjx.trials.courses import START_M
+from angler_mjx.trials.kinds import Kind
+from angler_mjx.tuning import told as courses_told
+from angler_mjx.tuning.measures import Reference
+from angler_mjx.tuning.told import Told
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.vehicles.thrusters import FloatArray
+from angler_mjx.world.currents import Current, Uniform, Vortices
+
+COURSES = ("step", "hold", "eight")
+"""A step of 0.5 to 2 m anywhere and of heading; standing still; Gerono's figure of eight."""
+CURRENT_MPS, CURRENT_SHARE = 0.8, 0.6
+"""Greatest steady current, and the share of a vehicle's slowest level terminal speed that bounds
+it: whoever is swept away tells nothing of gains."""
+VORTEX_MPS = 0.4
+"""Greatest speed of the vortices about the figure of eight."""
+MASS_ERROR = 0.2
+"""Mass and inertia are up to this share more or less than the controllers believe."""
+STEP_M = (0.5, 2.0)
+SPEED_MPS, SPEED_STEP_MPS = 0.5, 0.05
+"""Along the figure of eight, at most; vehicles that could not make it against the vortices go
+slower, by whole steps."""
+SHIFT_M = 0.5
+"""Vortices lie up to this far from where the trials have them, along each axis."""
+OFF_M = 0.01
+"""From where it should be to where a flight begins: guidance asks how far a vehicle is behind, and
+a distance of 0 has no derivative."""
+TRAIN, HELD_OUT = 0, 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """What flies: the distinct robots of a scenario that something holds level."""
+
+    labels: tuple[str, ...]
+    params: ControlParams
+    """[n_robot] leads."""
+    eight_mps: tuple[float, ...]
+    """Speed of each along the figure of eight."""
+    left_out: tuple[str, ...]
+    """Those that nothing holds level."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Orders:
+    """What each of n vehicles is and is told; [n] leads everywhere."""
+
+    params: ControlParams
+    plant: VehicleParams
+    """The vehicles as they are."""
+    start_m: Any
+    """[3] in W."""
+    yaw_rad: Any
+    """Heading at the start."""
+    command: Command
+    current: Current
+    reference: Reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flights:
+    """A set of flights, on the host."""
+
+    orders: Orders
+    group: Any
+    """int [n] of each flight: robot * 3 + course."""
+
+
+def robots(scenario: Scenario) -> Robots:
+    """The distinct robots of a scenario (host side).
+
+    Raises:
+        ConfigError: nothing holds any of them level: no gains would.
+    """
+    members = scenario.members()
+    every = fleet.variants(members)
+    built = fleet.build(members, multibody=False)
+    possible = np.isfinite(np.asarray(built.log_weight))
+    cruise = np.where(possible, np.asarray(built.cruise_mps, float), 0.0).max(axis=0)
+    names = [f"{v.vehicle}, {v.parameter_set}" for v in every]
+    labels = [
+        f"{name} ({v.battery_v:g} V)" if names.count(name) > 1 else name
+        for name, v in zip(names, every, strict=True)
+    ]
+    loose = [Kind(vehicle=v.vehicle, parameter_set=v.parameter_set) in kinds.loose() for v in every]
+    rows = [i for i, bad in enumerate(loose) if not bad]
+    left_out = tuple(label for label, bad in zip(labels, loose, strict=True) if bad)
+    if not rows:
+        raise ConfigError(f"scenario {scenario.name}: nothing holds {'; '.join(left_out)} level")
+    on_host = jax.tree.map(np.asarray, built.control)
+    params = replace(kinds.chosen(on_host, rows), cruise_speed_mps=cruise[rows])
+    able = _able(params)
+    speeds = [
+        max(_whole(min(SPEED_MPS, cruise[row], 0.9 * most - VORTEX_MPS)), SPEED_STEP_MPS)
+        for row, most in zip(rows, able, strict=True)
+    ]
+    return Robots(
+        labels=tuple(labels[row] for row in rows),
+        params=params,
+        eight_mps=tuple(speeds),
+        left_out=left_out,
+    )
+
+
+def _whole(speed_mps: float) -> float:
+    return round(math.floor(speed_mps / SPEED_STEP_MPS + 1e-9) * SPEED_STEP_MPS, 6)
+
+
+def _able(params: ControlParams) -> FloatArray:
+    """[n] slowest level terminal speed, m/s."""
+    able: FloatArray = np.asarray(params.vehicle.terminal_speed_mps, float)[:, :2].min(axis=1)
+    return able
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Draw:
+    """What the seed of a flight says."""
+
+    step_m: FloatArray
+    """[3]."""
+    off_m: FloatArray
+    """[3] of the start."""
+    yaw_rad: float
+    current: FloatArray
+    """[3] of unit greatest length, in W."""
+    vortex_mps: float
+    shift_m: FloatArray
+    turn: float
+    mass: float
+
+
+def _draw(seed: int, part: int, number: int) -> _Draw:
+    rng = np.random.default_rng([seed, part, number])
+    direction = rng.normal(size=3)
+    course = rng.uniform(-math.pi, math.pi)
+    return _Draw(
+        step_m=rng.uniform(*STEP_M) * direction / np.linalg.norm(direction),
+        off_m=-OFF_M * direction / np.linalg.norm(direction),
+        yaw_rad=rng.uniform(-math.pi, math.pi),
+        current=rng.uniform(0.0, 1.0) * np.array([math.cos(course), math.sin(course), 0.0]),
+        vortex_mps=rng.uniform(0.0, VORTEX_MPS),
+        shift_m=rng.uniform(-SHIFT_M, SHIFT_M, 2),
+        turn=float(rng.choice([-1.0, 1.0])),
+        mass=1.0 + rng.uniform(-MASS_ERROR, MASS_ERROR),
+    )
+
+
+def draw(
+    flown: Robots,
+    n: int,
+    seed: int,
+    part: int,
+    dt: float,
+    *,
+    timed: bool,
+    numbers: Sequence[int] | None = None,
+) -> Flights:
+    """The flights of a seed (host side).
+
+    Args:
+        flown: the robots.
+        n: number of flights.
+        seed: of the tuning.
+        part: ``TRAIN`` or ``HELD_OUT``: other flights altogether.
+        dt: control period, s.
+        timed: whether the controllers keep time and take headings; those that do not are told
+            paths at cruise speed, steps too, and their heading does not count.
+        numbers: draw these flights of the set alone.
+    """
+    chosen = list(range(n) if numbers is None else numbers)
+    n_robot = len(flown.labels)
+    rows = [i % n_robot for i in chosen]
+    kind = [COURSES[i // n_robot % len(COURSES)] for i in chosen]
+    drawn = [_draw(seed, part, i) for i in chosen]
+    params = kinds.chosen(flown.params, rows)
+    eights = np.array([name == "eight" for name in kind])
+    told = [
+        _told(one, name, flown.eight_mps[row], float(flown.params.cruise_speed_mps[row]), dt, timed)
+        for one, name, row in zip(drawn, kind, rows, strict=True)
+    ]
+    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * _able(params)) * ~eights
+    current = bound[:, None] * np.array([one.current for one in drawn])
+    heading = np.array([one.pose[0, 3] for one in told])
+    return Flights(
+        orders=Orders(
+            params=params,
+            plant=_with_mass(params.vehicle, np.array([one.mass for one in drawn])),
+            start_m=START_M + np.array([one.off_m for one in drawn]),
+            yaw_rad=np.where(eights, heading, 0.0),
+            command=courses_told.command(told, timed=timed),
+            current=(Uniform(velocity_mps=current), _vortices(drawn, eights)),
+            reference=courses_told.reference(told, heading=timed),
+        ),
+        group=np.array(
+            [row * len(COURSES) + COURSES.index(x) for row, x in zip(rows, kind, strict=True)]
+        ),
+    )
+
+
+def _told(
+    one: _Draw, kind: str, eight_mps: float, cruise_mps: float, dt: float, timed: bool
+) -> Told:
+    """The course of a flight."""
+    if kind == "eight":
+        return courses_told.eight(eight_mps, dt)
+    step = one.step_m if kind == "step" else np.zeros(3)
+    if timed:
+        return courses_told.place(step, one.yaw_rad if kind == "step" else 0.0, dt)
+    return courses_told.line(step, cruise_mps, dt)
+
+
+def _with_mass(vehicle: VehicleParams, share: FloatArray) -> VehicleParams:
+    """Vehicles [n] of other mass and inertia, by a share [n]; their volume stays."""
+    return replace(
+        vehicle,
+        mass_kg=vehicle.mass_kg * share,
+        inertia_kgm2=vehicle.inertia_kgm2 * share[:, None, None],
+    )
+
+
+def _vortices(drawn: Sequence[_Draw], eights: FloatArray) -> Vortices:
+    """Those of the trials, of drawn strength and sense, shifted; none but for eights."""
+    most = np.array([one.vortex_mps * on for one, on in zip(drawn, eights, strict=True)])
+    there: Vortices = jax.tree.map(np.asarray, eight.vortices(most))
+    shift = np.array([one.shift_m for one in drawn])
+    turn = np.array([one.turn for one in drawn])
+    return replace(
+        there,
+        centre_m=there.centre_m + shift[:, None, :],
+        circulation_m2ps=there.circulation_m2ps * turn[:, None],
+    )
