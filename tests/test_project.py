@@ -77,12 +77,14 @@ def test_make_help_lists_the_two_commands():
     assert "make test" in listed
 
 
-def test_scenarios_of_the_package_are_the_four_named_ones():
+def test_scenarios_of_the_package_are_the_named_ones():
     assert set(shipped()) == {
         "dense_dynamic",
         "heterogeneous",
         "open_water_current",
         "reef_fleet",
+        "sitl_formation",
+        "sitl_hold",
     }
 
 

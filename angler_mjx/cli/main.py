@@ -10,13 +10,26 @@ from typing import Any
 
 import tyro
 
-from angler_mjx.cli import bench, control, env, export, rollout, teleop, vehicle
+from angler_mjx.cli import (
+    bench,
+    control,
+    env,
+    export,
+    rollout,
+    sitl,
+    sitl_run,
+    spotcheck,
+    teleop,
+    tune,
+    vehicle,
+)
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "env": {"make": env.make, "show": env.show},
+    "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
     "vehicle": {"list": vehicle.list_, "show": vehicle.show, "export": vehicle.export},
 }
 """Commands of two words."""
@@ -24,6 +37,10 @@ GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
 
 def _env() -> None:
     """Generate environments into a file, and look at one of them."""
+
+
+def _sitl() -> None:
+    """Install a real ArduSub, look whether it can be run here, fly scenarios on it."""
 
 
 def _vehicle() -> None:
@@ -38,9 +55,12 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "export": export.export,
     "teleop": teleop.teleop,
     "env": _env,
+    "sitl": _sitl,
+    "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle,
     "bench": bench.bench,
     "control": control.control,
+    "tune": tune.tune,
 }
 """Commands of one word; the groups stand here for the help text alone."""
 

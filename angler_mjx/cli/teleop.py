@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.sitl_run import Level, Source, prepare
+from angler_mjx.cli.sitl_run import opener as real_autopilots
+from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.teleop.loop import Driven
@@ -27,6 +30,11 @@ def teleop(
     speed: float = 0.5,
     turn: float = 0.5,
     silence: float = 0.8,
+    level: Level | None = None,
+    source: Source | None = None,
+    gcs: str | None = None,
+    isolate: bool = False,
+    ardusub: Path | None = None,
     device: Device = "cpu",
 ) -> None:
     """Drive robots of one world by keys while the others follow their plans.
@@ -48,15 +56,27 @@ def teleop(
         turn: Angular speed at the beginning, rad/s.
         silence: Seconds without a key after which a driven robot stops. Below the delay of the
             keyboard's repetition, driving stutters.
+        level: For --session sitl, what is sent: sticks (poshold if left out, althold, manual),
+            targets (guided), or the signals of our own controllers (thrusters).
+        source: For --session sitl, where ArduSub learns its position; vision if left out.
+        gcs: For --session sitl, a ground station that may join, as in udp:127.0.0.1:14550.
+        isolate: For --session sitl, do it in a network namespace of its own.
+        ardusub: For --session sitl, the ArduSub to run; else ANGLER_ARDUSUB, else the installed
+            one.
         device: Where to compute.
     """
+    given = {"level": level, "source": source, "gcs": gcs, "ardusub": ardusub}
+    named = [*(f for f, value in given.items() if value is not None), *["isolate"] * isolate]
+    if session == "batch" and named:
+        raise ConfigError(f"--{named[0]}: only real autopilots have that; add --session sitl")
+    if session == "sitl":
+        prepare(isolate=isolate, gcs=gcs)
     choose(device)
     from angler_mjx.runs.scenario import load_scenario
-    from angler_mjx.teleop import driving
+    from angler_mjx.teleop import driving, opening
 
     settings = driving.Settings(
         robots=robots,
-        session=session,
         script=script,
         realtime=realtime,
         out=out,
@@ -68,7 +88,13 @@ def teleop(
         silence_s=silence,
     )
     loaded = load_scenario(scenario, **({} if seed is None else {"seed": seed}))
-    done, run = driving.run(loaded, settings, tell=partial(print, file=sys.stderr))
+    opener: opening.Opener = opening.simulated
+    if session == "sitl":
+        opener = real_autopilots(
+            level=level or "poshold", source=source or "vision", gcs=gcs, ardusub=ardusub
+        )
+    tell = partial(print, file=sys.stderr)
+    done, run = driving.run(loaded, settings, tell=tell, opener=opener)
     _report(done)
     if run is not None:
         print(run.path)

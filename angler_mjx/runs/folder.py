@@ -1,7 +1,8 @@
 """The run folder: where it is built, what lies in it, and how it is read back.
 
 ``config.json`` resolved scenario, ``environment.json`` versions and machine, ``summary.json``,
-``episodes.parquet``, ``trajectories.zarr``, ``figures/``, ``replay.rrd``. While a run goes on, the
+``episodes.parquet``, ``trajectories.zarr``, ``figures/``, ``replay.rrd``; ``robots/`` where each
+robot left files of its own. While a run goes on, the
 folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
 """
 
@@ -22,7 +23,7 @@ from angler_mjx.runs.scenario import Scenario
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
-FIGURES, REPLAY = "figures", "replay.rrd"
+FIGURES, REPLAY, ROBOTS = "figures", "replay.rrd", "robots"
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,11 @@ def reopen(out: Path) -> Path:
     """
     building = partial_path(out)
     if out.exists() and not building.exists():
-        if Run(out).summary["complete"]:
+        summary = Run(out).summary
+        if summary["complete"]:
             raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
+        if "interrupted" in summary:
+            raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
         out.rename(building)
         (building / PARTS).mkdir(exist_ok=True)
         (building / EPISODES).rename(building / PARTS / "before.parquet")

@@ -2,12 +2,13 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import folder
 from angler_mjx.runs.folder import Run
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.teleop import live_view, opening, script
@@ -26,7 +27,6 @@ class Settings:
 
     robots: str | None = None
     """As in ``0,2``; all if None."""
-    session: opening.Kind = "batch"
     script: Path | None = None
     """File of keys; the keyboard if None."""
     realtime: bool = True
@@ -58,7 +58,10 @@ class Settings:
 
 
 def run(
-    scenario: Scenario, settings: Settings, tell: Callable[[str], None] | None = None
+    scenario: Scenario,
+    settings: Settings,
+    tell: opening.Tell | None = None,
+    opener: opening.Opener = opening.simulated,
 ) -> tuple[Driven, Run | None]:
     """Drive robots of one world of a scenario.
 
@@ -66,15 +69,19 @@ def run(
         scenario: whose world and robots.
         settings: who is driven, and how.
         tell: told why nothing moves yet.
+        opener: of the session that is driven.
 
     Returns:
         How it went, and the run folder if one was asked for and at least one step was driven.
 
     Raises:
         ConfigError: something of the scenario or the settings cannot be used; nothing is left.
-        UnsupportedError: the viewer or the kind of session is not there.
-        RunError: the session broke off, or the disk gave out; nothing is left.
+        UnsupportedError: the viewer is not there.
+        RunError: the session broke off, and the run folder holds what was driven until then; or the
+            disk gave out, and nothing is left.
     """
+    if settings.world < 0:
+        raise ConfigError(f"--world {settings.world}: give an index from 0 on")
     driven = opening.choose(settings.robots, len(scenario.members()))
     keys = Keyboard() if settings.script is None else Script(script.load(settings.script))
     if settings.rerun:
@@ -85,7 +92,9 @@ def run(
         if settings.out is not None:
             recording = stack.enter_context(Recording(settings.out, scenario, settings.world))
         begun = time.perf_counter()
-        session = opening.open_session(settings.session, scenario, settings.world, tell)
+        logs = None if recording is None else recording.building / folder.ROBOTS
+        opened = opener(scenario, settings.world, logs, tell)
+        session = opened.session
         compile_s = time.perf_counter() - begun
         stack.callback(session.close)
         interrupt.check()
@@ -97,7 +106,7 @@ def run(
             silence_s=settings.silence_s,
         )
         title = f"{scenario.name}, world {settings.world}"
-        watchers: list[Watcher] = []
+        watchers: list[Watcher] = [*opened.watchers]
         if recording is not None:
             recording.begin(session)
             watchers.append(recording)
@@ -109,6 +118,9 @@ def run(
         recorded = None if recording is None else recording.finish(done, compile_s)
         if recorded is not None and settings.rerun:
             replay.write(recorded)
+    if done.broken:
+        kept = "" if recorded is None else f"; what was driven until then is in {recorded.path}"
+        raise RunError(done.broken + kept)
     return done, recorded
 
 

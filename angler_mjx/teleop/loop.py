@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.session.interface import Observation, Session
 from angler_mjx.teleop import status
 from angler_mjx.teleop.pace import Overruns, Pace
@@ -59,6 +59,8 @@ class Driven:
     keys: tuple[TimedKey, ...]
     """All that were pressed, with the time of the scene at which they took effect."""
     last: Observation
+    broken: str = ""
+    """What broke it off; empty if it came to its end."""
 
 
 def drive(
@@ -90,7 +92,7 @@ def drive(
     begun, begin_s, steps = time.perf_counter(), observation.time_s, 0
     pace = Pace(session.dt_s) if realtime else None
     pressed: list[TimedKey] = []
-    painted = -PAINT_S
+    painted, broken = -PAINT_S, ""
     while not stop.asked:
         now = observation.time_s
         if screen is not None and time.perf_counter() - painted >= PAINT_S:
@@ -104,7 +106,11 @@ def drive(
         over = duration_s is not None and now - begin_s > duration_s - 1e-3 * session.dt_s
         if pilot.ended or over or (duration_s is None and keys.finished):
             break
-        observation = _step(session, pilot, observation)
+        try:
+            observation = _step(session, pilot, observation)
+        except RunError as error:  # what was driven until then is not lost
+            broken = str(error)
+            break
         steps += 1
         for watcher in watchers:
             watcher.after(observation)
@@ -117,6 +123,7 @@ def drive(
         overruns=None if pace is None else pace.overruns,
         keys=tuple(pressed),
         last=observation,
+        broken=broken,
     )
 
 

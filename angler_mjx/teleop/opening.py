@@ -1,53 +1,62 @@
-"""The session that is driven: the one place that knows which kinds there are."""
+"""The session that is driven: a simulated one, unless whoever starts the drive brings another."""
 
 import contextlib
-from collections.abc import Callable
-from typing import Literal, Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
 
 import jax.numpy as jnp
 
 from angler_mjx.control.commands import BodyTwist
-from angler_mjx.errors import ConfigError, UnsupportedError
+from angler_mjx.errors import ConfigError
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.interface import Session
-from angler_mjx.teleop.recording import Recordable
+from angler_mjx.session.recording import Recordable
+from angler_mjx.teleop.loop import Watcher
 
-type Kind = Literal["batch", "sitl"]
+type Tell = Callable[[str], None]
+"""Told in words why nothing moves yet."""
 
 
 class Drivable(Session, Recordable, Protocol):
     """A session that can be driven and recorded."""
 
 
-def open_session(
-    kind: Kind, scenario: Scenario, world: int, tell: Callable[[str], None] | None = None
-) -> Drivable:
-    """The session of a kind, compiled and reset.
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A session that is ready, and who else is told of its steps."""
+
+    session: Drivable
+    watchers: Sequence[Watcher] = ()
+
+
+type Opener = Callable[[Scenario, int, Path | None, Tell | None], Opened]
+"""Opens a session: its scenario, the index of its world, a folder for the robots' own logs (none:
+they are not kept), and whom to tell."""
+
+
+def simulated(
+    scenario: Scenario, world: int, _: Path | None = None, tell: Tell | None = None
+) -> Opened:
+    """One world of the simulator, compiled and reset.
 
     Args:
-        kind: what stands behind it.
         scenario: whose world and robots.
         world: global index of the world.
+        _: simulated robots keep no logs.
         tell: told that it takes a while.
 
     Raises:
         ConfigError: there is no such world.
-        UnsupportedError: the kind is not there.
     """
-    if world < 0:
-        raise ConfigError(f"--world {world}: give an index from 0 on")
-    if kind == "sitl":
-        raise UnsupportedError(
-            "--session sitl: driving real autopilots needs the SITL bridge, which is not there "
-            "yet; use --session batch"
-        )
     if tell is not None:
         tell(f"{scenario.name}: drawing and compiling world {world} ...")
     session = BatchSession(scenario, world=world)
     _compile(session)
     session.reset()
-    return session
+    return Opened(session=session)
 
 
 def _compile(session: BatchSession) -> None:

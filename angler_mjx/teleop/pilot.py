@@ -161,9 +161,10 @@ class Pilot:
                 if helm.mode is Mode.PLAN:
                     resume.append(robot)
                 elif helm.mode is Mode.HOLD:
-                    commands[robot] = hold_here(estimate, robot)
+                    takes = PoseTarget in self._robots[robot].accepts
+                    commands[robot] = hold_here(estimate, robot) if takes else _still()
                 else:
-                    commands[robot] = BodyTwist(nu=jnp.zeros(6))
+                    commands[robot] = _still()
             helm.told = True
         return Orders(commands=commands, resume=tuple(resume))
 
@@ -190,6 +191,11 @@ class Pilot:
     def _velocity(self, direction: Direction) -> np.ndarray:
         """[4] surge, sway, heave in m/s and turn in rad/s, as set."""
         return np.append(self.speed_mps * np.array(direction[:3]), self.turn_radps * direction.yaw)
+
+
+def _still() -> BodyTwist:
+    """Stop; of those who take velocities alone, also the nearest thing to holding."""
+    return BodyTwist(nu=jnp.zeros(6))
 
 
 def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from angler_mjx import frames
+from angler_mjx.control.commands import PoseTarget
 from angler_mjx.session.interface import Observation, RobotInfo, RobotStatus
 from angler_mjx.teleop.keys import HELP
 from angler_mjx.teleop.pace import Overruns
@@ -56,7 +57,9 @@ def drives(robot: int, pilot: Pilot, status: RobotStatus) -> str:
     if status.refused:
         return "hold"
     mode = pilot.mode(robot)
-    return mode.value if mode is not Mode.PLAN else status.command
+    if mode is not Mode.PLAN:
+        return str(mode.value)
+    return str(Mode.HOLD.value) if status.command == PoseTarget.__name__ else status.command
 
 
 def compass_deg(q: np.ndarray) -> float:

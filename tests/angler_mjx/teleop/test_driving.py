@@ -8,9 +8,9 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.cli.teleop import teleop
-from angler_mjx.errors import ConfigError, UnsupportedError
+from angler_mjx.errors import ConfigError, RunError, UnsupportedError
 from angler_mjx.interop import mcap
-from angler_mjx.runs.folder import Run
+from angler_mjx.runs.folder import Run, reopen
 from angler_mjx.runs.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop import live_view, opening
@@ -75,7 +75,7 @@ def scenario(folder):
 @pytest.fixture(scope="module")
 def session(scenario):
     """One simulated scene for all tests here; each resets it."""
-    opened = opening.open_session("batch", scenario, WORLD)
+    opened = opening.simulated(scenario, WORLD).session
     yield opened
     opened.close()
 
@@ -266,11 +266,47 @@ def test_settings_that_cannot_be_used(scenario, folder, fault):
         run(scenario, Settings(script=script, **given))
 
 
-def test_sitl_says_what_it_needs(scenario, folder, tmp_path):
-    settings = Settings(session="sitl", script=folder / "keys.txt", out=tmp_path / "run")
-    with pytest.raises(UnsupportedError, match="SITL bridge"):
-        run(scenario, settings)
-    assert os.listdir(tmp_path) == []
+class Breaking:
+    """A session whose driver is lost on the way."""
+
+    def __init__(self, session):
+        self._session = session
+
+    def __getattr__(self, name):
+        return getattr(self._session, name)
+
+    def step(self, commands=None):
+        if self._session.observe().time_s > 1.0:
+            raise RunError("robot_1 is gone")
+        return self._session.step(commands)
+
+    def close(self):
+        """It is shared."""
+
+
+def test_what_was_driven_until_a_robot_is_lost_is_kept(scenario, session, folder, tmp_path):
+    session.reset()
+    settings = Settings(script=folder / "keys.txt", out=tmp_path / "run")
+    opened = opening.Opened(session=Breaking(session))
+    with pytest.raises(RunError, match=r"robot_1 is gone.*is in .*run"):
+        run(scenario, settings, opener=lambda *_: opened)
+    kept = Run(tmp_path / "run")
+    assert not kept.summary["complete"]
+    assert kept.summary["interrupted"] == "robot_1 is gone"
+    assert kept.trajectories["time_s"].shape == (6,)  # 1 s at 5 Hz, and its beginning
+    assert os.listdir(tmp_path) == ["run"]
+    with pytest.raises(ConfigError, match="run it anew"):
+        reopen(tmp_path / "run")
+
+
+def test_autopilots_are_asked_for_by_name(folder, capsys):
+    with pytest.raises(SystemExit) as left:
+        main(["teleop", str(folder / "three.toml"), "--level", "guided"])
+    assert left.value.code == 2
+    assert "--level" in capsys.readouterr().err
+
+
+def test_worlds_are_counted_from_0(scenario, folder):
     with pytest.raises(ConfigError, match="--world -1"):
         run(scenario, Settings(script=folder / "keys.txt", world=-1))
 

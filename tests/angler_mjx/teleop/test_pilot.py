@@ -1,6 +1,7 @@
 """Modes, silence, speeds and frames: what a row of keys makes of commands."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -192,3 +193,11 @@ def test_the_end_is_asked_for_by_two_keys(robots):
 def test_the_silence_outlasts_the_longest_usual_delay_of_a_keyboard():
     # 0.66 s is the X server's own default (XkbDfltRepeatDelay); desktops set 0.5 s or less.
     assert module.SILENCE_S > 0.66 + 0.05
+
+
+def test_a_robot_that_takes_velocities_alone_is_let_go_where_another_holds(robots):
+    sticks = [replace(robot, accepts=(BodyTwist,)) for robot in robots]
+    pilot = Pilot(sticks, (0,), speed_mps=0.5, turn_radps=0.5)
+    pilot.press("h", 0.0)
+    (order,) = pilot.orders(observed()).commands.values()
+    np.testing.assert_array_equal(order.nu, np.zeros(6))

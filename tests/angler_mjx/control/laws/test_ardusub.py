@@ -137,17 +137,18 @@ def test_the_firmwares_gains_keep_station_in_a_current(flown, pool):
 
 def test_the_firmwares_gains_hunt_in_still_water_within_bounds(flown, pool):
     flights = flown("stock")
-    # The step arrives, and what is left swings by less than 0.35 m: the dead band of 25 us is
-    # 0.5 m/s^2 of demand, which an integral of 0.5 /s has to cross.
+    # The step arrives, and what is left swings within the dead band of 25 us: 0.5 m/s^2 of demand,
+    # over P = 6 of velocity and 1 of position 8 cm. The real firmware's swings by 6 cm.
     metres, _ = flights.steady(pool.STEP)
-    assert metres.max() < 0.35
+    assert metres.max() < 0.09
     depth = np.abs(flights.p[:, pool.STEP, -200:, 2] - (pool.deep[2] + 1.06))
     # Depth has its own loop: net buoyancy keeps its thrusters out of their dead band.
     assert depth.max() < 0.03
     # Heading: a dead band of 25 / 400 over P = 0.18 over 6 is 3.3 degrees.
     _, degrees = flights.steady(pool.TURN)
     assert degrees.max() < 5
-    assert flights.tilt_deg[:, :3].max() < 10
+    # A step of 2 m across all axes is not shaped here: 11 degrees with the quickest set.
+    assert flights.tilt_deg[:, :3].max() < 13
 
 
 def test_higher_gains_settle(flown, pool):

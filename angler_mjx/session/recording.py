@@ -1,0 +1,237 @@
+"""What happened in a session, as a run folder: figures, replays and exports read it like any other.
+
+Samples are kept in memory and written at the end, for until then nobody knows how many there are:
+an hour of four robots at 5 Hz takes 10 MB.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import folder, harvest, results
+from angler_mjx.runs.harvest import FinishedTile
+from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
+from angler_mjx.runs.recorder import Recorder, Shape
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.session.batch import Inside
+from angler_mjx.session.interface import Floats, Observation
+from angler_mjx.sim.state import Sample
+
+
+class Recordable(Protocol):
+    """A session whose truth can be recorded."""
+
+    def inside(self) -> Inside:
+        """What lies behind it."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Where a robot was to be, at so many times."""
+
+    time_s: Floats
+    """[n]."""
+    position_m: Floats
+    """[n, 3] in W."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """How a session went, for the summary of its run."""
+
+    steps: int
+    """Control steps."""
+    wall_s: float
+    compile_s: float
+    more: Mapping[str, Any]
+    """Further keys of the summary."""
+    interrupted: str = ""
+    """What broke it off; empty if it came to its end."""
+
+
+class SessionRecording:
+    """A run folder in the making; a hidden one, of which nothing stays unless it is finished."""
+
+    def __init__(self, out: Path, scenario: Scenario, world: int) -> None:
+        """Nothing is made yet.
+
+        Args:
+            out: folder to make; must not exist.
+            scenario: that is run.
+            world: global index of its world.
+
+        Raises:
+            ConfigError: the scenario stores no trajectories.
+        """
+        self._out, self._scenario, self._world = out, scenario, world
+        if scenario.time.record_hz == 0:
+            raise ConfigError(
+                f"--out {out}: the scenario stores no trajectories (time.record_hz = 0); "
+                "set a rate, for example record_hz = 5"
+            )
+        self._every = scenario.time.steps_per_sample
+        self._steps = 0
+        self._samples: list[Sample] = []
+        self._ways: dict[int, Way] = {}
+        self._building: Path | None = None
+
+    def __enter__(self) -> Self:
+        """Take the folder's name, so that nobody waits for an hour in vain."""
+        self._building = folder.create(self._out)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Take away what was not finished."""
+        if self._building is not None:
+            folder.remove(self._building)
+
+    @property
+    def building(self) -> Path:
+        """The hidden folder, for files that are to lie beside those of every run.
+
+        Raises:
+            RunError: it is not open.
+        """
+        if self._building is None:
+            raise RunError("the recording is not open")
+        return self._building
+
+    def begin(self, session: Recordable) -> None:
+        """Record a session from here on; it runs the same scenario."""
+        self._session = session
+
+    def plan(self, robot: int, way: Way) -> None:
+        """Keep this as a robot's plan, and not the planner's path."""
+        self._ways[robot] = way
+
+    def after(self, observation: Observation) -> None:
+        """Keep a sample, if one is due; called after every step."""
+        sample = self._session.inside().sample
+        if sample is not None and self._steps % self._every == 0:
+            self._samples.append(jax.tree.map(np.asarray, sample))
+        self._steps += 1
+
+    def close(self, course: Course) -> folder.Run | None:
+        """Write the run.
+
+        Returns:
+            The run; None if not even one step was made.
+
+        Raises:
+            RunError: the disk gave out.
+        """
+        if self._building is None or not self._samples:
+            return None
+        building = self._building
+        try:
+            inside = self._session.inside()
+            tile = self._tile(inside)
+            scenario = self._resolved(inside)
+            folder.write_json(building / folder.CONFIG, scenario.model_dump(mode="json"))
+            folder.write_json(building / folder.ENVIRONMENT, describe_environment())
+            self._write_trajectories(building, tile)
+            episodes = results.episode_table(
+                harvest.tile_result(tile), inside.simulator.variants(), scenario.seed
+            )
+            summary = {**self._summary(scenario, course), **results.summarise(episodes)}
+            run = folder.finish(building, self._out, episodes, summary)
+        except OSError as error:
+            raise RunError(
+                f"--out {self._out}: cannot be written ({error.strerror or error})"
+            ) from error
+        self._building = None
+        return run
+
+    def _tile(self, inside: Inside) -> FinishedTile:
+        """The world as the tile of a run, its samples joined to [1, n, ...]."""
+        joined: Sample = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *self._samples)
+        kept = jax.tree.map(np.array, harvest.constants(inside.worlds, recorded=True))
+        for robot, way in self._ways.items():
+            # In as many rows as the planner's paths have.
+            times = np.linspace(way.time_s[0], way.time_s[-1], kept.plan_time_s.shape[-1])
+            kept.planned[0, robot], kept.plan_time_s[0, robot] = True, times
+            for axis in range(3):
+                along = np.interp(times, way.time_s, way.position_m[:, axis])
+                kept.plan_m[0, robot, :, axis] = along
+        return FinishedTile(
+            first=self._world,
+            kept=1,
+            constants=kept,
+            end=jax.tree.map(np.asarray, harvest.end(inside.state)),
+            parts=[joined],
+        )
+
+    def _resolved(self, inside: Inside) -> Scenario:
+        """The scenario as it was run. Its horizon stays: what is drawn in time depends on it."""
+        changed: dict[str, Any] = {
+            # As many as are needed for this index; the others are not in the run.
+            "worlds": self._world + 1,
+            "tile": 1,
+            "engine": inside.simulator.scenario.engine,
+            "kernels": inside.simulator.kernels,
+        }
+        return self._scenario.model_copy(update=changed)
+
+    def _write_trajectories(self, building: Path, tile: FinishedTile) -> None:
+        environment = tile.constants.environment
+        first = tile.parts[0]
+        if environment is None or tile.constants.plan_time_s is None:
+            raise RunError("the session keeps no environment to record")
+        shape = Shape(
+            worlds=self._world + 1,
+            samples=len(self._samples),
+            robots=first.p.shape[2],
+            thrusters=first.pwm_us.shape[-1],
+            obstacles=first.obstacle_p.shape[2],
+            plan_points=tile.constants.plan_time_s.shape[-1],
+            estimated=first.belief is not None,
+        )
+        recorder = Recorder.create(
+            building / folder.TRAJECTORIES,
+            shape,
+            environment,
+            tile=1,
+            sample_dt_s=1.0 / self._scenario.time.record_hz,
+        )
+        recorder.write(tile.first, harvest.arrays(tile, shape.samples), environment)
+
+    def _summary(self, scenario: Scenario, course: Course) -> dict[str, Any]:
+        """As of every run, and how it went."""
+        steps = course.steps * scenario.time.physics_steps * len(scenario.members())
+        broken = {"interrupted": course.interrupted} if course.interrupted else {}
+        return {
+            "scenario": scenario.name,
+            "engine": scenario.engine,
+            "kernels": scenario.kernels,
+            "seed": scenario.seed,
+            "tile": 1,
+            "devices": 1,
+            "processes": 1,
+            "worlds": scenario.worlds,
+            "worlds_done": 1,
+            "complete": not course.interrupted,
+            **broken,
+            "timing": {
+                "compile_s": course.compile_s,
+                "simulate_s": course.wall_s,
+                "disk_wait_s": 0.0,
+                "total_s": course.compile_s + course.wall_s,
+                "vehicle_steps": steps,
+                "vehicle_steps_per_s": steps / max(course.wall_s, 1e-9),
+            },
+            **course.more,
+            "peak_memory_bytes": peak_memory_bytes(),
+            "run": str(self._out),
+        }

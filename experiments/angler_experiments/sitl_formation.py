@@ -1,0 +1,91 @@
+"""A formation for the scenario ``sitl_formation``: a square of robots that moves, turns and widens.
+
+    python -m angler_experiments.sitl_formation formation.json
+    angler sitl run sitl_formation --plan formation.json
+
+Robot i goes along p_i(t) = c(t) + k(t) R(theta(t)) d_i with one smooth step sigma(t / T) in c, k
+and theta; d_i are the starts about their middle. No two robots come nearer to each other than at
+the start, for the square never shrinks.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from angler_mjx.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.interop import joint_trajectory_file
+from angler_mjx.runs.scenario import load_scenario
+
+SCENARIO = "sitl_formation"
+MOVE_S, HOLD_S, STEP_S = 60.0, 10.0, 4.0
+SHIFT_M = np.array([9.0, 0.0, -2.0])
+TURN_RAD, WIDEN = math.pi / 2, 1.2
+_H_S = 1e-3
+"""For differences of places."""
+
+
+def places(start_m: np.ndarray, time_s: float) -> np.ndarray:
+    """Where the robots are to be [n, 3], m in W.
+
+    Args:
+        start_m: [n, 3] where they begin.
+        time_s: since then.
+    """
+    share = min(max(time_s / MOVE_S, 0.0), 1.0)
+    # Rest, and no acceleration, at both ends.
+    done = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    middle = start_m.mean(axis=0)
+    cos, sin = math.cos(TURN_RAD * done), math.sin(TURN_RAD * done)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    wide = 1.0 + (WIDEN - 1.0) * done
+    made: np.ndarray = middle + done * SHIFT_M + wide * (start_m - middle) @ turn.T
+    return made
+
+
+def goals(start_m: np.ndarray) -> dict[int, JointGoal]:
+    """A JointTrajectory for each robot, held at its end for a while."""
+    times = np.append(np.arange(0.0, MOVE_S + STEP_S / 2, STEP_S), MOVE_S + HOLD_S)
+    p, before, after = (
+        np.stack([places(start_m, t + shift) for t in times]) for shift in (0.0, -_H_S, _H_S)
+    )
+    v, a = (after - before) / (2 * _H_S), (after - 2 * p + before) / _H_S**2
+    v[[0, -1]], a[[0, -1]] = 0.0, 0.0
+
+    def row(table: np.ndarray, k: int, i: int) -> tuple[float, ...]:
+        numbers: Any = np.round(table[k, i], 9).tolist()
+        return tuple(numbers)
+
+    return {
+        i: JointGoal(
+            joint_names=("x", "y", "z"),
+            points=tuple(
+                JointPoint(
+                    time_s=float(t),
+                    positions=row(p, k, i),
+                    velocities=row(v, k, i),
+                    accelerations=row(a, k, i),
+                )
+                for k, t in enumerate(times)
+            ),
+        )
+        for i in range(len(start_m))
+    }
+
+
+def main(out: Annotated[Path, tyro.conf.Positional], force: bool = False) -> None:
+    """Write the trajectories of the formation.
+
+    Args:
+        out: File to write.
+        force: Replace an older file.
+    """
+    start_m = np.array(load_scenario(SCENARIO).world.start_m)
+    joint_trajectory_file.write(out, goals(start_m), force=force)
+    print(out)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,80 @@
+"""How well robots of a run kept to where they were sent, at its end.
+
+    angler sitl run sitl_hold --duration 90 --out runs/hold
+    python -m angler_experiments.sitl_hold runs/hold --last-s 30
+
+Errors are those of the true position against the target, at the recorded samples; beside them, by
+how far the autopilot's own filter was off, if that was recorded.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from angler_mjx.runs.folder import Run
+from angler_mjx.runs.harvest import ESTIMATE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """Of one robot, over the last seconds of a run; m."""
+
+    robot: int
+    worst_m: float
+    rms_m: float
+    filter_worst_m: float
+    """NaN where it was not recorded."""
+
+    def row(self) -> str:
+        """One line of the table."""
+        return f"{self.robot:5d} {self.worst_m:9.3f} {self.rms_m:9.3f} {self.filter_worst_m:13.3f}"
+
+
+HEAD = "robot   worst m     rms m  filter off m"
+
+
+def measure(run: Run, last_s: float) -> list[Kept]:
+    """Every robot of the last world of a run.
+
+    Args:
+        run: with trajectories.
+        last_s: how much of its end is looked at.
+    """
+    stored: Any = run.trajectories
+    world = int(run.episodes["world"].to_numpy()[-1])
+    time_s = np.asarray(stored["time_s"])
+    late = time_s >= time_s[-1] - last_s
+    p, target = (np.asarray(stored[name][world])[late] for name in ("p_m", "target_m"))
+    off = np.linalg.norm(p - target, axis=-1)
+    filtered = np.full_like(off, np.nan)
+    if ESTIMATE in stored:
+        known = np.asarray(stored[f"{ESTIMATE}/p_m"][world])[late]
+        filtered = np.linalg.norm(p - known, axis=-1)
+    return [
+        Kept(
+            robot=i,
+            worst_m=float(off[:, i].max()),
+            rms_m=float(np.sqrt(np.mean(off[:, i] ** 2))),
+            filter_worst_m=float(filtered[:, i].max()),
+        )
+        for i in range(off.shape[1])
+    ]
+
+
+def main(run: Annotated[Path, tyro.conf.Positional], last_s: float = 30.0) -> None:
+    """Show how far each robot was from its target.
+
+    Args:
+        run: Run folder.
+        last_s: Seconds at the end that are looked at.
+    """
+    print(HEAD)
+    for kept in measure(Run(run), last_s):
+        print(kept.row())
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,153 @@
+"""How fast real autopilots and their water run together: lock-step at 400 Hz, no pacing.
+
+    python -m angler_experiments.sitl_speed --robots 1 4 8 16
+
+For each number of robots it starts as many ArduSubs on the scenario's water, lets them boot, and
+times the lock-step with the vehicles afloat, judged once a control period as in a session. Where
+the wall time of a step goes: *waiting* is for the autopilots, the *judge* is the simulator's
+detection and account, spread over the steps of a control period.
+"""
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from angler_mjx.runs.scenario import Scenario, load_scenario
+from angler_mjx.vehicles import library
+from angler_sitl import binary, motion, parameters
+from angler_sitl.lockstep import LockStep, Spent
+from angler_sitl.ports import Ports, allocate
+from angler_sitl.process import Instance, Launch, kill_all
+from angler_sitl.scene import Scene
+
+BOOT_S = 6.0
+"""Simulated time until the autopilots have booted and their filters run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Speed:
+    """What was measured; wall time a step in microseconds."""
+
+    robots: int
+    real_time: float
+    """Simulated over wall time."""
+    physics_us: float
+    replies_us: float
+    waiting_us: float
+    judge_us: float
+
+    def row(self) -> str:
+        """One line of the table."""
+        return (
+            f"{self.robots:6d} {self.real_time:9.1f}x {self.physics_us:9.1f} {self.judge_us:9.1f} "
+            f"{self.replies_us:13.1f} {self.waiting_us:9.1f}"
+        )
+
+
+HEAD = "robots  real time   physics     judge  text+sockets   waiting   (us a step)"
+
+
+def measure(scenario: Scenario, ardusub: binary.Binary, folder: Path, sim_s: float) -> Speed:
+    """Run one fleet for some simulated seconds.
+
+    Args:
+        scenario: its fleet is flown, or rather drifts: nobody commands it.
+        ardusub: the autopilot.
+        folder: where each keeps its files.
+        sim_s: simulated time that is measured.
+    """
+    scene = Scene(scenario)
+    names = [f"robot_{i}" for i in range(len(scene.states.numbers))]
+    vehicles = [member.variants[0].vehicle for member in scenario.members()]
+    ports = allocate(len(names))
+    instances: list[Instance] = []
+    try:
+        for i, (name, vehicle) in enumerate(zip(names, vehicles, strict=True)):
+            given = parameters.for_vehicle(library.load(vehicle), "guided", "vision", log=False)
+            instances.append(Instance(_launch(ardusub, folder, name, i + 1, ports[i], given)))
+        steps = LockStep(
+            [one.fdm for one in ports],
+            scene,
+            names=names,
+            fault=lambda i: instances[i].fault(),
+            condition=lambda i: instances[i].condition(),
+        )
+        return _timed(scene, steps, sim_s)
+    finally:
+        kill_all(instances)
+        for one in ports:
+            one.close()
+
+
+def _launch(
+    ardusub: binary.Binary,
+    folder: Path,
+    name: str,
+    sysid: int,
+    ports: Ports,
+    given: dict[str, float],
+) -> Launch:
+    return Launch(
+        binary=ardusub,
+        folder=folder / name,
+        name=name,
+        sysid=sysid,
+        ports=ports,
+        parameters=given,
+    )
+
+
+def _timed(scene: Scene, steps: LockStep, sim_s: float) -> Speed:
+    steps.advance(round(BOOT_S / scene.dt_s))
+    scene.moored = False
+    judge_s, steps.spent = 0.0, Spent()
+    periods = round(sim_s / (scene.period * scene.dt_s))
+    began = time.perf_counter()
+    for _ in range(periods):
+        steps.advance(scene.period)
+        before = time.perf_counter()
+        scene.judge()
+        judge_s += time.perf_counter() - before
+    wall_s = time.perf_counter() - began
+    spent, each = steps.spent, 1e6 / steps.spent.barriers
+    return Speed(
+        robots=len(scene.states.numbers),
+        real_time=periods * scene.period * scene.dt_s / wall_s,
+        physics_us=each * spent.physics_s,
+        replies_us=each * spent.replies_s,
+        waiting_us=each * spent.waiting_s,
+        judge_us=each * judge_s,
+    )
+
+
+def main(
+    robots: tuple[int, ...] = (1, 4, 8, 16),
+    scenario: str = "open_water_current",
+    vehicle: str = "bluerov2_heavy",
+    sim_s: float = 20.0,
+    ardusub: Path | None = None,
+) -> None:
+    """Print the table.
+
+    Args:
+        robots: Sizes of the fleet.
+        scenario: Whose water it is.
+        vehicle: Of which the fleet is made.
+        sim_s: Simulated time that is measured.
+        ardusub: The autopilot; else ANGLER_ARDUSUB, else the installed one.
+    """
+    motion.compute_inline()
+    chosen = binary.find(ardusub)
+    print(f"ArduSub {chosen.version}\n{HEAD}", flush=True)
+    for count in robots:
+        fleet = [{"vehicle": vehicle, "count": count}]
+        with tempfile.TemporaryDirectory() as folder:
+            given = load_scenario(scenario, worlds=1, fleet=fleet)
+            print(measure(given, chosen, Path(folder), sim_s).row(), flush=True)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,180 @@
+"""Which ArduSub is run, and whether this machine can run it: the file alone is looked at."""
+
+import hashlib
+import os
+import platform
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel, parse, read_toml
+
+ENVIRONMENT = "ANGLER_ARDUSUB"
+PROGRAM, RECORD = "ardusub", "ardusub.toml"
+
+_MACHINES = {"x86_64": 62, "aarch64": 183, "armv7l": 40, "i686": 3}
+"""ELF's number of a machine (e_machine) by the kernel's name of it."""
+_INTERPRETER = 3
+"""PT_INTERP: the program header that names the dynamic loader."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Binary:
+    """An ArduSub program.
+
+    Attributes:
+        path: Where it is.
+        version: As it said when it was installed, as in "4.5.3"; "unknown" for others, until it
+            runs.
+        sha256: Of the file, hexadecimal.
+    """
+
+    path: Path
+    version: str
+    sha256: str
+
+
+class Record(FileModel):
+    """What is written down beside an installed program."""
+
+    version: str
+    """As the program itself says."""
+    git: str
+    wanted: str
+    """As asked for, as in stable-4.5.3."""
+    source: str
+    size_bytes: int
+    sha256: str
+
+
+def cache_folder() -> Path:
+    """Where installed programs are: under XDG_CACHE_HOME, or ~/.cache."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # The specification says that a relative path is to be ignored.
+    base = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
+    return base / "angler_mjx" / PROGRAM
+
+
+def find(explicit: Path | None = None) -> Binary:
+    """The program to run: the given one, else ANGLER_ARDUSUB's, else the installed one.
+
+    Raises:
+        ConfigError: there is none, it cannot be run here, or it is not the file that was installed.
+    """
+    if explicit is not None:
+        return _given(explicit, "--ardusub")
+    if named := os.environ.get(ENVIRONMENT):
+        return _given(Path(named).expanduser(), ENVIRONMENT)
+    path = cache_folder() / PROGRAM
+    if not path.is_file():
+        raise ConfigError(
+            f"no ArduSub: none is installed in {path.parent}. Install one with angler sitl install "
+            f"(without network: angler sitl install --from FILE), or name a program by --ardusub "
+            f"or {ENVIRONMENT}"
+        )
+    return installed(path)
+
+
+def installed(path: Path) -> Binary:
+    """A program with its record beside it.
+
+    Raises:
+        ConfigError: the file cannot be run here, or its checksum is not the recorded one.
+    """
+    check_program(path)
+    noted = path.with_name(RECORD)
+    record = parse(Record, read_toml(noted), source=str(noted))
+    found = sha256(path)
+    if found != record.sha256:
+        raise ConfigError(
+            f"{path}: its sha256 is {found}, but {record.sha256} was recorded when it was "
+            f"installed; it was changed since. Install it anew with angler sitl install"
+        )
+    return Binary(path=path, version=record.version, sha256=found)
+
+
+def sha256(path: Path) -> str:
+    """Checksum of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def check_program(path: Path, *, run_bit: bool = True) -> None:
+    """Refuse a file that this machine cannot run.
+
+    Args:
+        path: The file.
+        run_bit: Whether we must also be allowed to run it.
+
+    Raises:
+        ConfigError: it is missing, unreadable, no ELF program, one of another machine, needs a
+            dynamic loader that is not here, or must not be run.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(65_536)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    trouble = _trouble(head)
+    if trouble:
+        raise ConfigError(f"{path}: {trouble}; give an ArduSub SITL built for this machine")
+    if run_bit and not os.access(path, os.X_OK):
+        raise ConfigError(f"{path}: no permission to run it; chmod +x {path}")
+
+
+def _given(path: Path, source: str) -> Binary:
+    """A program that somebody names; a script that starts one (by exec) will do as well."""
+    try:
+        if not (_is_script(path) and os.access(path, os.X_OK)):
+            check_program(path)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from error
+    return Binary(path=path, version="unknown", sha256=sha256(path))
+
+
+def _is_script(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(2) == b"#!"
+    except OSError:
+        return False
+
+
+def _trouble(head: bytes) -> str | None:
+    """What hinders this machine from running a file that begins so, or None."""
+    if head[:4] != b"\x7fELF":
+        looks = "a web page" if head.lstrip()[:1] == b"<" else "something else"
+        return f"not a Linux program (no ELF file, {looks})"
+    if len(head) < 64 or head[5] != 1:
+        return "not a complete little-endian ELF file"
+    wide = head[4] == 2
+    kind, machine = struct.unpack_from("<HH", head, 16)
+    if kind not in (2, 3):
+        return "an ELF file, but not a program"
+    here = platform.machine()
+    if machine != _MACHINES.get(here, machine):
+        names = {number: name for name, number in _MACHINES.items()}
+        return f"a program for {names.get(machine, f'ELF machine {machine}')}, this is {here}"
+    loader = _loader(head, wide)
+    if loader is not None and not Path(loader).exists():
+        return f"it needs the dynamic loader {loader}, which is not on this machine"
+    return None
+
+
+def _loader(head: bytes, wide: bool) -> str | None:
+    """Path of the dynamic loader that a program names; None for a static one."""
+    (table,) = struct.unpack_from("<Q" if wide else "<I", head, 32 if wide else 28)
+    size, count = struct.unpack_from("<HH", head, 54 if wide else 42)
+    for at in range(table, table + size * count, size):
+        if at + size > len(head):
+            break
+        (kind,) = struct.unpack_from("<I", head, at)
+        if kind != _INTERPRETER:
+            continue
+        if wide:
+            offset, length = struct.unpack_from("<Q16xQ", head, at + 8)
+        else:
+            offset, length = struct.unpack_from("<I8xI", head, at + 4)
+        return head[offset : offset + length].rstrip(b"\0").decode(errors="replace")
+    return None

@@ -1,0 +1,102 @@
+"""A flight from armed to done: every robot along its plan until it has ended, or the time is up."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from angler_mjx.control.joint_goal import JointGoal
+from angler_mjx.control.joint_tolerance import ResultCode
+from angler_mjx.errors import RunError
+from angler_mjx.session.interface import Observation, RobotStatus
+from angler_mjx.sim.state import Outcome
+from angler_mjx.teleop.loop import Watcher
+from angler_mjx.teleop.signals import Stop
+from angler_sitl.session import SitlSession
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """How it went."""
+
+    steps: int
+    scene_s: float
+    wall_s: float
+    last: Observation
+    broken: str = ""
+    """What broke it off; empty if it came to its end."""
+    by_signal: bool = False
+    """Whether that was a signal."""
+
+    @property
+    def real_time(self) -> float:
+        """Times real time."""
+        return self.scene_s / max(self.wall_s, 1e-9)
+
+
+def fly(
+    session: SitlSession,
+    *,
+    duration_s: float,
+    goals: Mapping[int, JointGoal] | None = None,
+    whole: bool = False,
+    watchers: Sequence[Watcher] = (),
+    stop: Stop | None = None,
+) -> Flight:
+    """Fly until every robot has ended, or so long.
+
+    A robot ends when it fails, when its autopilot is lost, and when it has come through: through
+    its JointTrajectory if it was given one, else when it arrives.
+
+    Args:
+        session: just reset; goals were checked.
+        duration_s: of the scene, at most.
+        goals: JointTrajectories by index of the robot; the others follow their plans.
+        whole: go on to the end of that time, whoever has ended.
+        watchers: told of every step.
+        stop: whether a signal asked for the end.
+    """
+    begun, steps = time.perf_counter(), 0
+    observation, broken = session.observe(), ""
+    orders = dict(goals or {})
+    # Half a period: times are sums in floating point.
+    while observation.time_s < duration_s - 0.5 * session.dt_s:
+        if stop is not None and stop.asked:
+            broken = "interrupted by a signal"
+            break
+        if not whole and steps and _all_ended(session, observation, goals or {}):
+            break
+        try:
+            observation = session.step(orders)
+        except RunError as error:  # what was flown until then is not lost
+            broken = str(error)
+            break
+        orders = {}
+        steps += 1
+        for watcher in watchers:
+            watcher.after(observation)
+    return Flight(
+        steps=steps,
+        scene_s=observation.time_s,
+        wall_s=time.perf_counter() - begun,
+        last=observation,
+        broken=broken,
+        by_signal=stop is not None and stop.asked,
+    )
+
+
+def _all_ended(
+    session: SitlSession, observation: Observation, goals: Mapping[int, JointGoal]
+) -> bool:
+    lost = session.squad.lockstep.lost
+    return all(
+        i in lost or _ended(status, given=i in goals) for i, status in enumerate(observation.status)
+    )
+
+
+def _ended(status: RobotStatus, *, given: bool) -> bool:
+    if status.outcome not in (Outcome.RUNNING, Outcome.REACHED):
+        return True
+    if not given:
+        return status.outcome is Outcome.REACHED
+    under_way = status.note.startswith((ResultCode.ACTIVE.name, "a JointTrajectory begins"))
+    return not under_way

@@ -1,0 +1,98 @@
+"""A ground station that may join: every vehicle's MAVLink, both ways, over one UDP port.
+
+Its traffic goes over the line on which the autopilots take external navigation, and not over the
+session's: a ground station asks for streams at rates of its own, and the firmware keeps rates by
+line. One socket serves all vehicles, because some ground stations answer only to where the last
+packet came from; what they send goes to the vehicle that it names, or to all.
+"""
+
+import socket
+from typing import Self
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.session.interface import Observation
+from angler_sitl.session import SitlSession
+
+_LARGEST = 65_536
+
+
+def parse(text: str) -> tuple[str, int]:
+    """Host and port of a ground station.
+
+    Args:
+        text: as in ``udp:127.0.0.1:14550``.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    kind, _, rest = text.partition(":")
+    host, _, number = rest.rpartition(":")
+    # int() takes more than people mean by a number.
+    port = int(number) if number.isascii() and number.isdecimal() else 0
+    if kind != "udp" or not host or not 0 < port < 65_536:
+        raise ConfigError(f"--gcs {text}: give udp:HOST:PORT, as in udp:127.0.0.1:14550")
+    return host, port
+
+
+class GroundStation:
+    """Forwards between a ground station and the autopilots of a session; a context manager.
+
+    It works whenever a control period is over; see `angler_mjx.teleop.loop.Watcher`.
+    """
+
+    def __init__(self, address: str) -> None:
+        """Nothing is sent before `join`.
+
+        Args:
+            address: as in ``udp:127.0.0.1:14550``.
+
+        Raises:
+            ConfigError: it is none, or its host has no address.
+        """
+        host, port = parse(address)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.connect((host, port))  # so that nobody else is listened to
+        except OSError as error:
+            self._socket.close()
+            raise ConfigError(f"--gcs {address}: {error.strerror or error}") from error
+        self._parser = dialect.MAVLink(None)
+        self._parser.robust_parsing = True
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        """Close its socket."""
+        self._socket.close()
+
+    def join(self, session: SitlSession) -> None:
+        """Let it hear the autopilots of a session, as they are since its last reset."""
+        self._pilots = session.squad.pilots
+        for pilot in self._pilots:
+            pilot.vision.listeners.append(self._send)
+
+    def after(self, observation: Observation) -> None:
+        """Pass on what the ground station has sent."""
+        while True:
+            try:
+                data = self._socket.recv(_LARGEST)
+            except BlockingIOError:
+                return
+            except ConnectionError:  # nobody listens there yet
+                continue
+            for message in self._parser.parse_buffer(data) or ():
+                wanted = getattr(message, "target_system", 0)
+                for pilot in self._pilots:
+                    if message.get_type() != "BAD_DATA" and wanted in (0, pilot.sysid):
+                        pilot.vision.write(bytes(message.get_msgbuf()))
+
+    def _send(self, packet: bytes) -> None:
+        try:
+            self._socket.send(packet)
+        except (BlockingIOError, ConnectionError):
+            return  # as if it were lost on its way: UDP promises nothing

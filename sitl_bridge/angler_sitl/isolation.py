@@ -1,0 +1,54 @@
+"""A network of its own for this process and all it starts: nothing but loopback is in it.
+
+ArduSub takes state packets on a socket that is open on all interfaces, and has no option against
+that. In a network namespace there is no other interface. Our sockets have to be in it too, so the
+whole program goes, and nobody outside can join: no ground station either.
+"""
+
+import fcntl
+import os
+import socket
+import struct
+from pathlib import Path
+
+from angler_mjx.errors import UnsupportedError
+
+_SIOCSIFFLAGS = 0x8914
+_IFF_UP = 0x1
+
+
+def isolate() -> None:
+    """Move this process into a network namespace of its own, its loopback up. There is no way back.
+
+    As root this takes no more; others need a user namespace with it, in which they are who they
+    were. That needs a process of one thread: call it before JAX is loaded.
+
+    Raises:
+        UnsupportedError: the kernel or its settings do not allow it.
+    """
+    uid, gid = os.getuid(), os.getgid()
+    try:
+        try:
+            os.unshare(os.CLONE_NEWNET)
+        except PermissionError:
+            os.unshare(os.CLONE_NEWUSER | os.CLONE_NEWNET)
+            _stay(uid, gid)
+        _loopback_up()
+    except OSError as error:
+        raise UnsupportedError(
+            f"--isolate: this system gives no network namespace ({error.strerror}); leave it out, "
+            "or close the ports listed by angler sitl doctor with a firewall"
+        ) from error
+
+
+def _stay(uid: int, gid: int) -> None:
+    me = Path("/proc/self")
+    (me / "uid_map").write_text(f"{uid} {uid} 1")
+    # The kernel lets an ordinary user map a group only if the process gives up changing groups.
+    (me / "setgroups").write_text("deny")
+    (me / "gid_map").write_text(f"{gid} {gid} 1")
+
+
+def _loopback_up() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
+        fcntl.ioctl(control, _SIOCSIFFLAGS, struct.pack("16sh14x", b"lo", _IFF_UP))

@@ -1,0 +1,90 @@
+"""Sockets of a fleet of autopilots: our ends are bound before any autopilot starts.
+
+Every number is the kernel's choice, so several fleets run on one machine and no list of ports has
+to be kept free. A port is held from the moment it is known until `Ports.close`, so nobody can take
+it in between.
+"""
+
+import socket
+from dataclasses import dataclass, fields
+
+from angler_mjx.errors import ConfigError, RunError
+
+LOOPBACK = "127.0.0.1"
+MOST_VEHICLES = 254
+"""MAVLink counts systems from 1 to 255, and 255 is the ground station: us."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """Sockets of one vehicle, all UDP, all bound to loopback.
+
+    Attributes:
+        fdm: Servo packets arrive here, ``--sim-port-out``. The replies go to their sender.
+        mavlink: ``--serial0 udpclient:``, for commands and telemetry.
+        vision: ``--serial1 udpclient:``, for external navigation.
+        rc: Holds the port that the autopilot is told to take radio control packets from,
+            ``--rc-in-port``. It would bind it on all interfaces and has no option against that;
+            as the port is taken, it goes without. Nothing is ever read from this socket.
+    """
+
+    fdm: socket.socket
+    mavlink: socket.socket
+    vision: socket.socket
+    rc: socket.socket
+
+    @property
+    def rc_port(self) -> int:
+        """Number of the port that is held against the autopilot's own radio control socket."""
+        return number(self.rc)
+
+    def close(self) -> None:
+        """Close all of them; twice does no harm."""
+        for field in fields(self):
+            getattr(self, field.name).close()
+
+
+def number(bound: socket.socket) -> int:
+    """Port number of a bound socket."""
+    return int(bound.getsockname()[1])
+
+
+def allocate(count: int) -> list[Ports]:
+    """Bind the sockets of so many vehicles.
+
+    Raises:
+        ConfigError: fewer than one vehicle, or more than MAVLink has numbers for.
+        RunError: the machine gives no more sockets; those already bound are closed.
+    """
+    if not 1 <= count <= MOST_VEHICLES:
+        raise ConfigError(
+            f"{count} robots: real autopilots can be 1 to {MOST_VEHICLES}, for MAVLink has no more "
+            "system numbers; choose fewer with --robots"
+        )
+    given: list[Ports] = []
+    try:
+        for _ in range(count):
+            given.append(_one())
+    except OSError as error:
+        for ports in given:
+            ports.close()
+        raise RunError(
+            f"no UDP port of {LOOPBACK} for autopilot {len(given)} of {count} ({error}); close "
+            "other programs, or raise the limit of open files (ulimit -n)"
+        ) from error
+    return given
+
+
+def _one() -> Ports:
+    bound: list[socket.socket] = []
+    try:
+        for _ in fields(Ports):
+            bound.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            # Without SO_REUSEADDR: that is what keeps everybody else out.
+            bound[-1].bind((LOOPBACK, 0))
+    except OSError:
+        for one in bound:
+            one.close()
+        raise
+    fdm, mavlink, vision, rc = bound
+    return Ports(fdm=fdm, mavlink=mavlink, vision=vision, rc=rc)

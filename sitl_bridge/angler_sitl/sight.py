@@ -1,0 +1,129 @@
+"""What a session shows of its scene: the truth, what autopilots believe, and records of both."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.control.allocation import NEUTRAL_US
+from angler_mjx.control.commands import BodyWrench, Estimate, ThrusterPwm
+from angler_mjx.control.joint_tolerance import Tolerances
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.session.desk import Desk
+from angler_mjx.session.fleet_facts import Facts
+from angler_mjx.session.interface import Floats, Observation, RobotStatus, SceneObstacles
+from angler_mjx.session.view import View, Watched, believed, look
+from angler_mjx.sim.state import Belief, Sample, WorldState
+from angler_sitl.guidance import Decision, belief_of, trusting
+from angler_sitl.helm import Helm
+from angler_sitl.motion import HIGH_US, LOW_US
+from angler_sitl.scene import Scene
+from angler_sitl.squad import Squad
+
+
+class Sight:
+    """A scene as it was seen last.
+
+    Attributes:
+        view: the truth.
+        seen: the same as the robots' autopilots know it, or the truth where that is trusted.
+        belief: of the robots, for the controllers; [1, R] leads.
+        target_m: [R, 3] place aimed at in the last step, in W.
+        sample: of the state before the last step, with its command; None before the first.
+    """
+
+    def __init__(self, scene: Scene, facts: Facts, allowed: Tolerances, *, truth: bool) -> None:
+        """Nothing is seen yet.
+
+        Args:
+            scene: to look at.
+            facts: of its robots.
+            allowed: tolerances of JointTrajectories, [R] leading.
+            truth: whether robots are told the truth, and not what their autopilots believe.
+        """
+        self._scene, self._facts, self._allowed, self._truth = scene, facts, allowed, truth
+        self.sample: Sample | None = None
+        self.view: View
+        self.seen: View
+        self.belief: Belief
+        self.target_m: Floats
+
+    def begin(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+        """Look for the first time: everybody aims at where it is."""
+        self.look(squad, desk, helm)
+        self.target_m = np.asarray(self.seen.p)
+
+    def look(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+        """Look at what is there now."""
+        scene, watched = self._scene, None
+        if JointTrajectory in desk.board.kinds:
+            watched = Watched(
+                trajectory=desk.board.slot(JointTrajectory),
+                allowed=self._allowed,
+                before=jax.device_put(desk.results),
+            )
+        state = replace(scene.state, carry=helm.memory)
+        view: View = jax.device_get(look(scene.worlds, state, self._signals(squad), watched))
+        vehicles = scene.state.vehicles
+        self.belief = trusting(vehicles) if self._truth else belief_of(squad.motions(), vehicles.p)
+        self.view, self.seen = view, believed(view, self.belief)
+
+    def keep(self, before: WorldState, decision: Decision, squad: Squad) -> None:
+        """Keep a record of a step.
+
+        Args:
+            before: the state that it began with.
+            decision: what was decided then.
+            squad: after it.
+        """
+        self.target_m = np.asarray(decision.target_m)[0]
+        self.sample = Sample(
+            p=before.vehicles.p,
+            q=before.vehicles.q,
+            nu=before.vehicles.nu,
+            pwm_us=self._signals(squad),
+            target_m=decision.target_m,
+            current_mps=decision.current_mps,
+            outcome=before.tally.outcome,
+            obstacle_p=before.obstacles.p,
+            obstacle_q=before.obstacles.q,
+            belief=None if self._truth else self.belief,
+        )
+
+    def observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
+        """As sessions show it.
+
+        Args:
+            time_s: of the session.
+            status: of each robot.
+        """
+        view, rows = self.view, self._facts.obstacles
+        return Observation(
+            time_s=time_s,
+            estimate=_estimate(self.seen),
+            covariance=None,
+            truth=_estimate(view),
+            pwm=ThrusterPwm(pwm_us=view.pwm_us),
+            demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
+            realised=BodyWrench(tau=view.realised),
+            target_m=self.target_m,
+            clearance_m=np.asarray(view.clearance_m),
+            obstacles=SceneObstacles(
+                position_m=np.asarray(view.obstacle_p)[rows.which],
+                attitude=np.asarray(view.obstacle_q)[rows.which],
+                kind=rows.kind,
+                size_m=rows.size_m,
+            ),
+            status=status,
+        )
+
+    def _signals(self, squad: Squad) -> Any:
+        """[1, R, n_thruster] pulse widths, neutral where there is no pulse."""
+        pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
+        pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
+        return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
+
+
+def _estimate(view: View) -> Estimate:
+    return Estimate(p=view.p, q=view.q, nu=view.nu)

@@ -1,0 +1,85 @@
+"""Sockets of a process, as the kernel lists them: which of them other machines could reach."""
+
+import os
+import socket
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from pathlib import Path
+
+_TABLES = ("udp", "udp6", "tcp", "tcp6", "raw", "raw6")
+_LISTENING = "0A"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """One socket that has an address.
+
+    Attributes:
+        protocol: "udp", "tcp" or "raw".
+        address: It is bound to; unspecified (0.0.0.0) means every interface.
+        port: Its number.
+        peer: The only one whose packets reach it, if it is connected.
+    """
+
+    protocol: str
+    address: IPv4Address | IPv6Address
+    port: int
+    peer: IPv4Address | IPv6Address | None
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        return self.address.is_loopback or (self.peer is not None and self.peer.is_loopback)
+
+    def __str__(self) -> str:
+        """As in "udp 0.0.0.0:5501"."""
+        return f"{self.protocol} {self.address}:{self.port}"
+
+
+def of(pid: int) -> list[Bound]:
+    """Sockets with an address that a process of ours has; none if it has ended."""
+    inodes = _inodes(pid)
+    found = []
+    for table in _TABLES:
+        try:
+            lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for words in (line.split() for line in lines):
+            one = _bound(table.rstrip("6"), words[1], words[2], words[3])
+            if words[9] in inodes and one is not None:
+                found.append(one)
+    return found
+
+
+def _inodes(pid: int) -> set[str]:
+    found = set()
+    try:
+        for name in os.listdir(f"/proc/{pid}/fd"):
+            target = os.readlink(f"/proc/{pid}/fd/{name}")
+            if target.startswith("socket:["):
+                found.add(target[len("socket:[") : -1])
+    except OSError:
+        # It has ended, or a file was closed while we looked: what was found so far is true.
+        pass
+    return found
+
+
+def _bound(protocol: str, local: str, remote: str, state: str) -> Bound | None:
+    address, port = _parse(local)
+    peer, peer_port = _parse(remote)
+    listens = protocol == "tcp" and state == _LISTENING
+    if port == 0:
+        return None
+    connected = peer_port != 0 and not listens
+    return Bound(protocol=protocol, address=address, port=port, peer=peer if connected else None)
+
+
+def _parse(text: str) -> tuple[IPv4Address | IPv6Address, int]:
+    """Address and port of the kernel's form: words of 32 bits in the machine's byte order."""
+    digits, _, port = text.partition(":")
+    words = [int(digits[i : i + 8], 16) for i in range(0, len(digits), 8)]
+    packed = b"".join(socket.htonl(word).to_bytes(4, "big") for word in words)
+    address = ip_address(packed)
+    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return mapped or address, int(port, 16)

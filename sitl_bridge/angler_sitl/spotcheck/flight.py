@@ -1,0 +1,155 @@
+"""One world flown once: where its robots were, what their thrusters were told, how they ended.
+
+The same form for what a run recorded, for what the batch simulator flies again, and for real
+autopilots. In a file it is an ``.npz``; rows of the robots are those of ``episodes.parquet``.
+"""
+
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.interop.atomic import replacing
+from angler_mjx.runs import harvest, results
+from angler_mjx.runs.folder import Run
+from angler_mjx.runs.harvest import FinishedTile
+from angler_mjx.sim.state import Sample, World, WorldState
+
+type Floats = NDArray[np.floating[Any]]
+
+RECORDED = "recorded"
+"""Name of what the run itself recorded."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """One flight of one world; [T] samples and [R] robots lead."""
+
+    time_s: Floats
+    """[T] from the start, at the rate of the run's records."""
+    p_m: Floats
+    """[T, R, 3] centres of mass in W."""
+    pwm_us: NDArray[np.int64]
+    """[T, R, n_thruster]; 1500 in padding columns."""
+    rows: tuple[dict[str, Any], ...]
+    """Of each robot, as in ``episodes.parquet``."""
+
+    @property
+    def end_s(self) -> Floats:
+        """[R] when each robot's episode ended."""
+        return np.array([end_s(row) for row in self.rows])
+
+    def place(self, robot: int, time_s: float) -> Floats:
+        """[3] where a robot was, between two samples on a straight line."""
+        path = self.p_m[:, robot]
+        return np.array([np.interp(time_s, self.time_s, path[:, axis]) for axis in range(3)])
+
+
+def end_s(row: dict[str, Any]) -> float:
+    """When a robot's episode ended."""
+    reached = row["outcome"] == "reached"
+    return float(row["time_to_goal_s"] if reached else row["failure_time_s"])
+
+
+def recorded(run: Run, world: int, robots: int) -> Flight:
+    """What a run recorded of its first so many robots.
+
+    Raises:
+        ConfigError: it stored no trajectories.
+    """
+    rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
+    stored: Any = run.trajectories
+    p = np.asarray(stored["p_m"][world], float)[:, :robots]
+    there = np.isfinite(p).all(axis=(1, 2))
+    return Flight(
+        time_s=np.asarray(stored["time_s"], float)[there],
+        p_m=p[there],
+        pwm_us=np.asarray(stored["pwm_us"][world], np.int64)[:, :robots][there],
+        rows=tuple(rows),
+    )
+
+
+def flown(
+    worlds: World,
+    state: WorldState,
+    samples: Sequence[Sample],
+    *,
+    world: int,
+    variants: Sequence[tuple[str, str]],
+    seed: int,
+    sample_dt_s: float,
+) -> Flight:
+    """A flight from a simulation's own pytrees.
+
+    Args:
+        worlds: [1] leads.
+        state: at the end; [1] leads.
+        samples: one after another; [1] leads, or [1, n] of n samples.
+        world: global index.
+        variants: vehicle and parameter set of each variant.
+        seed: of the run.
+        sample_dt_s: time between samples.
+    """
+    tile = FinishedTile(
+        first=world,
+        kept=1,
+        constants=jax.tree.map(np.asarray, harvest.constants(worlds, recorded=False)),
+        end=jax.tree.map(np.asarray, harvest.end(state)),
+        parts=[],
+    )
+    rows = results.episode_table(harvest.tile_result(tile), variants, seed).to_pylist()
+    robots = len(rows)
+    p = np.concatenate([np.asarray(one.p).reshape(-1, robots, 3) for one in samples])
+    pwm = [np.asarray(one.pwm_us) for one in samples]
+    joined = np.concatenate([one.reshape(-1, robots, one.shape[-1]) for one in pwm])
+    return Flight(
+        time_s=np.arange(len(p), dtype=float) * sample_dt_s,
+        p_m=p.astype(float),
+        pwm_us=np.rint(np.nan_to_num(joined)).astype(np.int64),
+        rows=tuple(rows),
+    )
+
+
+def save(path: Path, flight: Flight) -> None:
+    """Write a flight, whole or not at all.
+
+    Raises:
+        ConfigError: its folder cannot be written.
+        RunError: the disk gave out.
+    """
+    with replacing(path, flag="--out", force=True) as writing, writing.open("wb") as file:
+        np.savez_compressed(
+            file,
+            time_s=flight.time_s,
+            p_m=flight.p_m,
+            pwm_us=flight.pwm_us,
+            rows=np.array(json.dumps(flight.rows)),
+        )
+
+
+def load(path: Path) -> Flight:
+    """Read a flight.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            return Flight(
+                time_s=found["time_s"],
+                p_m=found["p_m"],
+                pwm_us=found["pwm_us"],
+                rows=tuple(json.loads(str(found["rows"]))),
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(
+            f"{path}: is no flight ({error}); remove it and go on with --resume"
+        ) from error

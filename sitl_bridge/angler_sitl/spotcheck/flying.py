@@ -1,0 +1,174 @@
+"""Flying a world of a run again: in the batch simulator, or by real autopilots."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Protocol, Self
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.scenario import ControllerConfig, Scenario
+from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim.state import Outcome, Sample, World
+from angler_sitl.choosing import scenario_of
+from angler_sitl.parameters import Source
+from angler_sitl.session import SitlSession
+from angler_sitl.spotcheck import flight
+from angler_sitl.spotcheck.flight import Flight
+from angler_sitl.spotcheck.scenes import one_world
+
+type SpotLevel = Literal["guided", "thrusters"]
+"""Levels that can follow plans."""
+type Against = Literal["surrogate", "cascade"]
+"""Controllers of the batch simulator that autopilots are held against."""
+
+CONTROLLERS: dict[Against, str] = {"surrogate": "ardusub", "cascade": "cascade"}
+"""Their stacks."""
+
+type Tell = Callable[[float], None]
+"""Told the share of the horizon that was flown."""
+
+
+class Flyer(Protocol):
+    """Flies worlds."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Whatever it holds is let go."""
+        ...
+
+    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
+        """Fly a world.
+
+        Args:
+            index: its global index.
+            worlds: itself; [1] leads.
+            tell: told how far it is.
+        """
+        ...
+
+
+class BatchFlyer:
+    """The batch simulator with a controller of its own choice."""
+
+    def __init__(self, scenario: Scenario, against: Against) -> None:
+        """Put the simulation together.
+
+        Args:
+            scenario: of the run, with the robots that fly.
+            against: whose controllers.
+        """
+        other = {"controller": ControllerConfig(name=CONTROLLERS[against])}
+        self._simulator = Simulator(one_world(scenario).model_copy(update=other))
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Nothing is held."""
+
+    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
+        """See `Flyer.fly`."""
+        simulator = self._simulator
+        sample_dt_s = simulator.steps_per_sample * simulator.spec.control_dt_s
+        state, samples = simulator.reset(worlds), list[Sample]()
+        for number in range(simulator.segments):
+            state, sample, running = simulator.advance(worlds, state)
+            samples.append(jax.tree.map(np.asarray, sample))
+            tell((number + 1) / simulator.segments)
+            sampled_s = ((number + 1) * simulator.samples - 1) * sample_dt_s
+            # A sample after the last robot's end: it says where that was.
+            if int(running[0]) == 0 and sampled_s >= float(np.max(state.tally.end_time_s)):
+                break
+        return flight.flown(
+            worlds,
+            state,
+            samples,
+            world=index,
+            variants=simulator.variants(),
+            seed=simulator.scenario.seed,
+            sample_dt_s=sample_dt_s,
+        )
+
+
+class SitlFlyer:
+    """Real autopilots at one level, brought up anew for each world."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        level: SpotLevel,
+        source: Source,
+        speed: Literal["max"] | float,
+        binary: Path | None,
+    ) -> None:
+        """Compile the scene; see `SitlSession` for arguments and errors."""
+        self._scenario = scenario
+        self._session = SitlSession(
+            scenario, level=level, source=source, speed=speed, binary=binary
+        )
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """No autopilot is left running."""
+        self._session.close()
+
+    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
+        """See `Flyer.fly`."""
+        session, timing = self._session, self._scenario.time
+        observed = session.reset(worlds=worlds)
+        samples = list[Any]()
+        for step in range(timing.control_steps):
+            over = all(one.outcome is not Outcome.RUNNING for one in observed.status)
+            observed = session.step()
+            if step % timing.steps_per_sample == 0:
+                samples.append(jax.tree.map(np.asarray, session.inside().sample))
+                tell((step + 1) / timing.control_steps)
+                if over:  # this sample says where the last robot was when it ended
+                    break
+        inside = session.inside()
+        return flight.flown(
+            inside.worlds,
+            inside.state,
+            samples,
+            world=index,
+            variants=inside.simulator.variants(),
+            seed=self._scenario.seed,
+            sample_dt_s=timing.steps_per_sample * timing.control_dt_s,
+        )
+
+
+def crew(scenario: Scenario, robots: int) -> Scenario:
+    """The scenario of a run with its first so many robots.
+
+    Raises:
+        ConfigError: it has fewer.
+    """
+    fleet = len(scenario.members())
+    if not 1 <= robots <= fleet:
+        raise ConfigError(f"--robots {robots}: the run has {fleet} robots; give 1 to {fleet}")
+    return scenario if robots == fleet else scenario_of(scenario, robots)

@@ -1,0 +1,94 @@
+"""The folder of a spot check: ``spotcheck.json``, ``flights/``, and the report.
+
+``spotcheck.json`` holds what was asked for and what was picked; a flight is written as it ends,
+so whatever is interrupted goes on with ``--resume`` after the last whole one.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.interop.atomic import replacing
+
+TABLE, FLIGHTS = "spotcheck.json", "flights"
+
+
+def create(out: Path) -> None:
+    """Make the folder of a new spot check.
+
+    Raises:
+        ConfigError: it exists, or its parent cannot be written.
+    """
+    if (out / TABLE).is_file() and not read(out)["complete"]:
+        raise ConfigError(
+            f"--out {out}: an unfinished spot check lies there; take it up again with --resume or "
+            "remove it"
+        )
+    if out.exists():
+        raise ConfigError(f"--out {out}: exists; give another folder or remove it")
+    try:
+        (out / FLIGHTS).mkdir(parents=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+
+
+def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
+    """What an interrupted spot check knows.
+
+    Args:
+        out: its folder.
+        asked: what is asked for now.
+
+    Raises:
+        ConfigError: there is none, it is complete, or it was asked something else.
+    """
+    if not (out / TABLE).is_file():
+        raise ConfigError(f"--resume {out}: there is no spot check of that name")
+    table = read(out)
+    if table["complete"]:
+        raise ConfigError(f"--resume {out}: this spot check is complete; nothing is left to do")
+    for key, value in asked.items():
+        if table["asked"].get(key) != value:
+            raise ConfigError(
+                f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
+                "give the same arguments"
+            )
+    return table
+
+
+def read(out: Path) -> dict[str, Any]:
+    """``spotcheck.json``.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    path = out / TABLE
+    try:
+        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    return table
+
+
+def write(out: Path, table: dict[str, Any]) -> None:
+    """Write ``spotcheck.json``, the whole file or none of it."""
+    save_text(out / TABLE, json.dumps(table, indent=1) + "\n")
+
+
+def save_text(path: Path, text: str) -> None:
+    """Write a file of the folder whole or not at all."""
+    with replacing(path, flag="--out", force=True) as writing:
+        writing.write_text(text, encoding="utf-8")
+
+
+def flight_path(out: Path, world: int, name: str, robots: int) -> Path:
+    """Where a flight lies.
+
+    Args:
+        out: the folder.
+        world: global index.
+        name: of what flew.
+        robots: how many.
+    """
+    return out / FLIGHTS / f"world_{world:06d}" / f"{name}_{robots}.npz"

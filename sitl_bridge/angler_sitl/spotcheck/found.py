@@ -1,0 +1,76 @@
+"""What was asked of a spot check, and what it found so far."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from angler_mjx.runs.folder import Run
+from angler_sitl.parameters import Source
+from angler_sitl.spotcheck import gaps
+from angler_sitl.spotcheck.flight import RECORDED, Flight
+from angler_sitl.spotcheck.flying import Against, SpotLevel
+from angler_sitl.spotcheck.gaps import Gap
+from angler_sitl.spotcheck.picking import Pick, Stratify
+
+type Key = tuple[int, str, int]
+"""World, name of what flew, robots."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What is asked for."""
+
+    episodes: int = 8
+    stratify: Stratify = "outcome"
+    seed: int = 0
+    """Of the draw of worlds."""
+    against: tuple[Against, ...] = ("surrogate", "cascade")
+    levels: tuple[SpotLevel, ...] = ("thrusters", "guided")
+    robots: tuple[int, ...] = ()
+    """Each count is flown: the first so many of each world. Empty for all robots of the run."""
+    source: Source = "vision"
+    speed: Literal["max"] | float = "max"
+    binary: Path | None = None
+
+    def asked(self) -> dict[str, Any]:
+        """What the results depend on, as JSON has it."""
+        chosen = {k: v for k, v in asdict(self).items() if k not in ("speed", "binary")}
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in chosen.items()}
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """What autopilots are held against."""
+        return (RECORDED, *self.against)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A spot check, whole or as far as it came."""
+
+    run: Run
+    settings: Settings
+    picks: tuple[Pick, ...]
+    counts: tuple[int, ...]
+    """Robots."""
+    likeness: Mapping[int, str]
+    """Of each world made again to the one recorded."""
+    autopilot: str
+    """Version and checksum of the ArduSub."""
+    provenance: Mapping[str, Any]
+    flights: Mapping[Key, Flight] = field(default_factory=dict)
+    complete: bool = False
+
+    def gaps(self, level: str, robots: int, reference: str) -> list[Gap]:
+        """Of all worlds that have both flights."""
+        listed = list[Gap]()
+        for pick in self.picks:
+            flight = self.flights.get((pick.world, level, robots))
+            other = self.flights.get((pick.world, reference, robots))
+            if flight is not None and other is not None:
+                listed += gaps.between(pick.world, flight, other)
+        return listed
+
+    def names(self) -> tuple[str, ...]:
+        """Of all flights of a world, in the order of tables and legends."""
+        return (*self.settings.references, *self.settings.levels)

@@ -1,0 +1,125 @@
+"""The worlds of a run made again from its scenario and seed, and held against what it recorded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import RunError
+from angler_mjx.runs.folder import Run
+from angler_mjx.runs.scenario import Scenario
+from angler_mjx.runs.simulator import Simulator
+from angler_mjx.sim.state import World
+from angler_mjx.world import store
+
+TOLERANCE = 1e-3
+"""Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind
+of device rounds otherwise; a world that differs by more is another world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Likeness:
+    """How like a world made again is to the one recorded."""
+
+    arrays: int
+    """Compared, plans included."""
+    identical: int
+    """Of these, the same byte by byte."""
+    difference: float
+    """Greatest one of the others; 0 if there are none."""
+    where: str
+    """Name of the array that holds it."""
+
+    def text(self) -> str:
+        """In a few words."""
+        if self.identical == self.arrays:
+            return f"identical, all {self.arrays} arrays byte by byte"
+        return (
+            f"{self.identical} of {self.arrays} arrays identical, the others within "
+            f"{self.difference:.1e} ({self.where})"
+        )
+
+
+def one_world(scenario: Scenario) -> Scenario:
+    """A scenario to be computed one world at a time on any device: the closed form, plain XLA."""
+    return scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+
+
+def draw(scenario: Scenario, indices: Sequence[int]) -> dict[int, World]:
+    """Worlds by their global indices; [1] leads."""
+    simulator = Simulator(one_world(scenario))
+    return {index: simulator.worlds(index) for index in indices}
+
+
+def compare(run: Run, index: int, worlds: World) -> Likeness:
+    """Hold a world against what a run recorded of it.
+
+    Args:
+        run: with trajectories.
+        index: of the world.
+        worlds: made again; [1] leads.
+
+    Raises:
+        RunError: it is another world.
+    """
+    stored: Any = run.trajectories
+    made = {f"environment/{name}": leaf for name, leaf in store.leaves(worlds.environment).items()}
+    made["plan_time_s"], made["plan_m"] = worlds.path.time_s, worlds.path.position_m
+    identical, worst, where = 0, 0.0, ""
+    for name, leaf in made.items():
+        now = np.asarray(leaf)[0]
+        if now.size == 0:
+            identical += 1
+            continue
+        before = np.asarray(stored[name][index])
+        if before.shape != now.shape:
+            raise _another(run, index, f"{name} has the shape {now.shape}, not {before.shape}")
+        if np.array_equal(before, now, equal_nan=before.dtype.kind == "f"):
+            identical += 1
+            continue
+        difference = _difference(before, now)
+        if not difference <= TOLERANCE:
+            raise _another(run, index, f"{name} differs by {difference:g}")
+        if difference > worst:
+            worst, where = difference, name
+    return Likeness(arrays=len(made), identical=identical, difference=worst, where=where)
+
+
+def _difference(before: np.ndarray, now: np.ndarray) -> float:
+    """Greatest difference; infinite where only one is finite, or where whole numbers differ."""
+    if before.dtype.kind != "f":
+        return float("inf")
+    known = np.isfinite(before)
+    if not np.array_equal(known, np.isfinite(now)):
+        return float("inf")
+    return float(np.max(np.abs(before[known].astype(float) - now[known]), initial=0.0))
+
+
+def _another(run: Run, index: int, why: str) -> RunError:
+    return RunError(
+        f"{run.path}: world {index} cannot be made again: {why}. Another version of this program, "
+        "or another kind of device, made the run; make it again here with angler rollout"
+    )
+
+
+def cut(worlds: World, like: World, robots: int) -> World:
+    """A world with its first so many robots alone.
+
+    Rocks, water, obstacles, the robots' parameters and their plans stay; the other robots are not
+    there.
+
+    Args:
+        worlds: [1] leads.
+        like: of a scenario with so many robots: padding of thrusters is cut to its.
+        robots: how many stay.
+    """
+    if worlds.variant.shape[1] == robots:
+        return worlds
+
+    def first(leaf: jax.Array, shape: jax.Array) -> jax.Array:
+        return leaf[tuple(slice(0, n) for n in shape.shape)]
+
+    made: World = jax.tree.map(first, worlds, like)
+    return made

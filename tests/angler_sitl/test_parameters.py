@@ -1,0 +1,143 @@
+"""Parameters: what is written, what the firmware makes of it, and which vehicles it can steer."""
+
+import copy
+
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.library import available, load
+from angler_sitl import parameters, probe
+from angler_sitl.airframe import FACTORS, frame_of
+from angler_sitl.parameters import LEVELS, SOURCES, differences, for_vehicle, reason
+
+HEAVY = load("bluerov2_heavy")
+
+
+def changed(change):
+    """The Heavy with its file changed."""
+    data = copy.deepcopy(HEAVY.model_dump())
+    change(data)
+    return VehicleConfig.model_validate(data)
+
+
+@pytest.mark.parametrize("name", available())
+def test_shipped_vehicles_are_frames_of_the_firmware(name):
+    frame = frame_of(load(name))
+    # By upstream's own names: SUB_FRAME_VECTORED 1, SUB_FRAME_VECTORED_6DOF 2.
+    number = {"vectored": 1, "vectored_6dof": 2}[frame]
+    assert len(load(name).thrusters.layout) == len(FACTORS[frame])
+    assert for_vehicle(load(name), "guided", "vision")["FRAME_CONFIG"] == number
+
+
+def test_a_vehicle_without_a_frame_is_refused():
+    with pytest.raises(ConfigError, match=r"bluerov2_heavy.*\[ardusub\].*vectored_6dof"):
+        for_vehicle(changed(lambda data: data.update(ardusub=None)), "guided", "vision")
+
+
+def test_a_frame_of_other_thrusters_is_refused():
+    with pytest.raises(ConfigError, match=r"8 thrusters.*'vectored' has 6"):
+        frame_of(changed(lambda data: data["ardusub"].update(frame="vectored")))
+
+
+@pytest.mark.parametrize(
+    ("swap", "axes"), [((0, 1), "yaw, lateral"), ((4, 6), "pitch"), ((4, 5), "roll")]
+)
+def test_thrusters_in_another_order_are_refused(swap, axes):
+    def exchange(data):
+        layout = list(data["thrusters"]["layout"])
+        i, j = swap
+        layout[i], layout[j] = layout[j], layout[i]
+        data["thrusters"]["layout"] = layout
+
+    with pytest.raises(ConfigError, match=f"motor {swap[0] + 1} of .* in {axes};"):
+        frame_of(changed(exchange))
+
+
+def test_a_thruster_turned_around_is_refused():
+    def turn(data):
+        data["thrusters"]["layout"][6]["direction"] = (0.0, 0.0, 1.0)
+
+    with pytest.raises(ConfigError, match=r"thruster_7.*motor 7.*roll, pitch, throttle"):
+        frame_of(changed(turn))
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("source", SOURCES)
+def test_every_value_has_its_reason_and_a_name_that_mavlink_can_carry(level, source):
+    given = for_vehicle(HEAVY, level, source)
+    assert all(reason(name) for name in given)
+    # PARAM_VALUE has 16 characters for a name.
+    assert all(len(name) <= 16 for name in given)
+
+
+def test_thrusters_are_passed_through_at_that_level_only():
+    given = for_vehicle(HEAVY, "thrusters", "vision")
+    # Functions RCIN1 to RCIN8 of the firmware.
+    assert [given[f"SERVO{n}_FUNCTION"] for n in range(1, 9)] == list(range(51, 59))
+    assert "SERVO9_FUNCTION" not in given
+    assert not any(name.startswith("SERVO") for name in for_vehicle(HEAVY, "guided", "vision"))
+
+
+@pytest.mark.parametrize(("level", "source"), [("stabilise", "vision"), ("guided", "dvl")])
+def test_unknown_levels_and_sources_are_refused(level, source):
+    with pytest.raises(ConfigError, match="choose one of"):
+        for_vehicle(HEAVY, level, source)
+
+
+def test_a_file_says_what_was_given_with_old_names_and_new(tmp_path):
+    given = {"GPS1_TYPE": 0.0, "EK3_SRC1_YAW": 6.0, "BARO_SPEC_GRAV": 1.024}
+    parameters.write(tmp_path / "some.parm", given)
+    read = {}
+    for line in (tmp_path / "some.parm").read_text().splitlines():
+        name, value = line.partition("#")[0].split()
+        read[name] = float(value)
+    assert read == {**given, "GPS_TYPE": 0.0}
+
+
+def test_differences_are_told_and_nothing_else():
+    ours = {"GPS1_TYPE": 0.0, "FS_GCS_ENABLE": 0.0, "BARO_SPEC_GRAV": 1.024, "VISO_TYPE": 1.0}
+    # float32, as it comes over the line.
+    read = {"GPS_TYPE": 0.0, "FS_GCS_ENABLE": 2.0, "BARO_SPEC_GRAV": 1.0240000486373901, "X": 3.0}
+    assert differences(ours, read) == [
+        "FS_GCS_ENABLE = 0: the autopilot has 2",
+        "VISO_TYPE = 1: unknown to this firmware",
+    ]
+    assert differences({}, read) == []
+
+
+@pytest.mark.sitl
+@pytest.mark.parametrize("name", available())
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_real_one_takes_every_parameter(ardusub, tmp_path, name, source):
+    vehicle = load(name)
+    given = {}
+    for level in LEVELS:
+        given |= for_vehicle(vehicle, level, source)
+    with probe.standing_still(ardusub, tmp_path, given) as still:
+        said = probe.ask(still)
+    assert differences(given, said.parameters) == []
+    assert len(said.parameters) > 1000
+
+
+@pytest.mark.sitl
+def test_the_real_one_does_not_know_what_is_not_there(ardusub, tmp_path):
+    given = {"NO_SUCH_THING": 1.0, "FS_GCS_ENABLE": 0.0}
+    with probe.standing_still(ardusub, tmp_path, given) as still:
+        read = probe.ask(still).parameters
+    assert differences(given, read) == ["NO_SUCH_THING = 1: unknown to this firmware"]
+
+
+@pytest.mark.sitl
+def test_the_real_one_passes_channels_to_thrusters(ardusub, tmp_path):
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    given = for_vehicle(HEAVY, "thrusters", "vision")
+    wanted = (1410, 1430, 1450, 1470, 1530, 1550, 1570, 1590)
+    with probe.standing_still(ardusub, tmp_path, given) as still:
+        # 0 until the first override, which is no pulse: off.
+        assert still.pwm[:8] == (0,) * 8
+        channels = [*wanted, *[0] * 10]
+        still.send(mavlink.MAVLink_rc_channels_override_message(still.sysid, 1, *channels))
+        # 17.5 ms of its clock at most were seen.
+        assert still.until(lambda: still.pwm[:8] == wanted, 0.1)
