@@ -53,7 +53,7 @@ def cache_folder() -> Path:
     given = os.environ.get("XDG_CACHE_HOME", "")
     # The specification says that a relative path is to be ignored.
     base = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
-    return base / "angler_mjx" / PROGRAM
+    return base / "angler-mjx" / PROGRAM
 
 
 def find(explicit: Path | None = None) -> Binary:

@@ -7,6 +7,7 @@ pace themselves; where a speed is asked for, the pace is kept here, once for all
 Wall time is looked at for two things alone: that pace, and an autopilot that no longer asks.
 """
 
+import os
 import socket
 import struct
 import time
@@ -94,6 +95,8 @@ class LockStep:
         self._frame = [-1] * len(self._sockets)
         self._text = [b""] * len(self._sockets)
         self._buffer = memoryview(bytearray(2 * packets.SERVO_BYTES))
+        # Where each autopilot and we have a core, looking again is quicker than being woken.
+        self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
         self._answered_s = self._pace_from_s = time.perf_counter()
         self._pace_time_s = scene.time_s
         for one in self._sockets:
@@ -145,7 +148,7 @@ class LockStep:
         since = time.perf_counter()
         while i not in self.lost:
             try:
-                size, source = self._sockets[i].recvfrom_into(self._buffer)
+                size, source = self._receive(self._sockets[i])
             except BlockingIOError:
                 self._silent(i, time.perf_counter() - since)
                 continue
@@ -164,6 +167,17 @@ class LockStep:
                 self._sockets[i].sendto(self._text[i], source)
             else:
                 self._lose(i, self._anew(i))
+
+    def _receive(self, one: socket.socket) -> tuple[int, Address]:
+        """A packet and where it comes from; BlockingIOError if none comes for `LOOK_S`."""
+        if self._spins:
+            until = time.perf_counter() + LOOK_S
+            while time.perf_counter() < until:
+                try:
+                    return one.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
+                except BlockingIOError:
+                    os.sched_yield()  # whoever else wants this core goes first
+        return one.recvfrom_into(self._buffer)
 
     def _silent(self, i: int, waited_s: float) -> None:
         fault = self._fault(i)

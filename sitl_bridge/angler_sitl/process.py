@@ -45,6 +45,7 @@ if ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 
 if os.getppid() != parent:
     sys.exit("the program that started this one has ended")
 try:
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     os.execv(program, sys.argv[2:])
 except OSError as error:
     sys.exit(f"{program}: cannot be run ({error.strerror})")

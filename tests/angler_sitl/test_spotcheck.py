@@ -385,7 +385,7 @@ def test_a_real_autopilot_flies_the_plan_of_a_run(ardusub, tmp_path):
         episodes=1, against=("cascade",), levels=("thrusters",), binary=ardusub.path
     )
     found = checking.check(run.path, settings, tmp_path / "check", Told())
-    assert set(found.likeness.values()) == {"identical, all 33 arrays byte by byte"}
+    assert all("byte by byte" in text for text in found.likeness.values())
     for gap in found.gaps("thrusters", 2, "cascade"):
         # The same controllers on the same plan, by way of a real autopilot's filter and outputs,
         # some 10 ms later: at 0.5 m/s that is a centimetre or so. Left standing it would be 2 m.

@@ -121,7 +121,9 @@ def _plan(run_path: Path, settings: Settings) -> Found:
 
 
 def _asked(found: Found) -> dict[str, Any]:
-    return {"run": str(found.run.path), **found.settings.asked()}
+    """All that the results depend on; another ArduSub flies otherwise."""
+    asked = {"run": str(found.run.path), "ardusub": found.autopilot}
+    return {**asked, **found.settings.asked()}
 
 
 def _taken_up(found: Found, table: dict[str, Any]) -> Found:
@@ -136,7 +138,6 @@ def _table(found: Found) -> dict[str, Any]:
         "complete": found.complete,
         "picks": [{"world": pick.world, "why": pick.why} for pick in found.picks],
         "likeness": {str(world): text for world, text in found.likeness.items()},
-        "autopilot": found.autopilot,
         "provenance": dict(found.provenance),
     }
 
