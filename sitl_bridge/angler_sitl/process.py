@@ -7,6 +7,9 @@ exec. That program, and not a ``preexec_fn``, because code between fork and exec
 other threads hold a lock, and JAX has many. It also looks whether its parent is still
 there, so a parent that died before the request leaves nothing behind either.
 
+It becomes a batch process: woken by a reply, it does not take the core of the one that still has
+others to answer.
+
 The kernel watches the thread that started the process, not the program: an `Instance` must be made
 by a thread that outlives it.
 """

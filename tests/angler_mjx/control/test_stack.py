@@ -123,8 +123,8 @@ def test_gains_reach_their_stage(robot):
     told = BodyTwist(nu=jnp.zeros(6))
     more = {"estimate": at, "command": told, "dt": DT, "density": DENSITY, "gravity": GRAVITY}
     with_it, without = (step(x, **more).demanded.tau for x in (plain, gains))
-    # m + m_A of the Heavy in surge (11.5 + 5.5 kg) times 2.5 1/s times 0.2 m/s; float32.
-    assert float(without[0] - with_it[0]) == pytest.approx(17.0 * 2.5 * 0.2, rel=1e-3)
+    # m + m_A of the Heavy in surge (11.5 + 5.5 kg) times 4 1/s times 0.2 m/s; float32.
+    assert float(without[0] - with_it[0]) == pytest.approx(17.0 * 4.0 * 0.2, rel=1e-3)
 
 
 def goal():

@@ -279,7 +279,7 @@ def test_the_command_tunes_and_says_what_came_of_it(tmp_path, capsys):
     main.main(given)
     printed = capsys.readouterr().out
     assert printed.splitlines()[-1] == str(out)
-    assert "velocity.velocity_per_s: 2.5 ->" in printed
+    assert "velocity.velocity_per_s: 4 ->" in printed
     assert "tuned for energy" in (out / "report.md").read_text()
     drawn = {path.stem for path in out.glob("*.png")}
     assert drawn == {"search", "errors", "tracks"}
