@@ -46,7 +46,7 @@ format: $(STAMP)  ## repair style and formatting
 	$(BIN)/ruff check --fix $(CODE)
 	$(BIN)/ruff format $(CODE)
 
-clean:  ## remove .venv and all caches; runs/ stays
+clean:  ## remove .venv and the caches in this folder; runs/ stays
 	rm -rf $(VENV) .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	rm -rf .hypothesis build dist
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -9,19 +9,19 @@ import jax
 import numpy as np
 
 from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.control.commands import BodyWrench, Estimate, ThrusterPwm
+from angler_mjx.control.commands import BodyWrench
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.scenario import Scenario, load_scenario
 from angler_mjx.runs.simulator import Simulator
-from angler_mjx.session import checks, fleet_facts, paths
+from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.checks import Limits, Place
 from angler_mjx.session.desk import PLAN, Desk
-from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo, SceneObstacles
+from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo
 from angler_mjx.session.rejoin import Ways
-from angler_mjx.session.view import View, Watched, believed, covariance, look
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.session.view import View, Watched, believed, covariance, look, shown
+from angler_mjx.sim.state import Sample, World, WorldState
 
 POINTS = 256
 """Points of a JointTrajectory, where a caller says nothing."""
@@ -129,7 +129,7 @@ class BatchSession:
         """See `Session.step`."""
         self._open()
         for robot in commands or {}:
-            self._known(robot)
+            presence.is_there(self.robots, robot)
         # Half a period: times are sums in floating point.
         for robot, order in {**self._desk.due(self._soon_s), **(commands or {})}.items():
             try:
@@ -150,24 +150,14 @@ class BatchSession:
     def observe(self) -> Observation:
         """See `Session.observe`."""
         self._open()
-        view, rows = self._view, self._facts.obstacles
-        return Observation(
+        return shown(
+            self._facts,
+            self._view,
+            self._seen,
             time_s=self._time_s,
-            estimate=_estimate(self._seen),
             covariance=None if self._sample is None else covariance(self._sample.belief),
-            truth=_estimate(view),
-            pwm=ThrusterPwm(pwm_us=view.pwm_us),
-            demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
-            realised=BodyWrench(tau=view.realised),
             target_m=self._target_m,
-            clearance_m=np.asarray(view.clearance_m),
-            obstacles=SceneObstacles(
-                position_m=np.asarray(view.obstacle_p)[rows.which],
-                attitude=np.asarray(view.obstacle_q)[rows.which],
-                kind=rows.kind,
-                size_m=rows.size_m,
-            ),
-            status=self._desk.status(np.asarray(view.outcome).tolist()),
+            status=self._desk.status(np.asarray(self._view.outcome).tolist()),
         )
 
     def check(self, robot: int, command: Order) -> None:
@@ -223,21 +213,10 @@ class BatchSession:
         if self._closed:
             raise RunError("the session is closed; make a new one")
 
-    def _known(self, robot: int) -> None:
-        if robot not in range(len(self.robots)):
-            raise ConfigError(
-                f"robot {robot}: there is none; this session has 0 to {len(self.robots) - 1}"
-            )
-
     def _goes_on(self, robot: int) -> None:
         """Refuse to drive a robot that failed."""
         self._open()
-        self._known(robot)
-        outcome = Outcome(int(self._view.outcome[robot]))
-        if outcome not in (Outcome.RUNNING, Outcome.REACHED):
-            raise ConfigError(
-                f"{self.robots[robot].name}: cannot go on, its episode ended ({outcome.name})"
-            )
+        presence.goes_on(self.robots, robot, self._view.outcome)
 
     def _furnish(self, worlds: World) -> None:
         """Take a world, and what can be known of it before anything moves."""
@@ -274,7 +253,3 @@ def _chosen(scenario: Scenario | str | Path, seed: int | None, engine: str | Non
     if seed is not None:
         changes["seed"] = seed
     return chosen.model_copy(update=changes)
-
-
-def _estimate(view: View) -> Estimate:
-    return Estimate(p=view.p, q=view.q, nu=view.nu)

@@ -10,12 +10,13 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
 from angler_mjx.control import joint_tolerance
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointState, JointTrajectory
 from angler_mjx.control.laws.follow import FollowCarry
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.session.interface import Floats
+from angler_mjx.session.fleet_facts import Facts
+from angler_mjx.session.interface import Floats, Observation, RobotStatus, SceneObstacles
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.state import Belief, World, WorldState
@@ -144,3 +145,45 @@ def covariance(belief: Belief | None) -> Floats | None:
     spread = np.concatenate([np.asarray(part)[0] for part in parts], axis=-1)
     square: Floats = spread[:, :, None] * spread[:, None, :] * np.eye(9)
     return square
+
+
+def shown(
+    facts: Facts,
+    view: View,
+    seen: View,
+    *,
+    time_s: float,
+    covariance: Floats | None,
+    target_m: Floats,
+    status: tuple[RobotStatus, ...],
+) -> Observation:
+    """A scene as sessions show it.
+
+    Args:
+        facts: of its robots.
+        view: the truth.
+        seen: the same as the robots' controllers know it.
+        time_s: of the session.
+        covariance: see `Observation`.
+        target_m: [R, 3] place aimed at in the last step, in W.
+        status: of each robot.
+    """
+    rows = facts.obstacles
+    return Observation(
+        time_s=time_s,
+        estimate=Estimate(p=seen.p, q=seen.q, nu=seen.nu),
+        covariance=covariance,
+        truth=Estimate(p=view.p, q=view.q, nu=view.nu),
+        pwm=ThrusterPwm(pwm_us=view.pwm_us),
+        demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
+        realised=BodyWrench(tau=view.realised),
+        target_m=target_m,
+        clearance_m=np.asarray(view.clearance_m),
+        obstacles=SceneObstacles(
+            position_m=np.asarray(view.obstacle_p)[rows.which],
+            attitude=np.asarray(view.obstacle_q)[rows.which],
+            kind=rows.kind,
+            size_m=rows.size_m,
+        ),
+        status=status,
+    )

@@ -81,7 +81,7 @@ class Cma:
             UnsupportedError: the package is not installed.
         """
         require()
-        import cmaes  # type: ignore[import-untyped]
+        import cmaes
 
         self._search: Any = cmaes.CMA(
             mean=np.zeros(len(low)),

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -97,19 +98,22 @@ def command(told: Sequence[Told], *, timed: bool) -> Command:
     """
     time = np.array([one.time_s for one in told])
     points = np.array([one.points for one in told])
+    # Arrays of the host stand where those of JAX will.
+    given: dict[str, Any]
     if not timed:
         found = np.ones(len(told), bool)
-        return Trajectory(time_s=time, position_m=points[:, :, 0, :3], found=found)  # type: ignore[arg-type]
+        given = {"time_s": time, "position_m": points[:, :, 0, :3], "found": found}
+        return Trajectory(**given)
     position, velocity, acceleration = np.moveaxis(points, 2, 0)
-    return JointTrajectory(
-        joints=VEHICLE_JOINTS,
-        time_s=time,  # type: ignore[arg-type]
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        degree=np.full(time.shape, QUINTIC, np.int32),  # type: ignore[arg-type]
-        commanded=np.ones((len(told), len(VEHICLE_JOINTS)), bool),  # type: ignore[arg-type]
-    )
+    given = {
+        "time_s": time,
+        "position": position,
+        "velocity": velocity,
+        "acceleration": acceleration,
+        "degree": np.full(time.shape, QUINTIC, np.int32),
+        "commanded": np.ones((len(told), len(VEHICLE_JOINTS)), bool),
+    }
+    return JointTrajectory(joints=VEHICLE_JOINTS, **given)
 
 
 def reference(told: Sequence[Told], *, heading: bool) -> Reference:
@@ -120,12 +124,13 @@ def reference(told: Sequence[Told], *, heading: bool) -> Reference:
         heading: whether headings count.
     """
     still = np.array([one.still for one in told], float)
-    return Reference(
-        pose=np.array([one.pose for one in told]),  # type: ignore[arg-type]
-        still=still,  # type: ignore[arg-type]
-        heading=np.full(len(told), float(heading)),  # type: ignore[arg-type]
-        way_m=np.maximum([one.way_m for one in told], 1.0),  # type: ignore[arg-type]
-    )
+    given: dict[str, Any] = {
+        "pose": np.array([one.pose for one in told]),
+        "still": still,
+        "heading": np.full(len(told), float(heading)),
+        "way_m": np.maximum([one.way_m for one in told], 1.0),
+    }
+    return Reference(**given)
 
 
 def _steps(dt: float) -> int:

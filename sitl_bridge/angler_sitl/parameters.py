@@ -36,7 +36,7 @@ _COMMON: dict[str, tuple[float, str]] = {
 }
 _EXTERNAL: dict[str, tuple[float, str]] = {
     "VISO_TYPE": (1, "positions come by MAVLink"),
-    "VISO_DELAY_MS": (0, "ours are sent 25 ms old: what the firmware takes off for transport"),
+    "VISO_DELAY_MS": (0, "ours are sent 30 ms old: what the firmware takes off for transport"),
     "GPS1_TYPE": (0, "no GPS under water"),
     "EK3_SRC1_POSXY": (6, "position from external navigation"),
     "EK3_SRC1_VELXY": (6, "velocity from external navigation"),

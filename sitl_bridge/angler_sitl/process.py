@@ -49,6 +49,9 @@ if os.getppid() != parent:
     sys.exit("the program that started this one has ended")
 try:
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+except OSError as error:  # it is slower then, and nothing else
+    print("not a batch process:", error.strerror, flush=True)
+try:
     os.execv(program, sys.argv[2:])
 except OSError as error:
     sys.exit(f"{program}: cannot be run ({error.strerror})")

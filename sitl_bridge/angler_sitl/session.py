@@ -17,7 +17,7 @@ from angler_mjx.control.commands import PoseTarget
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.scenario import Scenario
-from angler_mjx.session import checks, fleet_facts, paths
+from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.batch import POINTS, START_TOLERANCE, WAY_BACK, Inside
 from angler_mjx.session.checks import Limits, Place
 from angler_mjx.session.desk import PLAN, Desk
@@ -28,7 +28,7 @@ from angler_mjx.session.interface import (
     RobotStatus,
 )
 from angler_mjx.session.rejoin import Ways
-from angler_mjx.sim.state import Outcome, World
+from angler_mjx.sim.state import World
 from angler_mjx.vehicles import library
 from angler_sitl import binary as binaries
 from angler_sitl import levels
@@ -185,7 +185,7 @@ class SitlSession:
         """See `Session.step`."""
         self._open()
         for robot in commands or {}:
-            self._known(robot)
+            presence.is_there(self.robots, robot)
         # Half a period: times are sums in floating point.
         soon_s = self._time_s + 0.5 * self.dt_s
         for robot, order in {**self._desk.due(soon_s), **(commands or {})}.items():
@@ -277,22 +277,12 @@ class SitlSession:
         if self._closed:
             raise RunError("the session is closed; make a new one")
 
-    def _known(self, robot: int) -> None:
-        if robot not in range(len(self.robots)):
-            raise ConfigError(
-                f"robot {robot}: there is none; this session has 0 to {len(self.robots) - 1}"
-            )
-
     def _goes_on(self, robot: int) -> None:
         """Refuse to drive a robot that failed, or whose autopilot is gone."""
         self._open()
-        self._known(robot)
-        name = self.robots[robot].name
         if why := self.squad.lockstep.lost.get(robot):
-            raise ConfigError(f"{name}: cannot go on: {why}")
-        outcome = Outcome(int(self._sight.view.outcome[robot]))
-        if outcome not in (Outcome.RUNNING, Outcome.REACHED):
-            raise ConfigError(f"{name}: cannot go on, its episode ended ({outcome.name})")
+            raise ConfigError(f"{self.robots[robot].name}: cannot go on: {why}")
+        presence.goes_on(self.robots, robot, self._sight.view.outcome)
 
     def _down(self) -> None:
         """End the autopilots, if there are any."""

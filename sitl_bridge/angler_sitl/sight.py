@@ -7,13 +7,12 @@ import jax
 import numpy as np
 
 from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.session.desk import Desk
 from angler_mjx.session.fleet_facts import Facts
-from angler_mjx.session.interface import Floats, Observation, RobotStatus, SceneObstacles
-from angler_mjx.session.view import View, Watched, believed, look
+from angler_mjx.session.interface import Floats, Observation, RobotStatus
+from angler_mjx.session.view import View, Watched, believed, look, shown
 from angler_mjx.sim.state import Belief, Sample, WorldState
 from angler_sitl.guidance import Decision, belief_of, trusting
 from angler_sitl.helm import Helm
@@ -98,23 +97,13 @@ class Sight:
             time_s: of the session.
             status: of each robot.
         """
-        view, rows = self.view, self._facts.obstacles
-        return Observation(
+        return shown(
+            self._facts,
+            self.view,
+            self.seen,
             time_s=time_s,
-            estimate=_estimate(self.seen),
             covariance=None,
-            truth=_estimate(view),
-            pwm=ThrusterPwm(pwm_us=view.pwm_us),
-            demanded=None if view.demanded is None else BodyWrench(tau=view.demanded),
-            realised=BodyWrench(tau=view.realised),
             target_m=self.target_m,
-            clearance_m=np.asarray(view.clearance_m),
-            obstacles=SceneObstacles(
-                position_m=np.asarray(view.obstacle_p)[rows.which],
-                attitude=np.asarray(view.obstacle_q)[rows.which],
-                kind=rows.kind,
-                size_m=rows.size_m,
-            ),
             status=status,
         )
 
@@ -123,7 +112,3 @@ class Sight:
         pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
         pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
         return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
-
-
-def _estimate(view: View) -> Estimate:
-    return Estimate(p=view.p, q=view.q, nu=view.nu)
