@@ -114,10 +114,12 @@ class TritonEngine:
         tile = Tile(fleet, worlds)
         part = Segment(tile, state, n_sample, steps_per_sample, command, belief)
         kernels = Kernels(self._program, spec, part)
-        if part.known is None:
-            end = _fly(kernels, part)
+        if part.known is not None:
+            end = _fly_looped(kernels, part, partial(_look, sense, part, part.known))
+        elif self._program.interpret:
+            end = _fly_looped(kernels, part, None)
         else:
-            end = _fly_sensing(kernels, part, partial(_look, sense, part, part.known))
+            end = _fly(kernels, part)
         cut: tuple[WorldState, Sample] = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
         return cut
 
@@ -162,13 +164,14 @@ def _fly(kernels: Kernels, part: Segment) -> Arrays:
     return _chunks(steps, UNROLLED, part)
 
 
-def _fly_sensing(kernels: Kernels, part: Segment, look: Launch) -> Arrays:
-    """As `_fly`, with ``look`` before the robots act. It is long: it is in the program once."""
+def _fly_looped(kernels: Kernels, part: Segment, look: Launch | None) -> Arrays:
+    """As `_fly`, with ``look`` before the robots act, and the long body once in the program."""
     obstacles, robots = kernels.launches()
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
         def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
-            return robots(base, k[None], look(base, k[None], x)), None
+            seen = x if look is None else look(base, k[None], x)
+            return robots(base, k[None], seen), None
 
         x = obstacles(base, jnp.zeros(1, jnp.int32), x)
         return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]

@@ -83,7 +83,7 @@ GROUP = 8
 """Shapes that are asked for together where there are many: their loads wait together."""
 SLOTS = 4
 """Groups that a lane can note."""
-MANY = 24
+MANY = 8
 """Shapes from which on they are listed."""
 
 type Exact = Callable[[Seeker, Met], tuple[Any, Any, Lanes]]

@@ -4,17 +4,77 @@ The second half of a control step of `angler_mjx.sim.episode`, for vehicles that
 moved: obstacles, contact, and the account of each robot.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import episode, robot
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import obstacles as obstacle_motion
-from angler_sitl.motion import signals
+from angler_sitl.flat import Flat
+from angler_sitl.motion import INPUTS, Motion, signals
+
+type Arrays = tuple[jax.Array, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judging:
+    """`judge`, compiled for worlds of one shape, with few arrays in and out."""
+
+    step: Callable[[Arrays, Arrays, NDArray[Any], NDArray[np.int32]], Arrays]
+    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step: to state."""
+    world: Flat
+    state: Flat
+
+    def constants(self, world: World) -> Arrays:
+        """What has to be known of a world; [1] leads there."""
+        return self.world.put(world)
+
+    def begin(self, state: WorldState) -> Arrays:
+        """A state as the step takes it; [1] leads there."""
+        return self.state.put(state)
+
+    def end(self, state: Arrays) -> WorldState:
+        """The inverse of `begin`, as NumPy's arrays."""
+        whole: WorldState = self.state.unpack(tuple(map(np.asarray, state)))
+        return whole
+
+
+def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Judging:
+    """Compile for worlds like this one.
+
+    Args:
+        spec: settings.
+        motion: of the vehicles.
+        world: [1] leads; another of the same scenario has the same shapes.
+        state: [1] leads.
+    """
+    of_world, of_state = Flat.of(world), Flat.of(state)
+    thrusters = world.control.vehicle.B.shape[-1]
+    like = motion.told(motion.begin(state.vehicles))
+
+    def step(world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array) -> Arrays:
+        vehicles = jax.vmap(motion.vehicles.split)(told[:, 1:])
+        judged = jax.vmap(partial(judge, spec))(
+            of_world.unpack(world),
+            of_state.unpack(state),
+            jax.tree.map(lambda x: x[None], vehicles),
+            inputs[None, :, :thrusters],
+            told[None, :, 0] > 0,
+        )
+        return of_state.pack(judged)
+
+    inputs = jax.ShapeDtypeStruct((len(like), INPUTS), jnp.int32)
+    compiled: Any = jax.jit(step).lower(of_world.like, of_state.like, like, inputs).compile()
+    return Judging(step=compiled, world=of_world, state=of_state)
 
 
 def judge(

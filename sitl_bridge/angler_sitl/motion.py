@@ -41,7 +41,7 @@ OUTCOME, STEPS = PULSES, PULSES + 1
 INPUTS = PULSES + 2
 
 BROKEN = STATE_NUMBERS
-"""Column of the output behind what is sent: whether the vehicle diverged in this step."""
+"""Column of the output behind what is sent: whether the vehicle has diverged so far."""
 _KEPT_FROM = STATE_NUMBERS + 1
 """First column of the vehicle itself."""
 
@@ -69,10 +69,12 @@ class Motion:
         rows = self.vehicles.pack(vehicles)
         return _on_device(np.concatenate([np.zeros((len(rows), _KEPT_FROM)), rows], axis=1))
 
-    def end(self, rows: NDArray[np.float64]) -> VehicleState:
-        """The inverse of `begin`, with JAX's default float type."""
-        vehicles: VehicleState = self.vehicles.unpack(rows[:, _KEPT_FROM:])
-        return vehicles
+    def told(self, rows: jax.Array) -> NDArray[Any]:
+        """Whether each vehicle has diverged, and the vehicle; [N, 1 + width].
+
+        Of JAX's default float type, in which the rest of the simulator is.
+        """
+        return np.asarray(rows)[:, BROKEN:].astype(jnp.result_type(float))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,25 +95,11 @@ class Rows:
         leaves = [np.asarray(leaf, np.float64)[0] for leaf in jax.tree.leaves(tree)]
         return np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
 
-    def unpack(self, rows: NDArray[np.float64]) -> Any:
-        """The inverse of `pack`, with JAX's default float type."""
-        parts, default = self._parts(rows), jnp.result_type(float)
-        shaped = [
-            np.asarray(part, default).reshape(1, len(rows), *shape)
-            for part, shape in zip(parts, self.shapes, strict=True)
-        ]
-        return jax.tree.unflatten(self.tree, shaped)
-
     def split(self, row: jax.Array) -> Any:
         """One traced row as the tree of one vehicle."""
-        parts = [
-            part.reshape(shape) for part, shape in zip(self._parts(row), self.shapes, strict=True)
-        ]
+        ends = itertools.pairwise(np.cumsum([0, *map(math.prod, self.shapes)]))
+        parts = [row[a:b].reshape(shape) for (a, b), shape in zip(ends, self.shapes, strict=True)]
         return jax.tree.unflatten(self.tree, parts)
-
-    def _parts(self, rows: Any) -> list[Any]:
-        ends = np.cumsum([0, *map(math.prod, self.shapes)])
-        return [rows[..., a:b] for a, b in itertools.pairwise(ends)]
 
 
 def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Motion:
@@ -210,7 +198,7 @@ def _move(
     after, broken = robot.hold_if_ended(inputs[OUTCOME], before, moved)
     gained = quaternion.rotate(after.q, after.nu[:3]) - quaternion.rotate(before.q, before.nu[:3])
     kept = [leaf.reshape(-1) for leaf in jax.tree.leaves(after)]
-    flag = broken.astype(row.dtype)[None]
+    flag = jnp.maximum(row[BROKEN], broken.astype(row.dtype))[None]
     return jnp.concatenate([_said(after, gained / dt_s), flag, *kept])
 
 

@@ -6,9 +6,7 @@ autopilots, 400 times a second; what came of it is judged once a control period.
 """
 
 from dataclasses import dataclass
-from functools import partial
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -93,13 +91,10 @@ class Scene:
                 f"time.control_dt_s = {self._spec.control_dt_s:g}: with real autopilots it must be "
                 f"a whole number of steps of {1e3 * dt_s:g} ms"
             )
-        self._judge = jax.jit(jax.vmap(partial(judging.judge, self._spec)))
         self._drawn: int | None = None
         self._draw(self._seed)
         self._motion = motion.build(self._spec.water, dt_s, self.worlds, self._start.vehicles)
-        self.reset()
-        for _ in range(2):  # the second time with what came of the first
-            self.judge()
+        self._judging = judging.build(self._spec, self._motion, self.worlds, self._start)
         self.reset()
 
     def reset(self, seed: int | None = None, worlds: World | None = None) -> None:
@@ -115,9 +110,10 @@ class Scene:
             self.worlds: World = worlds
             self._start, self._drawn = self.simulator.reset(worlds), None
         self._constants = self._motion.constants(self.worlds)
+        self._known = self._judging.constants(self.worlds)
+        self._judged = self._judging.begin(self._start)
         self._rows = self._motion.begin(self._start.vehicles)
         self._inputs = np.zeros((self._rows.shape[0], motion.INPUTS), np.int32)
-        self._broken = np.zeros(self._rows.shape[0], bool)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
         # Whoever has failed is held where it is: so everybody's state at rest is known.
@@ -145,9 +141,7 @@ class Scene:
         self._inputs[:, motion.STEPS] = self._steps
         self._steps += 1
         self._rows = self._motion.step(self._constants, self._rows, self._inputs)
-        rows = np.asarray(self._rows)
-        self._broken |= rows[:, motion.BROKEN] > 0
-        self.states = States(numbers=rows[:, :STATE_NUMBERS])
+        self.states = States(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
         return self.states
 
     def judge(self) -> None:
@@ -156,16 +150,10 @@ class Scene:
         A robot that failed stands still from now on, as an obstacle to the others. To be called
         after every `period` steps, but for those in which the vehicles were moored.
         """
-        thrusters = self.worlds.control.vehicle.B.shape[-1]
-        self.state = self._judge(
-            self.worlds,
-            self.state,
-            self._motion.end(np.asarray(self._rows)),
-            self._inputs[None, :, :thrusters],
-            self._broken[None],
-        )
-        self._inputs[:, motion.OUTCOME] = np.asarray(self.state.tally.outcome)[0]
-        self._broken[:] = False
+        told = self._motion.told(self._rows)
+        self._judged = self._judging.step(self._known, self._judged, told, self._inputs)
+        self.state = self._judging.end(self._judged)
+        self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]
 
     def _draw(self, seed: int) -> None:
         if seed != self._drawn:
