@@ -18,7 +18,7 @@ from angler_mjx.teleop.recording import Recording
 from angler_mjx.teleop.script import Script
 from angler_mjx.teleop.signals import Stop, breakable, stoppable
 from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
-from angler_mjx.viewing import replay
+from angler_mjx.viewing import replay, window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +110,8 @@ def run(
         if recording is not None:
             recording.begin(session)
             watchers.append(recording)
-        if settings.rerun and replay.has_display():
-            watchers.append(live_view.open_viewer(session, pilot, title))
+        if settings.rerun and window.has_display():
+            watchers.append(live_view.open_viewer(session, pilot, title, settings.world))
         stop = stack.enter_context(stoppable())
         done = _drive(session, pilot, keys, title, stop, settings, watchers)
         stop.closing = True

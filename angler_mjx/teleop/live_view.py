@@ -4,6 +4,8 @@ Imported only where Rerun is installed; `require` says so where it is not.
 """
 
 import importlib.util
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,24 +14,23 @@ import numpy as np
 
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.session.batch import Inside
-from angler_mjx.session.interface import Observation, Session
-from angler_mjx.sim.state import World
+from angler_mjx.session.interface import Floats, Observation, RobotStatus, Session
+from angler_mjx.sim.state import Outcome, World
+from angler_mjx.teleop import chase
 from angler_mjx.teleop.pilot import Pilot
 from angler_mjx.teleop.status import drives
 from angler_mjx.vehicles import library
-from angler_mjx.viewing import replay, style
+from angler_mjx.viewing import style, window
 from angler_mjx.viewing.scene import Scene
 
 if TYPE_CHECKING:
     import rerun as rr
-
-ROOT = "scene"
+    import rerun.blueprint as rrb
 
 MOVE_S, TRAIL_S = 0.1, 1.0
-"""From one pose to the next, and from one trail to the next, in seconds of the scene."""
+"""From one pose to the next, and from one piece of a trail to the next, in seconds of the scene."""
 
-_TRAIL_POINTS = 600
-"""A trail shows the last minute: each update sends it whole."""
+_WHITE = (255, 255, 255, 255)
 
 
 def require(out: Path | None) -> None:
@@ -43,7 +44,7 @@ def require(out: Path | None) -> None:
             "--rerun: Rerun is not installed; install the extra `view` "
             "(pip install 'angler-mjx[view]'), or leave --rerun out"
         )
-    if not replay.has_display() and out is None:
+    if not window.has_display() and out is None:
         raise UnsupportedError(
             "--rerun: no display to open the viewer on; give --out RUN as well, and the replay is "
             "saved there at the end, or leave --rerun out"
@@ -59,13 +60,13 @@ class Viewable(Session, Protocol):
 
 
 class LiveView:
-    """Logs a session to a recording as it goes; see `loop.Watcher`."""
+    """Logs a session to a recording as it goes; see `loop.Watcher`.
+
+    The entities are those of a replay (`angler_mjx.viewing.entities`), and ``ROOT/camera``.
+    """
 
     def __init__(
-        self,
-        recording: "rr.RecordingStream",
-        session: Viewable,
-        pilot: Pilot,
+        self, recording: "rr.RecordingStream", session: Viewable, pilot: Pilot, root: str
     ) -> None:
         """Log what does not move.
 
@@ -73,78 +74,129 @@ class LiveView:
             recording: where to.
             session: that is about to be driven.
             pilot: knows who drives what.
+            root: path of the entities.
         """
-        self._recording, self._robots, self._pilot = recording, session.robots, pilot
+        self._recording, self._session, self._pilot = recording, session, pilot
+        self._root, self._space, self._robots = root, f"{root}/space", session.robots
         self._world: World = jax.tree.map(lambda leaf: np.asarray(leaf)[0], session.inside().worlds)
         self._steps = 0
         self._move = max(1, round(MOVE_S / session.dt_s))
         # A whole number of moves, so that both fall on the same steps.
-        self._redraw = self._move * max(1, round(TRAIL_S / MOVE_S))
-        self._trails: list[list[np.ndarray]] = [[] for _ in self._robots]
+        self._extend = self._move * max(1, round(TRAIL_S / MOVE_S))
+        self._trails: list[list[Floats]] = [[] for _ in self._robots]
+        self._labels = ["" for _ in self._robots]
         self._log_still()
 
     def after(self, observation: Observation) -> None:
-        """Log poses, trails and obstacles where they are due."""
+        """Log what moved, and trails where they are due."""
         if self._steps % self._move == 0:
             self._recording.set_time("time", duration=observation.time_s)
-            trails_due = self._steps % self._redraw == 0
-            self._log_robots(observation, trails=trails_due)
-            if trails_due:
-                self._log_obstacles(observation)
+            known = observation.truth or observation.estimate
+            p, q = np.asarray(known.p), np.asarray(known.q)
+            self._log_robots(p, q)
+            self._log_labels(observation.status)
+            self._log_water(observation, p)
+            for trail, now in zip(self._trails, p, strict=True):
+                trail.append(now)
+            if self._steps % self._extend == 0:
+                self._log_trails()
         self._steps += 1
 
     def _log_still(self) -> None:
         import rerun as rr
 
-        from angler_mjx.viewing import replay_world as drawing
+        from angler_mjx.viewing import entities
 
         recording, path = self._recording, self._world.path
-        recording.log(ROOT, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        drawing.log_surroundings(recording, self._scene(0.0, None), f"{ROOT}/space")
+        recording.log(self._root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        begin = self._scene(0.0, None)
+        entities.log_surroundings(recording, begin, self._space)
+        entities.log_obstacles(recording, begin, f"{self._space}/obstacles")
         for i, robot in enumerate(self._robots):
-            color = drawing.bright(style.robot_color(i))
-            space = f"{ROOT}/space/{robot.name}"
-            goal = rr.Points3D(
-                [self._world.environment.goal_m[i]],
-                radii=[0.3],
-                colors=[color],
-                labels=[f"goal {i}"],
+            entities.log_still(
+                recording,
+                library.load(robot.vehicle),
+                i,
+                f"{self._space}/{robot.name}",
+                goal_m=np.asarray(self._world.environment.goal_m[i]),
+                plan_m=np.asarray(path.position_m[i]),
             )
-            plan = rr.LineStrips3D([path.position_m[i]], colors=[color], radii=[0.02])
-            recording.log(f"{space}/goal", goal, static=True)
-            recording.log(f"{space}/plan", plan, static=True)
-            config = library.load(robot.vehicle)
-            drawing.log_vehicle(recording, config, f"{space}/vehicle", color)
+        lens = rr.Pinhole(
+            fov_y=1.0,
+            aspect_ratio=1.2,
+            camera_xyz=rr.ViewCoordinates.FLU,
+            image_plane_distance=1e-5,  # its frame is not to be seen
+        )
+        recording.log(f"{self._root}/camera", lens, static=True)
 
-    def _log_robots(self, observation: Observation, *, trails: bool) -> None:
+    def _log_robots(self, p: Floats, q: Floats) -> None:
+        """Poses [R, 3] and [R, 4] of the robots, and that of the camera."""
         import rerun as rr
 
-        from angler_mjx.viewing import replay_world as drawing
+        from angler_mjx.viewing import entities
 
-        known = observation.truth or observation.estimate
+        moved = {}
+        driven = self._pilot.chosen[0]
+        if np.isfinite(p[driven]).all():  # it may have diverged
+            grid = self._world.environment.grid
+            moved[f"{self._root}/camera"] = chase.pose(p[driven], q[driven], grid)
         for i, robot in enumerate(self._robots):
-            p, q = np.asarray(known.p)[i], np.asarray(known.q)[i]
-            color = drawing.bright(style.robot_color(i))
-            space = f"{ROOT}/space/{robot.name}"
-            pose = rr.Transform3D(translation=p, quaternion=q[[1, 2, 3, 0]])
-            self._recording.log(f"{space}/vehicle", pose)
-            self._trails[i] = [*self._trails[i], p][-_TRAIL_POINTS:]
-            if not trails:
+            moved[f"{self._space}/{robot.name}/vehicle"] = (p[i], q[i])
+        for path, (place, attitude) in moved.items():
+            turn = rr.Quaternion(xyzw=entities.xyzw(attitude))
+            self._recording.log(path, rr.Transform3D(translation=place, quaternion=turn))
+
+    def _log_labels(self, status: Sequence[RobotStatus]) -> None:
+        """What drives a robot and how it ended, where that is new.
+
+        Robots that keys go to are marked, and white until they end.
+        """
+        import rerun as rr
+
+        from angler_mjx.viewing import entities
+
+        for i, robot in enumerate(self._robots):
+            driven, outcome = i in self._pilot.chosen, status[i].outcome
+            label = f"{'> ' * driven}{i}: {drives(i, self._pilot, status[i])}"
+            color = _WHITE if driven else entities.color_of(i)
+            if outcome is not Outcome.RUNNING:
+                label += f", {style.OUTCOME_TEXT[outcome.name.lower()]}"
+                color = entities.ending(arrived=outcome is Outcome.REACHED)
+            if label == self._labels[i]:
                 continue
-            label = f"{i}: {drives(i, self._pilot, observation.status[i])}"
-            self._recording.log(
-                f"{space}/vehicle/label",
-                rr.Points3D([[0.0, 0.0, 0.45]], labels=[label], colors=[color], radii=[0.08]),
+            self._labels[i] = label
+            dot = rr.Points3D.from_fields(
+                labels=[label],
+                colors=[color],
+                radii=[entities.LARGE_DOT if driven else entities.DOT],
             )
-            line = rr.LineStrips3D([np.stack(self._trails[i])], colors=[color], radii=[0.045])
-            self._recording.log(f"{space}/trail", line)
+            self._recording.log(f"{self._space}/{robot.name}/vehicle/label", dot)
 
-    def _log_obstacles(self, observation: Observation) -> None:
-        from angler_mjx.viewing import replay_world as drawing
+    def _log_water(self, observation: Observation, p: Floats) -> None:
+        """The current at the robots [R, 3], and the obstacles in it."""
+        import rerun as rr
 
+        from angler_mjx.viewing import entities
+
+        sample = self._session.inside().sample
+        if sample is not None:
+            flow = entities.arrows(np.asarray(sample.current_mps)[0])
+            arrow = rr.Arrows3D.from_fields(origins=p, vectors=flow)
+            self._recording.log(f"{self._space}/current", arrow)
         if observation.obstacles is not None:
             now = self._scene(observation.time_s, observation)
-            drawing.log_obstacles(self._recording, now, f"{ROOT}/space/obstacles")
+            for name, shape, fields in entities.poses(now):
+                there = shape.from_fields(**{key: rows[0] for key, rows in fields.items()})
+                self._recording.log(f"{self._space}/obstacles/{name}", there)
+
+    def _log_trails(self) -> None:
+        """The way since the last time; the view shows all the pieces."""
+        import rerun as rr
+
+        for robot, trail in zip(self._robots, self._trails, strict=True):
+            piece = rr.LineStrips3D.from_fields(strips=[np.stack(trail)])
+            self._recording.log(f"{self._space}/{robot.name}/trail", piece)
+            del trail[:-1]
 
     def _scene(self, time_s: float, observation: Observation | None) -> Scene:
         """The world at one time, as pictures take it."""
@@ -163,30 +215,39 @@ class LiveView:
         )
 
 
-def open_viewer(session: Viewable, pilot: Pilot, title: str) -> LiveView:
+def open_viewer(session: Viewable, pilot: Pilot, title: str, world: int) -> LiveView:
     """Open the viewer on a session that is about to be driven.
 
     Args:
         session: that is about to be driven.
         pilot: who drives what.
         title: name of the recording.
+        world: index of the world.
 
     Raises:
         UnsupportedError: the viewer cannot be started.
     """
+    # Else Rerun writes across the screen when somebody closes the window; read as it is imported.
+    os.environ.setdefault("RUST_LOG", "off")
     import rerun as rr
+
+    recording, root = rr.RecordingStream("angler_mjx"), f"world_{world}"
+    recording.send_recording_name(title)
+    window.open_on(recording, _blueprint(session, f"/{root}"))
+    return LiveView(recording, session, pilot, root)
+
+
+def _blueprint(session: Viewable, root: str) -> "rrb.Blueprint":
+    """Beside each other: behind the robot that the keys go to, and the whole world."""
     import rerun.blueprint as rrb
 
-    recording = rr.RecordingStream("angler_mjx", recording_id=title)
     grid = session.inside().worlds.environment.grid
     low = np.asarray(grid.origin_m)[0]
     high = low + float(np.asarray(grid.cell_m)[0]) * np.array(grid.occupied.shape[1:])
-    blueprint = rrb.Blueprint(
-        replay.space_view((low, high), f"/{ROOT}"),
-        rrb.TimePanel(timeline="time", play_state="following", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
-    )
-    replay.spawn(recording, blueprint)
-    return LiveView(recording, session, pilot)
+    trails = [f"{root}/space/{robot.name}/trail" for robot in session.robots]
+    space, camera = f"{root}/space/**", f"{root}/camera"
+    behind = rrb.EyeControls3D(tracking_entity=camera)
+    chased = window.space_view([space, camera], root, "Driven robot", behind, trails)
+    whole = window.space_view([space], root, "World", window.from_above((low, high)), trails)
+    panel = rrb.TimePanel(timeline="time", play_state="following", state="collapsed")
+    return window.layout(rrb.Horizontal(chased, whole, column_shares=[1.2, 1.0]), panel)

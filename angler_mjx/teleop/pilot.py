@@ -32,6 +32,11 @@ BRAKE_S = 4.0
 hold where it is then."""
 
 
+RIGHTING_PER_S = 1.0
+"""Rate at which a robot under keys is turned upright, for each radian of tilt. Without it the tilt
+that a turn or a stream leaves would stay: nothing in a twist says where up is."""
+
+
 class Mode(Enum):
     """What drives a robot."""
 
@@ -199,10 +204,11 @@ def _still() -> BodyTwist:
 
 
 def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """A velocity in a robot's level frame as a twist in F.
+    """A velocity in a robot's level frame as a twist in F that also rights the robot.
 
     The level frame has the robot's heading and an upright z axis, so that forward stays level and
-    up stays up while the robot tilts. nu_F = [R^T Rz(psi) v, R^T e_z r], R from F to W.
+    up stays up while the robot tilts. nu_F = [R^T Rz(psi) v, R^T (e_z r + k (R e_z) x e_z)], R from
+    F to W and k `RIGHTING_PER_S`.
 
     Args:
         velocity: [4] surge, sway, heave, m/s, and yaw rate, rad/s.
@@ -215,8 +221,9 @@ def level_twist(velocity: np.ndarray, q: np.ndarray) -> np.ndarray:
     yaw = heading(q)
     cos, sin = math.cos(yaw), math.sin(yaw)
     linear = np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave])
-    angular = np.array([0.0, 0.0, turn])
-    return np.append(_to_body(q, linear), _to_body(q, angular))
+    upright = _to_body(q, np.array([0.0, 0.0, 1.0]))
+    righting = RIGHTING_PER_S * np.array([-upright[1], upright[0], 0.0])  # e_z x upright, in F
+    return np.append(_to_body(q, linear), turn * upright + righting)
 
 
 def within(nu: np.ndarray, robot: RobotInfo) -> np.ndarray:

@@ -1,19 +1,13 @@
 """Replays in the Rerun viewer: a file of some worlds of a run, or the viewer opened on one."""
 
-import os
-import shutil
-import sys
-import sysconfig
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from angler_mjx.errors import RunError, UnsupportedError
 from angler_mjx.runs.folder import REPLAY, Run
-from angler_mjx.viewing import maps, scene
+from angler_mjx.viewing import maps, scene, window
 from angler_mjx.viewing.choose import good_world, worst_world
 
 if TYPE_CHECKING:
@@ -45,7 +39,8 @@ def write(run: Run, worlds: Sequence[int] | None = None) -> Path:
     written = path.with_suffix(".tmp")
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
     try:
-        recording.save(written, default_blueprint=_blueprint(scenes))
+        recording.save(written)
+        window.activate(recording, _blueprint(scenes))
         _log(recording, scenes)
         recording.flush()
         recording.disconnect()
@@ -68,7 +63,7 @@ def show(run: Run, world: int) -> None:
         ConfigError: the run stored no trajectories, or does not hold that world.
     """
     rr = _rerun(run, world)
-    if not has_display():
+    if not window.has_display():
         raise UnsupportedError(
             f"no display to open the viewer on; copy {run.path / REPLAY} to a machine with one and "
             f"open it there with `rerun {REPLAY}`, or serve it from here with "
@@ -76,35 +71,9 @@ def show(run: Run, world: int) -> None:
         )
     scenes = [scene.read(run, world)]
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
-    spawn(recording, _blueprint(scenes))
+    window.open_on(recording, _blueprint(scenes))
     _log(recording, scenes)
     recording.flush()
-
-
-def has_display() -> bool:
-    """Whether there is a display to open the viewer on."""
-    named = (os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
-    return sys.platform != "linux" or any(named)
-
-
-def spawn(recording: "rr.RecordingStream", blueprint: "rrb.Blueprint") -> None:
-    """Open the viewer on a recording.
-
-    Raises:
-        UnsupportedError: it cannot be started.
-    """
-    import rerun as rr
-
-    # The viewer's command lies beside this Python, which need not be on the PATH.
-    scripts = os.pathsep.join([sysconfig.get_path("scripts"), os.environ.get("PATH", "")])
-    try:
-        rr.spawn(
-            executable_path=shutil.which("rerun", path=scripts),
-            recording=recording,
-            default_blueprint=blueprint,
-        )
-    except RuntimeError as error:
-        raise UnsupportedError(f"the Rerun viewer cannot be started: {error}") from error
 
 
 def _rerun(run: Run, world: int) -> ModuleType:
@@ -140,19 +109,14 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
     import rerun.blueprint as rrb
 
     tabs = [_tab(one) for one in scenes]
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0],
-        rrb.TimePanel(
-            timeline="time",
-            playback_speed=_PLAYBACK_SPEED,
-            play_state="playing",
-            loop_mode="all",
-            state="collapsed",
-        ),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        auto_views=False,
+    panel = rrb.TimePanel(
+        timeline="time",
+        playback_speed=_PLAYBACK_SPEED,
+        play_state="playing",
+        loop_mode="all",
+        state="collapsed",
     )
+    return window.layout(rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0], panel)
 
 
 def _tab(one: scene.Scene) -> "rrb.Horizontal":
@@ -160,7 +124,8 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
     import rerun.blueprint as rrb
 
     root = f"/{_root(one.world)}"
-    space = space_view(one.bounds_m, root)
+    eye = window.from_above(one.bounds_m)
+    space = window.space_view([f"{root}/space/**"], root, "World", eye)
     whole = rrb.TimeRange(
         start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
         end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
@@ -178,29 +143,3 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
     )
     arrived = maps.describe(one).split(",")[0]
     return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")
-
-
-def space_view(bounds_m: tuple[np.ndarray, np.ndarray], root: str) -> "rrb.Spatial3DView":
-    """A view from above of everything under ``root/space``.
-
-    Args:
-        bounds_m: lower and upper corner [3] of the world.
-        root: path of its entities, with the leading slash.
-    """
-    import rerun.blueprint as rrb
-
-    low, high = bounds_m
-    middle, size = 0.5 * (low + high), float(max(high - low))
-    return rrb.Spatial3DView(
-        origin=root,
-        contents=[f"{root}/space/**"],
-        name="World",
-        background=[16, 38, 54],
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=middle + size * np.array([0.95, -1.35, 0.75]),
-            look_target=middle - size * np.array([0.0, 0.0, 0.08]),
-            eye_up=[0.0, 0.0, 1.0],
-        ),
-    )

@@ -97,7 +97,7 @@ def check_given(recipe: WorldRecipe, radius_m: np.ndarray) -> None:
     if len(radius_m) != len(recipe.start_m):
         raise ConfigError(
             f"start_m and goal_m have {len(recipe.start_m)} places, the fleet has "
-            f"{len(radius_m)} robots"
+            f"{len(radius_m)} robots: give a place to each"
         )
     low = np.array(recipe.origin_m)
     high = low + recipe.size_m

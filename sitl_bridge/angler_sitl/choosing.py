@@ -14,7 +14,8 @@ def scenario_of(scenario: Scenario | str | Path, robots: int | None) -> Scenario
 
     Args:
         scenario: itself, its name, or its file.
-        robots: how many; the first of its fleet, and more of the last kind if it has fewer.
+        robots: how many; the first of its fleet, and more of the last kind if it has fewer. Where
+            places are given, they take the first.
 
     Raises:
         ConfigError: the scenario has faults, or the number is below 1.
@@ -31,7 +32,9 @@ def scenario_of(scenario: Scenario | str | Path, robots: int | None) -> Scenario
         if count:
             fleet.append(entry.model_copy(update={"count": count}))
         left -= count
-    return chosen.model_copy(update={"fleet": tuple(fleet)})
+    places = {key: getattr(chosen.world, key)[:robots] for key in ("start_m", "goal_m")}
+    world = chosen.world.model_copy(update=places)
+    return chosen.model_copy(update={"fleet": tuple(fleet), "world": world})
 
 
 def speed_of(speed: Literal["max"] | float) -> float | None:

@@ -327,13 +327,13 @@ def test_a_view_that_cannot_be_had_is_refused_first(monkeypatch, tmp_path):
         live_view.require(tmp_path)
 
 
-def test_the_viewer_is_told_of_poses_and_modes(session, tmp_path):
+def test_the_viewer_is_told_of_what_moves_and_who_drives(session, tmp_path):
     rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
     stream = rr.RecordingStream("test", recording_id="test")
     stream.save(tmp_path / "live.rrd")
     session.reset()
     pilot = Pilot(session.robots, (0,), speed_mps=0.4, turn_radps=0.4)
-    view = live_view.LiveView(stream, session, pilot)
+    view = live_view.LiveView(stream, session, pilot, "world_1")
     for k in range(41):
         if k == 10:
             pilot.press("i", session.observe().time_s)
@@ -343,20 +343,29 @@ def test_the_viewer_is_told_of_poses_and_modes(session, tmp_path):
     held = {}
     for chunk in rr.chunk.RrdReader(tmp_path / "live.rrd").stream().to_chunks():
         held.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
-    # 41 steps of 0.05 s: poses at every 0.1 s, trails at every second.
-    poses = held["/scene/space/robot_0/vehicle"]
-    assert sum(batch.num_rows for batch in poses) == 21
-    assert sum(batch.num_rows for batch in held["/scene/space/robot_2/trail"]) == 3
+    # 41 steps of 0.05 s: poses at every 0.1 s, pieces of trails at every second.
+    space = "/world_1/space"
+    for moving in ("robot_0/vehicle", "current", "obstacles/spheres", "../camera"):
+        path = os.path.normpath(f"{space}/{moving}")
+        assert sum("time" in batch.schema.names and batch.num_rows for batch in held[path]) == 21
+    trail = [
+        row[0]
+        for batch in held[f"{space}/robot_2/trail"]
+        if "LineStrips3D:strips" in batch.schema.names
+        for row in batch.column("LineStrips3D:strips").to_pylist()
+    ]
+    assert [len(piece) for piece in trail] == [1, 11, 11]
+    assert trail[2][0] == trail[1][-1]
     labels = [
         row[0]
-        for batch in held["/scene/space/robot_0/vehicle/label"]
+        for batch in held[f"{space}/robot_0/vehicle/label"]
+        if "Points3D:labels" in batch.schema.names
         for row in batch.column("Points3D:labels").to_pylist()
     ]
-    assert labels == ["0: plan", "0: teleop", "0: stopping"] or labels[:2] == [
-        "0: plan", "0: teleop"
-    ]  # fmt: skip
+    # Only what is new is said again.
+    assert labels[:3] == ["> 0: plan", "> 0: teleop", "> 0: stopping"]
     for still in ("floor", "bounds", "robot_1/goal", "robot_1/plan"):
-        assert f"/scene/space/{still}" in held
+        assert f"{space}/{still}" in held
 
 
 COMMAND = "from angler_mjx.cli.main import main; main([{arguments}])"

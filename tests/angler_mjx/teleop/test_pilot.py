@@ -61,9 +61,25 @@ def test_the_frame_is_level_whatever_the_robot_does(pilot):
         "t": [-0.5 * sin, 0.0, 0.5 * cos, 0.0, 0.0, 0.0],
         "j": [0.0, 0.0, 0.0, -0.4 * sin, 0.0, 0.4 * cos],
     }
+    # And it is turned upright: the nose up, about F's y axis.
+    righting = np.array([0.0, 0.0, 0.0, 0.0, -module.RIGHTING_PER_S * sin, 0.0])
     for key, nu in wanted.items():
         pilot.press(key, 0.0)
-        np.testing.assert_allclose(nu_of(told(pilot, q=q), 0), nu, atol=FLOAT32)
+        np.testing.assert_allclose(nu_of(told(pilot, q=q), 0), nu + righting, atol=FLOAT32)
+
+
+def test_a_robot_that_turns_as_it_is_told_comes_upright(pilot):
+    q, dt = turned(yaw=0.7, pitch=0.9), 0.05
+    pilot.press("j", 0.0)
+    for _ in range(200):
+        pilot.press("j", 0.0)
+        rate = nu_of(told(pilot, q=np.tile(q, (3, 1))), 0)[3:]
+        # Kinematics of the attitude: dq/dt = q (0, omega) / 2.
+        w, v = q[0], q[1:]
+        q = q + 0.5 * dt * np.append(-v @ rate, w * rate + np.cross(v, rate))
+        q /= np.linalg.norm(q)
+    # Ten seconds, and a time constant of one: the tilt is that of a level robot, whatever it turns.
+    assert np.hypot(q[1], q[2]) < 1e-3
 
 
 def test_speed_keys_multiply_and_the_vehicle_limits(pilot):
