@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.device import Device, choose, keep_all_programs
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ def run(
     """
     prepare(isolate=isolate, gcs=gcs)
     choose(device)
+    keep_all_programs()
     from angler_mjx.cli.sitl_board import board
     from angler_mjx.runs.scenario import load_scenario
     from angler_sitl import mission, motion

@@ -17,6 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
+from angler_mjx.cli.device import choose, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 
@@ -64,6 +65,8 @@ def spotcheck(
         from angler_sitl import isolation
 
         isolation.isolate()
+    choose(None)
+    keep_all_programs()
     from angler_sitl.motion import compute_inline
     from angler_sitl.spotcheck import checking, page
     from angler_sitl.spotcheck.found import Settings

@@ -12,14 +12,13 @@ import contextlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
-
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing; we never use it
-    from mujoco import mjx
+import numpy as np
 
 from angler_kernels import quaternion
 from angler_kernels.rigid_body import matrix_times
@@ -87,26 +86,41 @@ def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
     Raises:
         ValueError: a model is not one free body.
     """
+    bodies = inertias(models)
+    # MJX itself takes the first device of all processes, which another process may own.
+    here = jax.local_devices()[0]
+    model = _mjx().put_model(models[0], device=here)
+    return MjxEngine(model=model, data=_mjx().make_data(model, device=here)), bodies
+
+
+def inertias(models: Sequence[mujoco.MjModel]) -> BodyInertia:
+    """The inertias of a fleet's variants; arguments and what is refused as of `build`."""
     shapes = {(m.nq, m.nv, m.nbody) for m in models}
     if shapes != {(7, 6, 2)}:
         raise ValueError(
             f"every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: {shapes}"
         )
-    # MJX itself takes the first device of all processes, which another process may own.
-    here = jax.local_devices()[0]
-    model = mjx.put_model(models[0], device=here)
-    dtype = model.body_mass.dtype
+    dtype = jnp.result_type(float)
     stacked = {
-        field.name: jnp.stack([jnp.asarray(getattr(m, field.name), dtype) for m in models])
+        field.name: np.stack([np.asarray(getattr(m, field.name), dtype) for m in models])
         for field in fields(BodyInertia)
     }
-    return MjxEngine(model=model, data=mjx.make_data(model, device=here)), BodyInertia(**stacked)
+    return BodyInertia(**jax.device_put(stacked))
+
+
+@cache
+def _mjx() -> Any:
+    """MJX, loaded when it is first needed: that takes longer than to load JAX itself."""
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints that Warp is missing
+        from mujoco import mjx
+    return mjx
 
 
 def _inertia_and_bias(
     engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
+    mjx = _mjx()
     v_world = quaternion.rotate(q, nu[:3])
     model = engine.model.replace(
         **{field.name: getattr(body, field.name) for field in fields(body)}

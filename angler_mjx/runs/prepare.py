@@ -35,8 +35,11 @@ def preparer(scenario: Scenario, tile: int) -> Prepare:
     recipe = resolve(scenario.world)
 
     def prepare(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        index = first[0] + jnp.arange(tile, dtype=jnp.uint32)
         one = partial(_one_world, scenario, recipe, planner, kinds, seed)
+        if tile == 1:  # batching a single world makes tracing and compiling take twice as long
+            alone: World = jax.tree.map(lambda leaf: leaf[None], one(first[0]))
+            return alone
+        index = first[0] + jnp.arange(tile, dtype=jnp.uint32)
         if tile <= AT_ONCE:
             return jax.vmap(one)(index)
         worlds: World = jax.lax.map(one, index, batch_size=AT_ONCE)

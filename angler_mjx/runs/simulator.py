@@ -119,7 +119,8 @@ class Simulator:
             if timing.steps_per_sample
             else 1
         )
-        generate.check_fleet(resolve(scenario.world), np.asarray(fleet.radius_bound(self.fleet)))
+        radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
+        generate.check_fleet(resolve(scenario.world), radius)
         self._prepare_tile = preparer(scenario, self.tile)
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()

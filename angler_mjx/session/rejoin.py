@@ -85,8 +85,8 @@ class Ways:
     """What a robot of one world can go past."""
 
     def __init__(self, environment: Environment) -> None:
-        """Take what does not move of one world."""
-        self._land = _terrain(environment)
+        """Take what does not move of one world; nothing is compiled until a way is asked for."""
+        self._environment = environment
 
     def back(
         self,
@@ -136,12 +136,18 @@ class Ways:
         self._seen(np.zeros(3), np.zeros((1, 3)), 0.0)
 
     @cached_property
+    def _land(self) -> lattice.Terrain:
+        land: lattice.Terrain = _terrain(self._environment)
+        return land
+
+    @cached_property
     def _gap_m(self) -> Floats:
         """[nx, ny, nz] from cells' centres to everything that does not move."""
         gap = np.asarray(self._land.gap_m, float)
         if self._land.cell_gap_m is None:
             return gap
-        return np.minimum(gap, np.asarray(self._land.cell_gap_m, float))
+        least: Floats = np.minimum(gap, np.asarray(self._land.cell_gap_m, float))
+        return least
 
     def _seen(self, a: Floats, points: Floats, clearance_m: float) -> Any:
         """Bool [n] which of up to `LOOKS` points can be gone to in a straight line."""

@@ -132,14 +132,14 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
             row[kinds.index(kind)] += weight
     with np.errstate(divide="ignore"):
         log_weight = np.log(chance)
-    engine, body = mjx_engine.build(models)
+    engine, body = mjx_engine.build(models) if multibody else (None, mjx_engine.inertias(models))
     control = ControlParams(
         vehicle=stacked,
         allocation=allocation.build(stacked, np.where(known, stacked.thruster_health, 1.0)),
         cruise_speed_mps=jnp.zeros(len(kinds)),
     )
     return Fleet(
-        engine=engine if multibody else None,
+        engine=engine,
         body=body,
         control=control,
         groups=_groups(members, kinds, control),

@@ -36,6 +36,9 @@ VORTEX_MPS = 0.4
 """Greatest speed of the vortices about the figure of eight."""
 MASS_ERROR = 0.2
 """Mass and inertia are up to this share more or less than the controllers believe."""
+THRUST_ERROR = 0.3
+"""Where it is asked for, thrusters push up to this share more or less than the controllers believe,
+about what a battery between 12 and 18 V does. All loops gain as much: it is a gain margin."""
 STEP_M = (0.5, 2.0)
 SPEED_MPS, SPEED_STEP_MPS = 0.5, 0.05
 """Along the figure of eight, at most; vehicles that could not make it against the vortices go
@@ -148,6 +151,8 @@ class _Draw:
     shift_m: FloatArray
     turn: float
     mass: float
+    thrust: float
+    """-1 to 1, of the greatest error."""
 
 
 def _draw(seed: int, part: int, number: int) -> _Draw:
@@ -163,6 +168,7 @@ def _draw(seed: int, part: int, number: int) -> _Draw:
         shift_m=rng.uniform(-SHIFT_M, SHIFT_M, 2),
         turn=float(rng.choice([-1.0, 1.0])),
         mass=1.0 + rng.uniform(-MASS_ERROR, MASS_ERROR),
+        thrust=rng.uniform(-1.0, 1.0),
     )
 
 
@@ -174,7 +180,7 @@ def draw(
     dt: float,
     *,
     timed: bool,
-    numbers: Sequence[int] | None = None,
+    thrust_error: float = 0.0,
 ) -> Flights:
     """The flights of a seed (host side).
 
@@ -186,13 +192,12 @@ def draw(
         dt: control period, s.
         timed: whether the controllers keep time and take headings; those that do not are told
             paths at cruise speed, steps too, and their heading does not count.
-        numbers: draw these flights of the set alone.
+        thrust_error: greatest share of thrust more or less than the controllers believe.
     """
-    chosen = list(range(n) if numbers is None else numbers)
     n_robot = len(flown.labels)
-    rows = [i % n_robot for i in chosen]
-    kind = [COURSES[i // n_robot % len(COURSES)] for i in chosen]
-    drawn = [_draw(seed, part, i) for i in chosen]
+    rows = [i % n_robot for i in range(n)]
+    kind = [COURSES[i // n_robot % len(COURSES)] for i in range(n)]
+    drawn = [_draw(seed, part, i) for i in range(n)]
     params = kinds.chosen(flown.params, rows)
     eights = np.array([name == "eight" for name in kind])
     told = [
@@ -205,7 +210,7 @@ def draw(
     return Flights(
         orders=Orders(
             params=params,
-            plant=_with_mass(params.vehicle, np.array([one.mass for one in drawn])),
+            plant=_as_it_is(params.vehicle, drawn, thrust_error),
             start_m=START_M + np.array([one.off_m for one in drawn]),
             yaw_rad=np.where(eights, heading, 0.0),
             command=courses_told.command(told, timed=timed),
@@ -230,12 +235,15 @@ def _told(
     return courses_told.line(step, cruise_mps, dt)
 
 
-def _with_mass(vehicle: VehicleParams, share: FloatArray) -> VehicleParams:
-    """Vehicles [n] of other mass and inertia, by a share [n]; their volume stays."""
+def _as_it_is(vehicle: VehicleParams, drawn: Sequence[_Draw], thrust_error: float) -> VehicleParams:
+    """Vehicles [n] of other mass, inertia and thrust than is believed; their volume stays."""
+    mass = np.array([one.mass for one in drawn])
+    thrust = 1.0 + thrust_error * np.array([one.thrust for one in drawn])
     return replace(
         vehicle,
-        mass_kg=vehicle.mass_kg * share,
-        inertia_kgm2=vehicle.inertia_kgm2 * share[:, None, None],
+        mass_kg=vehicle.mass_kg * mass,
+        inertia_kgm2=vehicle.inertia_kgm2 * mass[:, None, None],
+        B=vehicle.B * thrust[:, None, None],
     )
 
 

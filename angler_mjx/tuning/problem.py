@@ -105,6 +105,7 @@ class Problem:
             part,
             self.spec.control_dt_s,
             timed=kinds.keeps_time(self.spec),
+            thrust_error=drawing.THRUST_ERROR if self.settings.objective == "robust" else 0.0,
         )
 
     @cached_property

@@ -6,6 +6,7 @@ once, on the host, in float64; the arrays have JAX's default float type.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -138,7 +139,7 @@ def stack(variants: list[VehicleParams]) -> VehicleParams:
     n_t = max(variant.B.shape[1] for variant in variants)
     n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
     padded = [_pad(variant, n_t, n_capsule) for variant in variants]
-    stacked: VehicleParams = jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+    stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
 
 
@@ -204,18 +205,20 @@ def _rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter
 
 
 def _array(value: ArrayLike) -> jax.Array:
-    return jnp.asarray(np.asarray(value, dtype=np.float64))
+    # Rounded by NumPy: for JAX each shape is a program to compile, and so for the padding below.
+    array: jax.Array = jax.device_put(np.asarray(value, jnp.result_type(float)))
+    return array
 
 
 def _pad(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
     more_t = n_t - params.B.shape[1]
     more_c = n_capsule - params.capsule_r_m.shape[0]
-    return replace(
-        params,
-        B=jnp.pad(params.B, ((0, 0), (0, more_t))),
-        thruster_exists=jnp.pad(params.thruster_exists, (0, more_t)),
-        thruster_health=jnp.pad(params.thruster_health, (0, more_t), constant_values=1.0),
-        capsule_a_m=jnp.pad(params.capsule_a_m, ((0, more_c), (0, 0)), mode="edge"),
-        capsule_b_m=jnp.pad(params.capsule_b_m, ((0, more_c), (0, 0)), mode="edge"),
-        capsule_r_m=jnp.pad(params.capsule_r_m, (0, more_c), mode="edge"),
-    )
+    padded: dict[str, Any] = {
+        "B": np.pad(params.B, ((0, 0), (0, more_t))),
+        "thruster_exists": np.pad(params.thruster_exists, (0, more_t)),
+        "thruster_health": np.pad(params.thruster_health, (0, more_t), constant_values=1.0),
+        "capsule_a_m": np.pad(params.capsule_a_m, ((0, more_c), (0, 0)), mode="edge"),
+        "capsule_b_m": np.pad(params.capsule_b_m, ((0, more_c), (0, 0)), mode="edge"),
+        "capsule_r_m": np.pad(params.capsule_r_m, (0, more_c), mode="edge"),
+    }
+    return replace(params, **padded)

@@ -20,7 +20,7 @@ from angler_mjx.sim.detection import detect
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_sitl.flat import Flat
-from angler_sitl.motion import INPUTS, Motion, signals
+from angler_sitl.motion import INPUTS, ONE_THREAD, Motion, signals
 
 type Arrays = tuple[jax.Array, ...]
 
@@ -62,18 +62,20 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
     like = motion.told(motion.begin(state.vehicles))
 
     def step(world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array) -> Arrays:
-        vehicles = jax.vmap(motion.vehicles.split)(told[:, 1:])
-        judged = jax.vmap(partial(judge, spec))(
-            of_world.unpack(world),
-            of_state.unpack(state),
-            jax.tree.map(lambda x: x[None], vehicles),
-            inputs[None, :, :thrusters],
-            told[None, :, 0] > 0,
+        # One world is not batched: that would make tracing it take half as long again.
+        judged = judge(
+            spec,
+            jax.tree.map(lambda x: x[0], of_world.unpack(world)),
+            jax.tree.map(lambda x: x[0], of_state.unpack(state)),
+            jax.vmap(motion.vehicles.split)(told[:, 1:]),
+            inputs[:, :thrusters],
+            told[:, 0] > 0,
         )
         return of_state.pack(judged)
 
     inputs = jax.ShapeDtypeStruct((len(like), INPUTS), jnp.int32)
-    compiled: Any = jax.jit(step).lower(of_world.like, of_state.like, like, inputs).compile()
+    lowered = jax.jit(step).lower(of_world.like, of_state.like, like, inputs)
+    compiled: Any = lowered.compile(ONE_THREAD)
     return Judging(step=compiled, world=of_world, state=of_state)
 
 

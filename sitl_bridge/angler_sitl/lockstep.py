@@ -110,6 +110,11 @@ class LockStep:
         """Clock of the scene and of all autopilots."""
         return self._scene.time_s
 
+    def pace(self, speed: float | None) -> None:
+        """From now on so many times real time at most; None for as fast as possible."""
+        self.speed = speed
+        self._pace_from_s, self._pace_time_s = time.perf_counter(), self._scene.time_s
+
     def advance(self, steps: int) -> None:
         """So many steps of the scene.
 

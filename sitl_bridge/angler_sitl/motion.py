@@ -48,6 +48,10 @@ _KEPT_FROM = STATE_NUMBERS + 1
 LOW_US, HIGH_US = 900, 2100
 """Pulse widths outside, above all the zeros while an autopilot boots, are no pulse at all."""
 
+ONE_THREAD = {"xla_cpu_multi_thread_eigen": False}
+"""For the compiler of small programs: to hand a part to another thread takes longer than the part,
+and the autopilots need the other cores."""
+
 type Step = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 """Constants, vehicles [N, _], int32 inputs [N, INPUTS] to vehicles [N, _]."""
 
@@ -131,7 +135,7 @@ def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Mo
             jax.ShapeDtypeStruct((count, _KEPT_FROM + rows.pack(vehicles).shape[1]), jnp.float64),
             jax.ShapeDtypeStruct((count, INPUTS), jnp.int32),
         )
-        compiled: Step = jax.jit(shared).lower(*like).compile()
+        compiled: Step = jax.jit(shared).lower(*like).compile(ONE_THREAD)
     return Motion(step=compiled, vehicles=rows)
 
 

@@ -162,9 +162,10 @@ class SitlSession:
         number = self._scenario.seed if seed is None else seed
         self._scene.reset(number, worlds)
         if worlds is not None or number != self._drawn:
-            gathered = fleet_facts.gather(self._simulator, self._scene.worlds)
+            here = jax.device_get(self._scene.worlds)  # an index on the device is a program each
+            gathered = fleet_facts.gather(self._simulator, here)
             self._facts = levels.facts_of(self.settings.level, gathered)
-            self._ways = Ways(jax.tree.map(lambda x: x[0], self._scene.worlds.environment))
+            self._ways = Ways(jax.tree.map(lambda x: x[0], here.environment))
             self._drawn = number if worlds is None else None
         dtype = self._scene.state.vehicles.p.dtype
         self._desk = Desk(self._spec.stages, self._facts, self._limits, dtype)

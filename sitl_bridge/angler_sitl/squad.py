@@ -78,6 +78,7 @@ class Squad:
         try:
             began = time.perf_counter()
             self._start(robots)
+            self._lockstep.pace(None)  # nothing moves until they are armed
             ready = boot(
                 self.pilots,
                 self._advance_boot,
@@ -85,6 +86,7 @@ class Squad:
                 source=settings.source,
                 home=Place(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG),
             )
+            self._lockstep.pace(settings.speed)
             self.ready = Ready(sim_s=ready.sim_s, wall_s=time.perf_counter() - began)
             self.differences = {
                 pilot.name: firmware.differences(self._given[i], pilot.link.parameters)

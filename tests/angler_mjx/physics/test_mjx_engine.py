@@ -1,5 +1,8 @@
 """MJX with our terms against MuJoCo C with the same terms, and against Pinocchio."""
 
+import subprocess
+import sys
+
 import jax
 import mujoco
 import numpy as np
@@ -116,3 +119,18 @@ def test_only_single_free_bodies_are_taken():
     body.add_geom(size=[0.1, 0, 0])
     with pytest.raises(ValueError, match="one free body"):
         mjx_engine.build([spec.compile()])
+
+
+def test_mjx_is_loaded_by_those_who_compute_with_it_alone():
+    script = (
+        "import sys\n"
+        "from angler_mjx.runs.scenario import load_scenario\n"
+        "from angler_mjx.runs.simulator import Simulator\n"
+        "engine = {'engine': 'fused', 'tile': 1}\n"
+        "Simulator(load_scenario('open_water_current').model_copy(update=engine))\n"
+        "sys.exit('mujoco.mjx' in sys.modules)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -99,6 +99,14 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
     assert not np.any(mass[0] == mass[1])
     # A fifth more or less, to float32.
     assert np.all(np.abs(mass[0] - 1.0) <= 0.2 + 1e-6)
+    weak = flights.draw(robots, n, 4, flights.TRAIN, 0.05, timed=True, thrust_error=0.3)
+    thrust = np.asarray(weak.orders.plant.B) / np.where(
+        believed := np.asarray(few.orders.params.vehicle.B), believed, np.inf
+    )
+    share = thrust.max(axis=(1, 2))
+    assert np.all(np.abs(share - 1.0) <= 0.3 + 1e-6)
+    assert np.ptp(share) > 0.3
+    np.testing.assert_array_equal(few.orders.plant.B, few.orders.params.vehicle.B)
     still = np.asarray(few.orders.reference.still) == 1
     speed = np.linalg.norm(np.asarray(few.orders.current[0].velocity_mps), axis=1)
     able = np.asarray(few.orders.params.vehicle.terminal_speed_mps)[:, :2].min(axis=1)
