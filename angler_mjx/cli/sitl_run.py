@@ -35,6 +35,7 @@ def run(
     gcs: str | None = None,
     isolate: bool = False,
     ardusub: Path | None = None,
+    parameters: Path | None = None,
     device: Device = "cpu",
 ) -> None:
     """Fly a world of a scenario on real ArduSub processes, and write a run folder.
@@ -58,6 +59,8 @@ def run(
         gcs: A ground station that may join, as in udp:127.0.0.1:14550.
         isolate: Do it in a network namespace, where no socket can be reached from outside.
         ardusub: The ArduSub to run; else ANGLER_ARDUSUB, else the installed one.
+        parameters: File with parameters of ArduSub, as angler tune and MAVProxy write them, for all
+            robots.
         device: Where to compute.
     """
     prepare(isolate=isolate, gcs=gcs)
@@ -82,6 +85,7 @@ def run(
         duration_s=duration,
         gcs=gcs,
         binary=ardusub,
+        parameters=parameters,
     )
     flight, made = mission.run(chosen, settings, partial(print, file=sys.stderr), board)
     _report(flight)

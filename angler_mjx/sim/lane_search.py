@@ -83,8 +83,9 @@ GROUP = 8
 """Shapes that are asked for together where there are many: their loads wait together."""
 SLOTS = 4
 """Groups that a lane can note."""
-MANY = 8
-"""Shapes from which on they are listed."""
+MANY = GROUP + 1
+"""Shapes from which on they are listed. The list of a single group costs large batches more than
+it saves."""
 
 type Exact = Callable[[Seeker, Met], tuple[Any, Any, Lanes]]
 """The gap to a shape, whether it never moves, and its velocity [3]."""

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +17,7 @@ from angler_mjx.session.recording import Course, SessionRecording
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import breakable, stoppable
 from angler_sitl import binary as binaries
+from angler_sitl import parameters as firmware
 from angler_sitl import plans
 from angler_sitl import squad as squads
 from angler_sitl.flight import Flight, fly
@@ -51,6 +52,8 @@ class Settings:
     gcs: str | None = None
     """Ground station that may join, as in ``udp:127.0.0.1:14550``."""
     binary: Path | None = None
+    parameters: Path | None = None
+    """File of the firmware's, beside our own or instead of them."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be flown.
@@ -92,6 +95,7 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
     if count > MOST_VEHICLES:  # at once, and not after a minute of compiling
         raise ConfigError(f"{count} robots: real autopilots can be 1 to {MOST_VEHICLES}")
     goals = plans.read(settings.plan, count)
+    given = {} if settings.parameters is None else firmware.read(settings.parameters)
     binaries.find(settings.binary)
     with ExitStack() as stack:
         interrupt = stack.enter_context(breakable())
@@ -101,7 +105,7 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
         recording = stack.enter_context(SessionRecording(settings.out, scenario, settings.world))
         tell(f"{scenario.name}: world {settings.world}, compiling, then booting {count} ArduSub")
         begun = time.perf_counter()
-        session = stack.enter_context(_open(scenario, settings, recording.building))
+        session = stack.enter_context(_open(scenario, settings, given, recording.building))
         opened_s = time.perf_counter() - begun
         interrupt.check()
         squad = session.squad  # which a crash takes away from the session
@@ -137,7 +141,9 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
     return _result(flight, kept)
 
 
-def _open(scenario: Scenario, settings: Settings, building: Path) -> SitlSession:
+def _open(
+    scenario: Scenario, settings: Settings, given: Mapping[str, float], building: Path
+) -> SitlSession:
     return SitlSession(
         scenario,
         world=settings.world,
@@ -147,6 +153,7 @@ def _open(scenario: Scenario, settings: Settings, building: Path) -> SitlSession
         binary=settings.binary,
         folder=building / folder.ROBOTS,
         on_crash=settings.on_crash,
+        parameters=given,
     )
 
 
@@ -183,6 +190,7 @@ def _summary(
         "speed": chosen.speed,
         "plan": list(plan),
         "ardusub": {"version": chosen.binary.version, "sha256": chosen.binary.sha256},
+        "parameters": dict(chosen.parameters),
         "ready": {"sim_s": squad.ready.sim_s, "wall_s": squad.ready.wall_s},
         "steps": flight.steps,
         "scene_s": flight.scene_s,

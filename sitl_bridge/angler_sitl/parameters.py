@@ -4,6 +4,7 @@ A file of ``--defaults`` that names a parameter which the firmware does not know
 it. So the values are read back from the running autopilot and compared (`differences`).
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
@@ -25,6 +26,9 @@ PASSTHROUGH = 50
 
 RENAMED = {"GPS1_TYPE": "GPS_TYPE", "SYSID_THISMAV": "MAV_SYSID"}
 """Names of 4.6 and what other versions call them. Both are written; one has to be known."""
+
+LONGEST_NAME = 16
+"""Letters of a parameter's name, of MAVLink."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
 
@@ -90,6 +94,35 @@ def for_vehicle(
 def write(path: Path, parameters: Mapping[str, float]) -> None:
     """Write a parameter file: reason, name and value of each, sorted by name."""
     path.write_text("".join(_lines(parameters)), encoding="utf-8")
+
+
+def read(path: Path) -> dict[str, float]:
+    """Read a parameter file: a name and its value on a line, apart by a comma or by space.
+
+    So MAVProxy and Mission Planner write them, and `angler tune`; behind ``#`` stands what is for
+    people.
+
+    Raises:
+        ConfigError: there is no such file, or a line says something else.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: no parameter file to read: {error}") from error
+    found = {}
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            name, value = words[0], float(words[1])
+            usable = len(words) == 2 and math.isfinite(value) and len(name) <= LONGEST_NAME
+        except (IndexError, ValueError):
+            usable = False
+        if not usable:
+            raise ConfigError(f"{path}:{number}: {line.strip()!r}: write NAME,VALUE")
+        found[name] = value
+    return found
 
 
 def differences(ours: Mapping[str, float], read: Mapping[str, float]) -> list[str]:

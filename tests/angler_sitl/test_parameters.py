@@ -1,10 +1,12 @@
 """Parameters: what is written, what the firmware makes of it, and which vehicles it can steer."""
 
 import copy
+from dataclasses import replace
 
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.tuning import gain_files
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.library import available, load
 from angler_sitl import parameters, probe
@@ -141,3 +143,31 @@ def test_the_real_one_passes_channels_to_thrusters(ardusub, tmp_path):
         still.send(mavlink.MAVLink_rc_channels_override_message(still.sysid, 1, *channels))
         # 17.5 ms of its clock at most were seen.
         assert still.until(lambda: still.pwm[:8] == wanted, 0.1)
+
+
+def test_a_tuned_file_is_read_as_it_was_written(tmp_path):
+    tuned = replace(gain_files.FIRMWARE, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
+    file = tmp_path / "ardusub.param"
+    file.write_text(gain_files.param(tuned, 8, ["tuned", "twice"]), encoding="utf-8")
+    assert parameters.read(file) == {"PSC_POSXY_P": 1.8, "ATC_RAT_YAW_I": 0.004165}
+
+
+def test_words_and_remarks_in_a_file(tmp_path):
+    file = tmp_path / "mav.parm"
+    file.write_text(
+        "PSC_POSXY_P      1.5  # stiffer\n\n# none\nFS_GCS_ENABLE,0\n", encoding="utf-8"
+    )
+    assert parameters.read(file) == {"PSC_POSXY_P": 1.5, "FS_GCS_ENABLE": 0.0}
+
+
+@pytest.mark.parametrize("line", ["PSC_POSXY_P", "A,B", "A,1,2", "A,nan", f"{'A' * 17},1"])
+def test_a_line_that_is_none_is_named(tmp_path, line):
+    file = tmp_path / "bad.param"
+    file.write_text(f"A,1\n{line}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"bad\.param:2: .*write NAME,VALUE"):
+        parameters.read(file)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ConfigError, match=r"none\.param: no parameter file to read"):
+        parameters.read(tmp_path / "none.param")
