@@ -29,9 +29,6 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 	done; \
 	$(BIN)/angler rollout reef_fleet --out "runs/$$name"
 
-# Tests compile far more than they run: without the code generator's optimisation they take a
-# quarter less. How fast what was compiled runs is the affair of `angler bench`.
-test: export XLA_FLAGS ?= --xla_backend_optimization_level=0
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 

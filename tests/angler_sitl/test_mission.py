@@ -77,9 +77,12 @@ def session(compiled, request, monkeypatch):
     before = compiled.settings
     compiled.settings = replace(before, binary=request.getfixturevalue(program))
 
-    def opened(scenario, settings, building):
+    def opened(scenario, settings, given, building):
         compiled.settings = replace(
-            compiled.settings, on_crash=settings.on_crash, folder=building / "robots"
+            compiled.settings,
+            on_crash=settings.on_crash,
+            folder=building / "robots",
+            parameters=dict(given),
         )
         compiled.reset()
         return compiled
@@ -187,10 +190,11 @@ def test_a_signal_ends_the_flight_and_what_was_flown_is_kept(session, scenario, 
 
 
 def test_an_autopilot_that_does_not_come_up_leaves_nothing(session, scenario, tmp_path):
-    session.settings = replace(session.settings, parameters={"STANDIN_NO_ARM": 1.0})
+    given = tmp_path / "given.param"
+    given.write_text("STANDIN_NO_ARM,1\n", encoding="utf-8")
     with pytest.raises(RunError, match=r"robot_\d: refuses to arm.*Battery 1 unhealthy"):
-        fly(scenario, tmp_path / "run", Board())
-    assert os.listdir(tmp_path) == []
+        fly(scenario, tmp_path / "run", Board(), parameters=given)
+    assert os.listdir(tmp_path) == ["given.param"]
 
 
 def goal(*points, joints=("x", "y", "z")):
