@@ -269,6 +269,8 @@ def test_gradients_equal_finite_differences_and_stay_finite_in_contact():
     # Away from contact; kinks of the distance itself (equally near features) have no gradient and
     # are met by chance by few of the draws.
     clear = np.asarray(value) > 1e-3
+    # Moving straight away gains as much distance as is moved, whichever feature is nearest.
+    np.testing.assert_allclose(np.linalg.norm(grad, axis=1)[clear], 1.0, rtol=1e-12)
     error = np.abs(np.asarray(grad) - numeric).max(axis=1)[clear]
     # Central differences: step^2 curvature (1e-12 / 1e-3) plus 1e-16 / step of rounding.
     assert np.mean(error < 1e-6) > 0.99

@@ -7,7 +7,6 @@ stay finite; second derivatives are not provided. Where shapes touch the distanc
 gradient is 0. Lengths in metres; all shapes of a call in one frame unless it says otherwise.
 """
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple, Self
 
@@ -55,8 +54,20 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
         (zero, _foot(d2, gap)),
         (one, _foot(d2, gap + d1)),
     )
-    squares = [_square([gap[i] + s * d1[i] - t * d2[i] for i in range(3)]) for s, t in pairs]
-    return _root(functools.reduce(jnp.minimum, squares))
+
+    def square(s: jax.Array, t: jax.Array) -> jax.Array:
+        return _square([gap[i] + s * d1[i] - t * d2[i] for i in range(3)])
+
+    # The points are chosen, not the least of five gaps: often two of the five are the same points,
+    # and a minimum hands its gradient to both or to neither where rounding tells them apart
+    # in one place of the compiled program and not in another.
+    (s, t), *others = pairs
+    least = square(s, t)
+    for u, v in others:
+        other = square(u, v)
+        nearer = other < least
+        s, t, least = (jnp.where(nearer, x, y) for x, y in ((u, s), (v, t), (other, least)))
+    return _root(square(s, t))
 
 
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
