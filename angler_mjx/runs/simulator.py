@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import NamedSharding
+from jax.sharding import NamedSharding, PartitionSpec
 
 from angler_mjx.control import stack
 from angler_mjx.control.mixed import Mixed
@@ -133,21 +133,32 @@ class Simulator:
         self._engine = engines.by_name(scenario.engine, self.kernels)
         self._memory: Memory | None = None
         self._compiled = False
-        each = partial(on_devices.on_each, self._mesh)
-        self._prepare: Callable[..., World] = jax.jit(
-            each(self._prepare_tile, SAME, SAME, EACH), compiler_options=NO_AUTOTUNING
+        self._prepare: Callable[..., World] = self._spread(
+            self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
         )
-        self._reset: Callable[..., WorldState] = jax.jit(
-            each(partial(self._engine.reset, self.spec), SAME, EACH)
+        self._reset: Callable[..., WorldState] = self._spread(
+            partial(self._engine.reset, self.spec), SAME, EACH
         )
-        self._step: Callable[..., tuple[WorldState, Sample]] = jax.jit(
-            each(partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH)
+        self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
+            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
         )
-        self._segment: Callable[..., Segment] = jax.jit(
-            each(self._run_segment, SAME, EACH, EACH), donate_argnums=2
+        self._segment: Callable[..., Segment] = self._spread(
+            self._run_segment, SAME, EACH, EACH, donate_argnums=2
         )
-        self._commanded: Callable[..., Segment] = jax.jit(
-            each(self._run_segment, SAME, EACH, EACH, EACH), donate_argnums=2
+        self._commanded: Callable[..., Segment] = self._spread(
+            self._run_segment, SAME, EACH, EACH, EACH, donate_argnums=2
+        )
+
+    def _spread(self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any) -> Any:
+        """A compiled function that runs on each device, on its tiles.
+
+        Results say themselves that they lie tile by tile: what takes them is then one program,
+        whether it was compiled ahead of time or is called.
+        """
+        return jax.jit(
+            on_devices.on_each(self._mesh, function, *specs),
+            out_shardings=NamedSharding(self._mesh, EACH),
+            **options,
         )
 
     @property
@@ -185,7 +196,12 @@ class Simulator:
             seed: instead of the scenario's.
         """
         number = np.uint32(self.scenario.seed if seed is None else seed)
-        return self._prepare(self.fleet, number, np.asarray(firsts, np.uint32))
+        # Put in their places, as `compile` says they are: otherwise it is another program.
+        numbers = jax.device_put(
+            (number, np.asarray(firsts, np.uint32)),
+            (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
+        )
+        return self._prepare(self.fleet, *numbers)
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
