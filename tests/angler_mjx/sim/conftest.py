@@ -145,9 +145,10 @@ def build_scene(
 ) -> Scene:
     """``n`` random worlds, in JAX's present float type."""
     kinds = fleet.build(every_variant() if members is None else members)
-    worlds = jax.jit(jax.vmap(partial(one_world, kinds, config)))(
-        jax.random.split(jax.random.key(seed), n)
-    )
+    # One after another: a program serves any number of worlds, and small fleets of a size.
+    draw = partial(jax.jit(one_world, static_argnums=1), kinds, config)
+    drawn = [draw(key) for key in jax.random.split(jax.random.key(seed), n)]
+    worlds = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn)
     return Scene(spec=SimSpec(), fleet=kinds, worlds=worlds)
 
 
