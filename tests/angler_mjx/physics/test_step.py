@@ -11,6 +11,7 @@ import pytest
 from angler_mjx.physics import step as physics
 from angler_mjx.world.currents import Uniform, Vortices
 
+from ..compiling import quickly
 from . import plants as plant_module
 from .plants import WATER
 
@@ -73,7 +74,7 @@ def test_gradients_equal_finite_differences(plants, current):
         return weights @ jnp.concatenate([end.p, end.q, end.nu])
 
     x = np.concatenate([np.ravel(part) for part in sizes.values()])
-    gradient = np.asarray(jax.jit(jax.grad(loss))(x))
+    gradient = np.asarray(quickly(jax.grad(loss))(x))
     h = 1e-5
     difference = [
         (float(loss(x + h * e)) - float(loss(x - h * e))) / (2 * h) for e in np.eye(x.size)
@@ -89,8 +90,8 @@ def test_a_batch_equals_a_loop(plants, current):
     exists = np.asarray(plants.params.thruster_exists)
     thrust = np.random.default_rng(14).uniform(-20, 20, exists.shape) * exists
     one = partial(run, plants, current)
-    batch = jax.jit(jax.vmap(one))(plants.body, plants.params, p, q, nu, thrust)
-    single = jax.jit(one)
+    batch = quickly(jax.vmap(one))(plants.body, plants.params, p, q, nu, thrust)
+    single = quickly(one)
     for i in range(n):
         alone = single(
             *(plant_module.pick(x, i) for x in (plants.body, plants.params)),
@@ -112,7 +113,7 @@ def test_strong_damping_is_stable(plants):
     D_q = float(vehicle.D_q[3])
     assert DT * 2 * D_q * 10 / inertia > 8  # Explicit formulas are stable below 1 to 2.
     nu = jnp.zeros(6).at[3].set(10.0)
-    end = jax.jit(partial(run, plants, ()))(
+    end = quickly(partial(run, plants, ()))(
         body, vehicle, jnp.array([0, 0, -9.0]), jnp.array([1.0, 0, 0, 0]), nu, jnp.zeros(8)
     )
     # The closed form is 1/p = 1/10 + D_q t / I. The first steps are too long to be accurate, and

@@ -46,7 +46,6 @@ def start(*arguments, cache):
         "JAX_PLATFORMS": "cpu",
         "JAX_COMPILATION_CACHE_DIR": str(cache),
         "XLA_FLAGS": "--xla_force_host_platform_device_count=8 "
-        "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
         "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true",
     }
     return subprocess.Popen(

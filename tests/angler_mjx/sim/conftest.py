@@ -24,6 +24,8 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import ObstaclesConfig
 
+from ..compiling import quickly
+
 CELLS, CELL_M = 6, 1.5
 ORIGIN_M = np.array([-4.5, -4.5, -12.0])
 POINTS = 20
@@ -146,7 +148,7 @@ def build_scene(
     """``n`` random worlds, in JAX's present float type."""
     kinds = fleet.build(every_variant() if members is None else members)
     # One after another: a program serves any number of worlds, and small fleets of a size.
-    draw = partial(jax.jit(one_world, static_argnums=1), kinds, config)
+    draw = partial(quickly(one_world, static_argnums=1), kinds, config)
     drawn = [draw(key) for key in jax.random.split(jax.random.key(seed), n)]
     worlds = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn)
     return Scene(spec=SimSpec(), fleet=kinds, worlds=worlds)
@@ -193,9 +195,9 @@ def play(engines_by_name):
         with jax.enable_x64(True):
             engine, spec = engines_by_name[name], scene.scene.spec
             worlds, kinds = scene.scene.worlds, scene.scene.fleet
-            start = jax.jit(partial(engine.reset, spec))(kinds, worlds)
+            start = quickly(partial(engine.reset, spec))(kinds, worlds)
             signals = random_signals(worlds) if commanded else None
-            return jax.jit(partial(_steps, engine, spec))(kinds, worlds, start, signals)
+            return quickly(partial(_steps, engine, spec))(kinds, worlds, start, signals)
 
     return lambda scene, name, commanded: run(name, commanded, Hashed(scene))
 

@@ -30,11 +30,11 @@ from angler_mjx.sim.fused_triton import TritonEngine
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world import currents
 
+from ..compiling import quickly
+
 WORLDS, PARITY, LONGEST = 3, 40, 900
 """Worlds; control steps in which engines are compared, 2 s; and in which robots must arrive, 45 s.
 Paths take up to 25 s."""
-QUICK = {"xla_backend_optimization_level": 0}
-"""Of a test's time most is spent in compiling; the equations are the same."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def scene(scenes):
 def at_rest(scene, engines_by_name):
     """The state at t = 0 with the memory of any controllers."""
     with jax.enable_x64(True):
-        first = jax.jit(partial(engines_by_name["fused"].reset, scene.spec))(
+        first = quickly(partial(engines_by_name["fused"].reset, scene.spec))(
             scene.fleet, scene.worlds
         )
     yaw = scene.worlds.environment.start_yaw_rad
@@ -111,7 +111,7 @@ def flown(scene, at_rest, engines_by_name):
     """
     deciding = {"fused": on_lanes, "mjx": mapped}
     stepping = {
-        name: jax.jit(partial(engine.control_step, scene.spec), compiler_options=QUICK)
+        name: quickly(partial(engine.control_step, scene.spec))
         for name, engine in engines_by_name.items()
     }
 
@@ -119,7 +119,7 @@ def flown(scene, at_rest, engines_by_name):
     def fly(name, engine, steps):
         with jax.enable_x64(True):
             spec = spec_of(scene, stages.CONTROLLERS[name])
-            decide = jax.jit(partial(deciding[engine], spec), compiler_options=QUICK)
+            decide = quickly(partial(deciding[engine], spec))
             state, seen = at_rest(spec), []
             signals = stack.Memory(stages=(), realised=None)
             for i in range(steps):
@@ -214,7 +214,7 @@ def test_lanes_take_every_kind_of_command(kind, scene, at_rest):
         command = commands(scene, state)[kind]
         params = scene.worlds.control
         decide = partial(robot.decide, scene.spec, flow=None)
-        expected = jax.jit(jax.vmap(jax.vmap(decide)))(params, state.carry, state.vehicles, command)
+        expected = quickly(jax.vmap(jax.vmap(decide)))(params, state.carry, state.vehicles, command)
         given = scene_of(scene.fleet, scene.worlds).groups[0].params
         moving = to_lanes((state.carry, state.vehicles, command), 2)
         found = to_arrays(lanes.apply(decide, given, *moving), 2)
@@ -232,7 +232,7 @@ def test_a_command_drives_whole_segments_alike(scene, at_rest, engines_by_name):
         command = commands(scene, state)["joints"]
         for engine in engines_by_name.values():
             run = partial(engine.segment, spec, n_sample=3, steps_per_sample=5)
-            compiled = jax.jit(lambda f, w, s, c, run=run: run(f, w, s, command=c))
+            compiled = quickly(lambda f, w, s, c, run=run: run(f, w, s, command=c))
             ends.append(compiled(scene.fleet, scene.worlds, state, command))
     assert_close(ends[1], ends[0], 1e-9)
     after, sample = ends[0]

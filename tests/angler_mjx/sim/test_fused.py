@@ -11,6 +11,8 @@ import pytest
 
 from angler_mjx.sim.state import Outcome, Touched
 
+from ..compiling import quickly
+
 # Asked for; found is 1e-13, on numbers of up to 1e3 (forces) and after 1,000 physics steps.
 TOLERANCE = 1e-9
 
@@ -69,7 +71,7 @@ def test_reset_is_that_of_mjx(double, engines_by_name):
     with jax.enable_x64(True):
         for engine in engines_by_name.values():
             states.append(
-                jax.jit(lambda f, w, e=engine: e.reset(double.spec, f, w))(
+                quickly(lambda f, w, e=engine: e.reset(double.spec, f, w))(
                     double.fleet, double.worlds
                 )
             )

@@ -13,6 +13,8 @@ from angler_mjx.sim.fused import FusedEngine
 from angler_mjx.sim.fused_triton import TritonEngine
 from angler_mjx.sim.state import Touched
 
+from ..compiling import quickly
+
 EVERY = 4
 """Control steps from one sample to the next."""
 
@@ -37,9 +39,9 @@ def test_segment_is_that_of_mjx(double, play):
     theirs_seen = jax.tree.map(lambda x: jnp.moveaxis(x, 0, 1)[:n, ::EVERY], samples)
     with jax.enable_x64(True):
         worlds = jax.tree.map(lambda x: x[:n], double.worlds)
-        start = jax.jit(partial(engine.reset, double.spec))(double.fleet, worlds)
+        start = quickly(partial(engine.reset, double.spec))(double.fleet, worlds)
         count = {"n_sample": steps // EVERY, "steps_per_sample": EVERY}
-        run = jax.jit(partial(engine.segment, double.spec, **count))
+        run = quickly(partial(engine.segment, double.spec, **count))
         ours, seen = run(double.fleet, worlds, start)
     # As for the fused engine: float64 leaves rounding no room; found is 1e-13.
     assert_close(ours, theirs, 1e-9)
@@ -55,8 +57,8 @@ def test_control_step_takes_signals(scenes):
     signals = np.random.default_rng(0).uniform(1300, 1700, shape)
     ends = []
     for engine in (TritonEngine(lanes=2, interpret=True), by_name("mjx", "xla")):
-        state = jax.jit(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
-        step = jax.jit(partial(engine.control_step, scene.spec))
+        state = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+        step = quickly(partial(engine.control_step, scene.spec))
         for row in signals:
             command = ThrusterPwm(pwm_us=jnp.asarray(row, jnp.float32))
             state, sample = step(scene.fleet, scene.worlds, state, command)

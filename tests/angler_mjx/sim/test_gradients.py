@@ -9,6 +9,8 @@ import pytest
 
 from angler_mjx.sim.gradients import tracking_cost
 
+from ..compiling import quickly
+
 STEPS = 40
 """Two seconds: the robots accelerate, turn, and saturate."""
 
@@ -25,9 +27,9 @@ def costs(scene, engines_by_name):
     """For each engine, a function gains -> (cost, gradient), and the gains."""
 
     def of(engine):
-        start = jax.jit(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+        start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
 
-        @jax.jit
+        @quickly
         def both(gains, kinds, worlds, start):
             return jax.value_and_grad(tracking_cost)(
                 gains, engine, scene.spec, kinds, worlds, start, control_steps=STEPS

@@ -16,6 +16,8 @@ from angler_mjx.sim.fused import FusedEngine
 from angler_mjx.sim.fused_triton import TritonEngine
 from angler_mjx.world.grid import Grid, height_above_bottom
 
+from ..compiling import quickly
+
 WORLDS, SAMPLES, EVERY = 2, 12, 5
 ALL = {"usbl": {"fitted": True, "latency_s": 0.3, "period_s": 0.5}, "gps": {"fitted": True}}
 EXACT = {"noise": False}
@@ -41,9 +43,9 @@ def tell(scene, told, controller="cascade"):
 def fly(engine, scene, samples=SAMPLES):
     """Final state and samples [W, samples, R, ...]."""
     # One for all: it is the same to rounding (test_fused), and compiled once.
-    start = jax.jit(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
+    start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
     count = {"n_sample": samples, "steps_per_sample": EVERY}
-    run = jax.jit(partial(engine.segment, scene.spec, **count))
+    run = quickly(partial(engine.segment, scene.spec, **count))
     return jax.device_get(run(scene.fleet, scene.worlds, start))
 
 

@@ -13,6 +13,8 @@ from angler_mjx.sim import fleet
 from angler_mjx.sim.engines import by_name
 from angler_mjx.sim.fleet import Member, Variant
 
+from ..compiling import quickly
+
 THIRD = {"rotor_response": "third_order"}
 DEAD = {"thruster_health": (("thruster_1", 0.7), ("thruster_6", 0.0))}
 SAMPLES, EVERY = 50, 4
@@ -47,7 +49,7 @@ def fly(scene):
         engine, count = by_name(name, "xla"), {"n_sample": SAMPLES, "steps_per_sample": EVERY}
         reset = partial(engine.reset, scene.spec)
         segment = partial(engine.segment, scene.spec, **count)
-        return jax.jit(lambda kinds, worlds: segment(kinds, worlds, reset(kinds, worlds)))
+        return quickly(lambda kinds, worlds: segment(kinds, worlds, reset(kinds, worlds)))
 
     engines = {name: compiled(name) for name in ("mjx", "fused")}
 
