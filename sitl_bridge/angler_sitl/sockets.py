@@ -2,6 +2,7 @@
 
 import os
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
@@ -39,7 +40,22 @@ class Bound:
 def of(pid: int) -> list[Bound]:
     """Sockets with an address that a process of ours has; none if it has ended."""
     inodes = _inodes(pid)
-    found = []
+    return [one for inode, one in _listed(pid) if inode in inodes]
+
+
+def takers(pid: int | str, port: int) -> int:
+    """UDP sockets, of whatever process, that take what anybody sends to a port.
+
+    Args:
+        pid: A process of ours, or "self": it is the network that this one is in.
+        port: Its number.
+    """
+    here = [one for _, one in _listed(pid) if one.protocol == "udp" and one.port == port]
+    return sum(one.peer is None for one in here)
+
+
+def _listed(pid: int | str) -> Iterator[tuple[str, Bound]]:
+    """All sockets with an address in the network of a process, by inode."""
     for table in _TABLES:
         try:
             lines = Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]
@@ -47,9 +63,8 @@ def of(pid: int) -> list[Bound]:
             continue
         for words in (line.split() for line in lines):
             one = _bound(table.rstrip("6"), words[1], words[2], words[3])
-            if words[9] in inodes and one is not None:
-                found.append(one)
-    return found
+            if one is not None:
+                yield words[9], one
 
 
 def _inodes(pid: int) -> set[str]:

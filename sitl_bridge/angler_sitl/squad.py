@@ -12,9 +12,9 @@ from typing import Literal, Self
 
 from angler_mjx.session.interface import RobotInfo
 from angler_mjx.vehicles import library
+from angler_sitl import calling, sticks
 from angler_sitl import parameters as firmware
 from angler_sitl import ports as sockets
-from angler_sitl import sticks
 from angler_sitl.binary import Binary
 from angler_sitl.boot import Place, Ready, boot
 from angler_sitl.levels import MODES
@@ -179,6 +179,7 @@ class Squad:
         self._exit.callback(kill_all, self.instances)
         for launch in launches:
             self.instances.append(Instance(launch))
+        calling.settle(self.instances)
         self.pilots = [self._pilot(launch) for launch in launches]
         self._navigation = Navigation(self._scene, self._scene.simulator.spec)
         self._lockstep = LockStep(

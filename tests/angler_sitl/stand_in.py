@@ -9,7 +9,8 @@ while disarmed and then channel n of the RC override.
 
 Its own parameters, by --defaults like all others, make it misbehave at a time of its own clock:
 STANDIN_EXIT_S (ends with code 3), STANDIN_HANG_S (stays and does nothing), STANDIN_REBOOT_S,
-STANDIN_NO_EKF 1 (never becomes ready), STANDIN_NO_ARM 1 (refuses to arm).
+STANDIN_NO_EKF 1 (never becomes ready), STANDIN_NO_ARM 1 (refuses to arm). STANDIN_PORT is the port
+that it sends from in its first STANDIN_PORT_STARTS starts in a folder.
 """
 
 import argparse
@@ -63,7 +64,9 @@ class StandIn:
         lines = Line(self.given.serial0, base), Line(self.given.serial1, base + 2)
         self.talk = Talk(self.parameters, lines, self._reboot)
         self.fdm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.fdm.bind(("127.0.0.1", 0))
+        # As the firmware does: whatever port the kernel gives, and others may have it too.
+        self.fdm.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.fdm.bind(("0.0.0.0", self._port()))
         self.where = ("127.0.0.1", self.given.sim_port_out)
         print(f"JSON control interface set to {self.where[0]}:{self.where[1]}", flush=True)
         while True:
@@ -73,6 +76,14 @@ class StandIn:
                 sys.exit(0)
             self._misbehave()
             self.talk.step(self.age_s, self.time_s, self.state)
+
+    def _port(self):
+        if "STANDIN_PORT" not in self.parameters:
+            return 0
+        with open("starts", "a") as file:
+            file.write("x")
+        early = os.path.getsize("starts") <= self.parameters["STANDIN_PORT_STARTS"]
+        return int(self.parameters["STANDIN_PORT"]) if early else 0
 
     @property
     def age_s(self):
