@@ -66,7 +66,7 @@ class StandIn:
         self.fdm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         # As the firmware does: whatever port the kernel gives, and others may have it too.
         self.fdm.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.fdm.bind(("0.0.0.0", self._port()))
+        self.fdm.bind(("127.0.0.1", self._port()))
         self.where = ("127.0.0.1", self.given.sim_port_out)
         print(f"JSON control interface set to {self.where[0]}:{self.where[1]}", flush=True)
         while True:
