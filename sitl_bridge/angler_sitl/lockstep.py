@@ -98,7 +98,7 @@ class LockStep:
         # Where each autopilot and we have a core, looking again is quicker than being woken.
         self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
         self._pace_from_s, self._pace_time_s = time.perf_counter(), scene.time_s
-        # Long ago: what came before the first answer, but for the last of each, are repeats.
+        # Long ago: packets that gathered before the first answer are repeats of the first.
         self._answered_s = -np.inf
         for one in self._sockets:
             # Blocking with the kernel's own time limit: Python's would cost a poll a packet.

@@ -43,18 +43,18 @@ def of(pid: int) -> list[Bound]:
     return [one for inode, one in _listed(pid) if inode in inodes]
 
 
-def takers(pid: int | str, port: int) -> int:
+def takers(pid: int, port: int) -> int:
     """UDP sockets, of whatever process, that take what anybody sends to a port.
 
     Args:
-        pid: A process of ours, or "self": it is the network that this one is in.
+        pid: A process of ours: it is the network that this one is in.
         port: Its number.
     """
     here = [one for _, one in _listed(pid) if one.protocol == "udp" and one.port == port]
     return sum(one.peer is None for one in here)
 
 
-def _listed(pid: int | str) -> Iterator[tuple[str, Bound]]:
+def _listed(pid: int) -> Iterator[tuple[str, Bound]]:
     """All sockets with an address in the network of a process, by inode."""
     for table in _TABLES:
         try:

@@ -1,5 +1,6 @@
 """Ports that autopilots send from: shared ones are given up before anything is answered."""
 
+import os
 import socket
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +35,7 @@ def started(binary, ports, folder, **parameters):
 
 
 def test_who_takes_what_is_sent_to_a_port():
-    here = "self"
+    here = os.getpid()
     with another() as port:
         assert sockets.takers(here, port) == 1
         with another(port), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as connected:

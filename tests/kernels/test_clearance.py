@@ -266,11 +266,12 @@ def test_gradients_equal_finite_differences_and_stay_finite_in_contact():
         shift = np.zeros((n, 3))
         shift[:, i] = step
         numeric[:, i] = (both(shift, *args)[0] - both(-shift, *args)[0]) / (2 * step)
-    # Away from contact; kinks of the distance itself (equally near features) have no gradient and
-    # are met by chance by few of the draws.
+    # Away from contact. Kinks of the distance itself (equally near features) have no gradient; they
+    # are no wider than a step, and none of the draws meets one.
     clear = np.asarray(value) > 1e-3
-    # Moving straight away gains as much distance as is moved, whichever feature is nearest.
+    # Moving straight away gains as much distance as is moved, whichever feature is nearest; but for
+    # some roundings of float64, in gaps that are small against where the shapes are.
     np.testing.assert_allclose(np.linalg.norm(grad, axis=1)[clear], 1.0, rtol=1e-12)
     error = np.abs(np.asarray(grad) - numeric).max(axis=1)[clear]
     # Central differences: step^2 curvature (1e-12 / 1e-3) plus 1e-16 / step of rounding.
-    assert np.mean(error < 1e-6) > 0.99
+    assert error.max() < 1e-6

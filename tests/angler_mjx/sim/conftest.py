@@ -147,7 +147,7 @@ def build_scene(
 ) -> Scene:
     """``n`` random worlds, in JAX's present float type."""
     kinds = fleet.build(every_variant() if members is None else members)
-    # One after another: a program serves any number of worlds, and small fleets of a size.
+    # One after another: one program for any number of worlds.
     draw = partial(quickly(one_world, static_argnums=1), kinds, config)
     drawn = [draw(key) for key in jax.random.split(jax.random.key(seed), n)]
     worlds = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn)
