@@ -1,8 +1,11 @@
-"""The barrier between N autopilots and one scene: all have asked, one step, all are answered.
+"""The barrier between N autopilots and one scene: one step, all have asked, all are answered.
 
 An autopilot sends a servo packet and waits for one reply, whose time is its clock from then on. So
 all clocks agree as long as nobody is answered before all have asked. The autopilots are told not to
 pace themselves; where a speed is asked for, the pace is kept here, once for all of them.
+
+While the autopilots work at their next packets, the scene takes its next step, with the pulse
+widths of the packets before: a pulse's width is known at its end, and a pulse takes most of a step.
 
 Wall time is looked at for two things alone: that pace, and an autopilot that no longer asks.
 """
@@ -43,7 +46,7 @@ class Spent:
 
     barriers: int = 0
     waiting_s: float = 0.0
-    """For servo packets, the autopilots' own work among it."""
+    """For servo packets: what the autopilots' own work took longer than the next step."""
     physics_s: float = 0.0
     replies_s: float = 0.0
     """Text and sockets."""
@@ -94,6 +97,7 @@ class LockStep:
         self._source: list[Address] = [_NOWHERE] * len(self._sockets)
         self._frame = [-1] * len(self._sockets)
         self._text = [b""] * len(self._sockets)
+        self._next = list(self._text)
         self._buffer = memoryview(bytearray(2 * packets.SERVO_BYTES))
         # Where each autopilot and we have a core, looking again is quicker than being woken.
         self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
@@ -128,26 +132,29 @@ class LockStep:
 
     def _barrier(self) -> None:
         began = time.perf_counter()
+        rows = self._scene.step(self.pwm).numbers.tolist()
+        moved = time.perf_counter()
+        time_s = self._scene.time_s
+        for i in self._alive:
+            self._next[i] = packets.write_state(self._names[i], time_s, rows[i])
+        written = time.perf_counter()
         for i in tuple(self._alive):
             self._await(i)
         asked = time.perf_counter()
-        rows = self._scene.step(self.pwm).numbers.tolist()
-        moved = time.perf_counter()
-        self._pace(moved)
+        self._pace(asked)
         paced = time.perf_counter()
         if paced - self._answered_s > RESEND_S:
             self._forget_repeats()
-        time_s = self._scene.time_s
         for i in self._alive:
-            self._text[i] = text = packets.write_state(self._names[i], time_s, rows[i])
+            self._text[i] = text = self._next[i]
             self._sockets[i].sendto(text, self._source[i])
         self._answered_s = time.perf_counter()
         spent = self.spent
         spent.barriers += 1
-        spent.waiting_s += asked - began
-        spent.physics_s += moved - asked
-        spent.pacing_s += paced - moved
-        spent.replies_s += self._answered_s - paced
+        spent.physics_s += moved - began
+        spent.waiting_s += asked - written
+        spent.pacing_s += paced - asked
+        spent.replies_s += written - moved + self._answered_s - paced
 
     def _await(self, i: int) -> None:
         """The next servo packet of an autopilot."""
