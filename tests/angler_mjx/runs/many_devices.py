@@ -1,4 +1,4 @@
-"""Runs the same scenario on 1, 2, 4 and 8 devices; a process of its own, for they are forced.
+"""Runs the same scenario on 1, 3 and 8 devices; a process of its own, for they are forced.
 
 Arguments: scenario file, folder for the runs. Prints the compiled segment of the last simulator.
 """
@@ -14,10 +14,10 @@ from angler_mjx.runs.simulator import Simulator
 
 def main(scenario_file, out):
     scenario = load_scenario(scenario_file)
-    for devices in (1, 2, 4, 8):
+    for devices in (1, 3, 8):
         simulator = Simulator(scenario, devices=devices)
         simulator.compile()
-        for chunk in (2, 100) if devices == 2 else (100,):
+        for chunk in (2, 100) if devices == 3 else (100,):
             name = f"{devices}_devices_{chunk}"
             rollout(scenario, out=out / name, chunk=chunk, simulator=simulator)
     print(simulator._segment.as_text())

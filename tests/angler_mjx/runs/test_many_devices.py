@@ -89,7 +89,10 @@ def scenario_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def runs(scenario_file, cache, tmp_path_factory):
-    """Folder of the runs on 1, 2, 4 and 8 devices, the last program, and what was said."""
+    """Folder of the runs on 1, 3 and 8 devices, the last program, and what was said.
+
+    Seven worlds are four tiles: a wave of three and one of one, or one with half of it idle.
+    """
     out = tmp_path_factory.mktemp("devices")
     [(code, program, said)] = both((HERE / "many_devices.py", scenario_file, out), cache=cache)
     assert code == 0, said
@@ -112,7 +115,7 @@ def assert_same(one, other):
     assert files(one) == files(other)
 
 
-@pytest.mark.parametrize("name", ["2_devices_2", "2_devices_100", "4_devices_100", "8_devices_100"])
+@pytest.mark.parametrize("name", ["3_devices_2", "3_devices_100", "8_devices_100"])
 def test_the_same_bytes_on_any_number_of_devices_and_for_any_chunk(runs, name):
     out, _, _ = runs
     one, other = Run(out / "1_devices_100"), Run(out / name)
