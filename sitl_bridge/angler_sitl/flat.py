@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+type Arrays = tuple[jax.Array, ...]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Flat:
@@ -35,14 +37,14 @@ class Flat:
             for dtype, members in self._members().items()
         )
 
-    def pack(self, tree: Any) -> tuple[jax.Array, ...]:
+    def pack(self, tree: Any) -> Arrays:
         """The arrays of a traced tree; one for each type."""
-        arrays: tuple[jax.Array, ...] = self._packed(tree, jnp)
+        arrays: Arrays = self._packed(tree, jnp)
         return arrays
 
-    def put(self, tree: Any) -> tuple[jax.Array, ...]:
+    def put(self, tree: Any) -> Arrays:
         """The same of a tree that is not traced; nothing is compiled."""
-        placed: tuple[jax.Array, ...] = jax.device_put(self._packed(tree, np))
+        placed: Arrays = jax.device_put(self._packed(tree, np))
         return placed
 
     def unpack(self, arrays: tuple[Any, ...]) -> Any:

@@ -1,6 +1,5 @@
 """Our part of the control of real autopilots: one compiled step of the stack of a level."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -109,19 +108,18 @@ def _decide(
     return decision
 
 
-def belief_of(motions: Sequence[Motion], like: Any) -> Belief:
+def belief_of(motion: Motion, like: Any) -> Belief:
     """What autopilots believe, as controllers take it.
 
     They do not say how sure they are: the spreads are NaN. Nor do they know of a current: still
     water, as from every filter here.
 
     Args:
-        motions: of each robot.
+        motion: of each robot.
         like: [1, R, 3] array of the type that the simulation computes with.
     """
     told: dict[str, Any] = {
-        name: np.stack([getattr(motion, name) for motion in motions])[None].astype(like.dtype)
-        for name in ("p", "q", "nu")
+        name: getattr(motion, name)[None].astype(like.dtype) for name in ("p", "q", "nu")
     }
     unknown: Any = np.full_like(told["p"], np.nan)
     return Belief(

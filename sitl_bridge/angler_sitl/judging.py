@@ -19,10 +19,8 @@ from angler_mjx.sim import episode, robot
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import obstacles as obstacle_motion
-from angler_sitl.flat import Flat
+from angler_sitl.flat import Arrays, Flat
 from angler_sitl.motion import INPUTS, ONE_THREAD, Motion, signals
-
-type Arrays = tuple[jax.Array, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

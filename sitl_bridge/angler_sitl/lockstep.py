@@ -1,11 +1,13 @@
-"""The barrier between N autopilots and one scene: one step, all have asked, all are answered.
+"""The barrier between N autopilots and one scene: a step, all ask and are answered, the next step.
 
-An autopilot sends a servo packet and waits for one reply, whose time is its clock from then on. So
-all clocks agree as long as nobody is answered before all have asked. The autopilots are told not to
-pace themselves; where a speed is asked for, the pace is kept here, once for all of them.
+An autopilot sends a servo packet and waits for one reply, whose time is its clock from then on. The
+scene steps when all have asked, so no clock is ever more than a step ahead of another, and after
+each step all agree. The autopilots are told not to pace themselves; where a speed is asked for, the
+pace is kept here, once for all of them.
 
-While the autopilots work at their next packets, the scene takes its next step, with the pulse
-widths of the packets before: a pulse's width is known at its end, and a pulse takes most of a step.
+A pulse's width is known at its end, and a pulse takes most of a step: the scene's step needs the
+pulse widths of the packets before. It is taken while the autopilots work at their next packets, and
+who sends one finds the reply ready.
 
 Wall time is looked at for two things alone: that pace, and an autopilot that no longer asks.
 """
@@ -46,10 +48,10 @@ class Spent:
 
     barriers: int = 0
     waiting_s: float = 0.0
-    """For servo packets: what the autopilots' own work took longer than the next step."""
+    """For servo packets, and reading them: what autopilots took longer than the scene's step."""
     physics_s: float = 0.0
     replies_s: float = 0.0
-    """Text and sockets."""
+    """Text, and sending it."""
     pacing_s: float = 0.0
 
 
@@ -103,7 +105,7 @@ class LockStep:
         self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
         self._pace_from_s, self._pace_time_s = time.perf_counter(), scene.time_s
         # Long ago: packets that gathered before the first answer are repeats of the first.
-        self._answered_s = -np.inf
+        self._answered_s = [-np.inf] * len(self._sockets)
         for one in self._sockets:
             # Blocking with the kernel's own time limit: Python's would cost a poll a packet.
             one.setblocking(True)
@@ -138,23 +140,30 @@ class LockStep:
         for i in self._alive:
             self._next[i] = packets.write_state(self._names[i], time_s, rows[i])
         written = time.perf_counter()
+        self._pace(written)
+        now = paced = time.perf_counter()
+        sending_s = 0.0
         for i in tuple(self._alive):
             self._await(i)
-        asked = time.perf_counter()
-        self._pace(asked)
-        paced = time.perf_counter()
-        if paced - self._answered_s > RESEND_S:
-            self._forget_repeats()
-        for i in self._alive:
-            self._text[i] = text = self._next[i]
-            self._sockets[i].sendto(text, self._source[i])
-        self._answered_s = time.perf_counter()
+            asked = now = time.perf_counter()
+            if i not in self.lost:
+                self._answer(i, asked)
+                now = time.perf_counter()
+                sending_s += now - asked
         spent = self.spent
         spent.barriers += 1
         spent.physics_s += moved - began
-        spent.waiting_s += asked - written
-        spent.pacing_s += paced - asked
-        spent.replies_s += written - moved + self._answered_s - paced
+        spent.pacing_s += paced - written
+        spent.replies_s += written - moved + sending_s
+        spent.waiting_s += now - paced - sending_s
+
+    def _answer(self, i: int, now_s: float) -> None:
+        """The reply to the packet that an autopilot sent last."""
+        if now_s - self._answered_s[i] > RESEND_S:
+            self._forget_repeats(i)
+        self._text[i] = text = self._next[i]
+        self._sockets[i].sendto(text, self._source[i])
+        self._answered_s[i] = now_s
 
     def _await(self, i: int) -> None:
         """The next servo packet of an autopilot."""
@@ -229,14 +238,13 @@ class LockStep:
         if not self._alive:
             raise RunError("no autopilot is left: " + "; ".join(self.lost.values()))
 
-    def _forget_repeats(self) -> None:
+    def _forget_repeats(self, i: int) -> None:
         """Drop what came again while we were slow: one answer is due, not one for each."""
-        for i in self._alive:
-            try:
-                while True:
-                    self._sockets[i].recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                pass
+        try:
+            while True:
+                self._sockets[i].recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            pass
 
     def _pace(self, now_s: float) -> None:
         """Sleep until the step is due."""

@@ -1,5 +1,6 @@
 """One autopilot as the session sees it: what it believes, how it stands, and what it is fed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,14 +51,14 @@ _OLDEST_S = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """How one robot moves."""
+    """How robots move; [R] leads."""
 
     p: Floats
-    """[3] m in W."""
+    """[R, 3] m in W."""
     q: Floats
-    """[4] F to W."""
+    """[R, 4] F to W."""
     nu: Floats
-    """[6] in F."""
+    """[R, 6] in F."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,11 +151,15 @@ class Pilot:
         ]
         return ", ".join([*parts, *([] if battery is None else [f"{battery:.1f} V"])])
 
-    def motion(self, time_s: float) -> Motion:
+    def told(self, time_s: float) -> list[float]:
         """What it believes of its own motion, carried on to now.
 
         Args:
             time_s: of its clock, now.
+
+        Returns:
+            Position [3] m and velocity [3] m/s in NED, attitude [4] FRD to NED, rates [3] rad/s in
+            FRD.
 
         Raises:
             RunError: it has not told yet; see `located`.
@@ -162,15 +167,35 @@ class Pilot:
         if not self.link.latest.keys() >= _MOTION:
             raise RunError(f"{self.name}: its autopilot has not told its motion yet")
         place, turn = (self.link.latest[kind] for kind in _PLACE_AND_TURN)
-        velocity = vector_ned_to_enu(np.array([place.vx, place.vy, place.vz]))
-        p = vector_ned_to_enu(np.array([place.x, place.y, place.z]))
         age = time_s - place.time_boot_ms / 1000.0
-        p = p + velocity * (age if 0.0 <= age <= _OLDEST_S else 0.0)
-        q = quaternion_ned_to_enu(np.array([turn.q1, turn.q2, turn.q3, turn.q4]))
-        q = q / np.linalg.norm(q)
-        omega = np.array([turn.rollspeed, turn.pitchspeed, turn.yawspeed])
-        nu = np.concatenate([_into_body(q, velocity), body_frd_to_flu(omega)])
-        return Motion(p=p, q=q, nu=nu)
+        age = age if 0.0 <= age <= _OLDEST_S else 0.0
+        return [
+            place.x + place.vx * age,
+            place.y + place.vy * age,
+            place.z + place.vz * age,
+            *(place.vx, place.vy, place.vz),
+            *(turn.q1, turn.q2, turn.q3, turn.q4),
+            *(turn.rollspeed, turn.pitchspeed, turn.yawspeed),
+        ]
+
+
+def motion_of(pilots: Sequence[Pilot], time_s: float) -> Motion:
+    """What autopilots believe of their own motion, carried on to now.
+
+    Args:
+        pilots: R of them.
+        time_s: of their clock, now.
+
+    Raises:
+        RunError: one of them has not told yet.
+    """
+    told = np.array([pilot.told(time_s) for pilot in pilots])
+    p, v, q, omega = np.split(told, (3, 6, 10), axis=1)
+    q = quaternion_ned_to_enu(q)
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    velocity = _into_body(q, vector_ned_to_enu(v))
+    nu = np.concatenate([velocity, body_frd_to_flu(omega)], axis=1)
+    return Motion(p=vector_ned_to_enu(p), q=q, nu=nu)
 
 
 def mode_name(number: int | None) -> str:
@@ -179,8 +204,8 @@ def mode_name(number: int | None) -> str:
 
 
 def _into_body(q: Floats, v: Floats) -> Floats:
-    """A vector of W in F."""
-    w, axis = float(q[0]), np.asarray(-q[1:])
+    """Vectors of W in F; [R] leads."""
+    w, axis = q[:, :1], -q[:, 1:]
     once: Any = 2.0 * np.cross(axis, v)
     turned: Floats = v + w * once + np.cross(axis, once)
     return turned

@@ -15,6 +15,7 @@ from angler_mjx.runs.scenario import Scenario
 from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl import judging, motion
+from angler_sitl.flat import Flat
 from angler_sitl.packets import STATE_NUMBERS
 
 type Floats = NDArray[np.float64]
@@ -63,6 +64,7 @@ class Scene:
         simulator: of the scenario, one world a tile.
         worlds: the world; [1] leads.
         state: as it was last judged; [1] leads. Memory of controllers in it is not kept up.
+        judged: the same as few arrays on the device.
         states: the vehicles now.
         dt_s: length of a step.
         period: steps in a control period.
@@ -111,7 +113,7 @@ class Scene:
             self._start, self._drawn = self.simulator.reset(worlds), None
         self._constants = self._motion.constants(self.worlds)
         self._known = self._judging.constants(self.worlds)
-        self._judged = self._judging.begin(self._start)
+        self.judged = self._judging.begin(self._start)
         self._rows = self._motion.begin(self._start.vehicles)
         self._inputs = np.zeros((self._rows.shape[0], motion.INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
@@ -122,6 +124,11 @@ class Scene:
         # Not before the result is there: the step may read our array itself, while we go on.
         self._inputs[:, motion.OUTCOME] = Outcome.RUNNING
         self.states = States(numbers=held[:, :STATE_NUMBERS])
+
+    @property
+    def layout(self) -> Flat:
+        """Of `judged`."""
+        return self._judging.state
 
     @property
     def time_s(self) -> float:
@@ -151,8 +158,8 @@ class Scene:
         after every `period` steps, but for those in which the vehicles were moored.
         """
         told = self._motion.told(self._rows)
-        self._judged = self._judging.step(self._known, self._judged, told, self._inputs)
-        self.state = self._judging.end(self._judged)
+        self.judged = self._judging.step(self._known, self.judged, told, self._inputs)
+        self.state = self._judging.end(self.judged)
         self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]
 
     def _draw(self, seed: int) -> None:

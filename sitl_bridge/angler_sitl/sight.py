@@ -1,6 +1,7 @@
 """What a session shows of its scene: the truth, what autopilots believe, and records of both."""
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,11 +10,13 @@ import numpy as np
 from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.stack import Memory
 from angler_mjx.session.desk import Desk
 from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Floats, Observation, RobotStatus
 from angler_mjx.session.view import View, Watched, believed, look, shown
-from angler_mjx.sim.state import Belief, Sample, WorldState
+from angler_mjx.sim.state import Belief, Sample, World, WorldState
+from angler_sitl.flat import Arrays, Flat
 from angler_sitl.guidance import Decision, belief_of, trusting
 from angler_sitl.helm import Helm
 from angler_sitl.motion import HIGH_US, LOW_US
@@ -42,6 +45,7 @@ class Sight:
             truth: whether robots are told the truth, and not what their autopilots believe.
         """
         self._scene, self._facts, self._allowed, self._truth = scene, facts, allowed, truth
+        self._layout: Flat | None = None
         self.sample: Sample | None = None
         self.view: View
         self.seen: View
@@ -57,15 +61,17 @@ class Sight:
         """Look at what is there now."""
         scene, watched = self._scene, None
         if JointTrajectory in desk.board.kinds:
+            before: Any = desk.results
             watched = Watched(
-                trajectory=desk.board.slot(JointTrajectory),
-                allowed=self._allowed,
-                before=jax.device_put(desk.results),
+                trajectory=desk.board.slot(JointTrajectory), allowed=self._allowed, before=before
             )
-        state = replace(scene.state, carry=helm.memory)
-        view: View = jax.device_get(look(scene.worlds, state, self._signals(squad), watched))
+        given = (scene.worlds, scene.judged, helm.memory, self._signals(squad), watched)
+        if self._layout is None:
+            self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
+        arrays = _look_flat(scene.layout, *given)
+        view: View = self._layout.unpack(tuple(map(np.asarray, arrays)))
         vehicles = scene.state.vehicles
-        self.belief = trusting(vehicles) if self._truth else belief_of(squad.motions(), vehicles.p)
+        self.belief = trusting(vehicles) if self._truth else belief_of(squad.motion(), vehicles.p)
         self.view, self.seen = view, believed(view, self.belief)
 
     def keep(self, before: WorldState, decision: Decision, squad: Squad) -> None:
@@ -112,3 +118,22 @@ class Sight:
         pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
         pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
         return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
+
+
+def _look(
+    layout: Flat,
+    worlds: World,
+    judged: Arrays,
+    memory: Memory,
+    pwm_us: jax.Array,
+    watched: Watched | None,
+) -> View:
+    state: WorldState = replace(layout.unpack(judged), carry=memory)
+    view: View = look(worlds, state, pwm_us, watched)
+    return view
+
+
+@partial(jax.jit, static_argnums=0)
+def _look_flat(layout: Flat, *given: Any) -> Arrays:
+    view = _look(layout, *given)
+    return Flat.of(view).pack(view)

@@ -21,7 +21,7 @@ from angler_sitl.levels import MODES
 from angler_sitl.lockstep import LockStep
 from angler_sitl.navigation import Navigation
 from angler_sitl.parameters import Level, Source
-from angler_sitl.pilot import Motion, Pilot
+from angler_sitl.pilot import Motion, Pilot, motion_of
 from angler_sitl.process import HOME_LAT_DEG, HOME_LON_DEG, Instance, Launch, kill_all
 from angler_sitl.scene import Scene
 from angler_sitl.tlog import NAME, Telemetry
@@ -119,9 +119,9 @@ class Squad:
         """What steps them."""
         return self._lockstep
 
-    def motions(self) -> list[Motion]:
+    def motion(self) -> Motion:
         """What they believe of their own motion, now."""
-        return [pilot.motion(self.time_s) for pilot in self.pilots]
+        return motion_of(self.pilots, self.time_s)
 
     def note(self, robot: int) -> str:
         """How one of them stands."""

@@ -10,7 +10,7 @@ from angler_mjx.errors import RunError
 from angler_sitl import boot as booting
 from angler_sitl.boot import Place, boot
 from angler_sitl.lockstep import LockStep
-from angler_sitl.pilot import Fix, Pilot, mode_name
+from angler_sitl.pilot import Fix, Pilot, mode_name, motion_of
 from angler_sitl.ports import allocate
 from angler_sitl.process import Instance, Launch, kill_all
 
@@ -93,11 +93,12 @@ def test_they_come_up_together(stand_in, tmp_path):
         # All of them, and by number: some could have been lost on the way.
         assert pilots[0].link.parameter_count == len(pilots[0].link.parameter_indices)
         now = advance()
-        motion = pilots[1].motion(now)
+        motion = motion_of(pilots, now)
     # 1 m north is y = 1 m, 3 m down is z = -3 m; float32 on the wire.
-    np.testing.assert_allclose(motion.p, [0.0, 1.0, -3.0], atol=1e-6)
+    np.testing.assert_allclose(motion.p, [[0.0, 0.0, -3.0], [0.0, 1.0, -3.0]], atol=1e-6)
     # Level and heading north: a quarter turn left of east.
-    np.testing.assert_allclose(np.abs(motion.q), [0.5**0.5, 0, 0, 0.5**0.5], atol=1e-6)
+    np.testing.assert_allclose(np.abs(motion.q), [[0.5**0.5, 0, 0, 0.5**0.5]] * 2, atol=1e-6)
+    np.testing.assert_allclose(motion.nu, np.zeros((2, 6)), atol=1e-6)
     # Far from the time limits, by the scene's clock.
     assert 2.0 < ready.sim_s < 12.0
 
@@ -126,4 +127,4 @@ def test_who_never_spoke_is_named(ports):
     with pytest.raises(RunError, match="robot_7: says nothing on MAVLink within 15 s"):
         boot([pilot], lambda: float(next(clock)), mode=4, source="vision", home=HOME)
     with pytest.raises(RunError, match=r"robot_7.*not told its motion"):
-        pilot.motion(0.0)
+        motion_of([pilot], 0.0)
