@@ -87,8 +87,8 @@ def create(out: Path) -> Path:
     building = partial_path(out)
     if building.exists():
         raise ConfigError(
-            f"--out {out}: an unfinished run lies in {building}; take it up again with --resume "
-            "or remove it"
+            f"--out {out}: an unfinished run lies in {building}; remove it, or if a rollout left "
+            "it take it up again with --resume"
         )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
