@@ -16,7 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
+from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control import stack
+from angler_mjx.control.command_checks import check_choice
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.errors import ConfigError
@@ -33,7 +35,9 @@ from angler_mjx.runs.devices import (
 from angler_mjx.runs.prepare import preparer
 from angler_mjx.runs.scenario import Scenario
 from angler_mjx.sim import engines, fleet
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.state import Outcome, Sample, SimSpec, World, WorldState
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
 
@@ -82,8 +86,6 @@ class Simulator:
         scenario: what is simulated.
         tile: worlds of one device in one call.
         devices: number of devices.
-        fleet: compiled vehicles.
-        spec: settings of the simulation.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
     """
@@ -104,10 +106,10 @@ class Simulator:
         """
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self.spec = scenario.sim_spec()
+        self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
-        self.fleet: fleet.Fleet = jax.device_put(
+        self._fleet: Fleet = jax.device_put(
             fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
             NamedSharding(self._mesh, SAME),
         )
@@ -142,6 +144,13 @@ class Simulator:
         self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
             partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
         )
+        pack = self._spread(jax.vmap(cell_neighbours), EACH)
+        take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
+        self._gate = Gate(
+            self._fleet,
+            take=partial(take, self._fleet),
+            pack=pack if scenario.engine == "fused" else None,
+        )
         self._segment: Callable[..., Segment] = self._spread(
             self._run_segment, SAME, EACH, EACH, donate_argnums=2
         )
@@ -160,6 +169,16 @@ class Simulator:
             out_shardings=NamedSharding(self._mesh, EACH),
             **options,
         )
+
+    @property
+    def fleet(self) -> Fleet:
+        """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
+        return self._fleet
+
+    @property
+    def spec(self) -> SimSpec:
+        """Settings of the simulation, which its programs hold."""
+        return self._spec
 
     @property
     def segment_steps(self) -> int:
@@ -201,7 +220,20 @@ class Simulator:
             (number, np.asarray(firsts, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        return self._prepare(self.fleet, *numbers)
+        return self._gate.own(self._prepare(self.fleet, *numbers))
+
+    def adopt(self, worlds: World) -> World:
+        """Worlds with the parameters that this simulator's fleet gives to their variants.
+
+        For worlds that another simulator drew, or whose ``variant`` was edited.
+
+        Args:
+            worlds: [devices * tile] leading.
+
+        Raises:
+            ConfigError: a robot cannot be its variant.
+        """
+        return self._gate.adopt(worlds)
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
@@ -219,7 +251,7 @@ class Simulator:
         worlds: World = placed(shapes, self._mesh, EACH)
         return worlds
 
-    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
         """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
@@ -230,8 +262,13 @@ class Simulator:
         )
 
     def reset(self, worlds: World) -> WorldState:
-        """State of each world at t = 0."""
-        return self._reset(self.fleet, worlds)
+        """State of each world at t = 0.
+
+        Raises:
+            ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
+                as in `step` and `segment`.
+        """
+        return self._reset(self.fleet, self._gate.admit(worlds))
 
     def step(
         self, worlds: World, state: WorldState, command: Command | Mixed | None = None
@@ -249,14 +286,13 @@ class Simulator:
             The next state, and the sample of the state before with its command.
 
         Raises:
-            ConfigError: no stage of the controllers takes the command, or it is not for every
-                robot of every world.
+            ConfigError: no stage of the controllers takes the command, an array of it has another
+                shape than every robot of every world wants, or pulse widths in NumPy's arrays are
+                outside the thrust table; or as `reset`.
         """
         if command is not None:
-            lead = state.tally.outcome.shape
-            for one in command.commands if isinstance(command, Mixed) else [command]:
-                stack.check_command(self.spec.stages, one, lead)
-        return self._step(self.fleet, worlds, state, command)
+            self._check(command, worlds, state)
+        return self._step(self.fleet, self._gate.admit(worlds), state, command)
 
     def segment(
         self, worlds: World, state: WorldState, command: Command | None = None
@@ -277,8 +313,9 @@ class Simulator:
         if command is None:
             after, sample, _ = self.advance(worlds, state)
             return after, sample
-        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
-        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
+        self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        after, sample, _ = self._commanded(self.fleet, admitted, state, command)
         return after, sample
 
     def advance(self, worlds: World, state: WorldState) -> Segment:
@@ -286,7 +323,15 @@ class Simulator:
 
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, worlds, state)
+        return self._segment(self.fleet, self._gate.admit(worlds), state)
+
+    def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
+        """Refuse commands that the controllers cannot be given."""
+        lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
+        if isinstance(command, Mixed):
+            check_choice(command, lead)
+        for one in command.commands if isinstance(command, Mixed) else [command]:
+            stack.check_command(self.spec.stages, one, lead, thrusters)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
@@ -336,7 +381,7 @@ class Simulator:
 
     def _run_segment(
         self,
-        kinds: fleet.Fleet,
+        kinds: Fleet,
         worlds: World,
         state: WorldState,
         command: Command | None = None,

@@ -118,7 +118,7 @@ def test_only_single_free_bodies_are_taken():
     body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE)
     body.add_geom(size=[0.1, 0, 0])
     with pytest.raises(ValueError, match="one free body"):
-        mjx_engine.build([spec.compile()])
+        mjx_engine.build([spec])
 
 
 def test_mjx_is_loaded_by_those_who_compute_with_it_alone():
