@@ -44,11 +44,7 @@ AXES: dict[type, dict[str, Axes]] = {
 
 
 def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
-    """Refuse arrays of other shapes than the command's, and pulse widths that are none.
-
-    Pulse widths in NumPy's arrays must lie between the ends of the thrust table. Those in arrays
-    of a device are not looked at, which would wait for it: there the table's ends hold beyond them,
-    and a robot that is given NaN ends as diverged.
+    """Refuse arrays of other shapes than the command's.
 
     Args:
         command: of any type that a stack takes, with all robots of all worlds.
@@ -79,8 +75,6 @@ def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
                 f"{where} has the shape {_said(value.shape)}: must be {_said(wanted)}, for "
                 f"{_said(('world', 'robot', *axes[name]))}"
             )
-    if isinstance(command, ThrusterPwm) and isinstance(command.pwm_us, np.ndarray):
-        _check_pulses(command.pwm_us)
 
 
 def check_choice(mixed: Any, lead: tuple[int, ...]) -> None:
@@ -94,13 +88,26 @@ def check_choice(mixed: Any, lead: tuple[int, ...]) -> None:
             )
 
 
-def _check_pulses(pwm_us: np.ndarray) -> None:
-    wrong = ~((pwm_us >= PWM_LOW_US) & (pwm_us <= PWM_HIGH_US))
+def check_pulses(command: Any) -> None:
+    """Refuse pulse widths in NumPy's arrays beyond the ends of the thrust table, and NaN.
+
+    Those in arrays of a device are not looked at, which would wait for it: there the table's ends
+    hold beyond them, and a robot that is given NaN ends as diverged.
+
+    Args:
+        command: of any type, with the shapes that `check_arrays` asks for.
+
+    Raises:
+        ConfigError: names the world, the robot, the thruster and the value.
+    """
+    if not (isinstance(command, ThrusterPwm) and isinstance(command.pwm_us, np.ndarray)):
+        return
+    wrong = ~((command.pwm_us >= PWM_LOW_US) & (command.pwm_us <= PWM_HIGH_US))
     if wrong.any():
-        at = tuple(int(i) for i in np.argwhere(wrong)[0])
+        world, robot, thruster = at = tuple(int(i) for i in np.argwhere(wrong)[0])
         raise ConfigError(
-            f"command ThrusterPwm: pwm_us of world {at[0]}, robot {at[1]}, thruster {at[2]} is "
-            f"{pwm_us[at]:g} us: must be {PWM_LOW_US} to {PWM_HIGH_US}"
+            f"command ThrusterPwm: pwm_us of world {world}, robot {robot}, thruster {thruster} is "
+            f"{command.pwm_us[at]:g} us: must be {PWM_LOW_US} to {PWM_HIGH_US}"
         )
 
 

@@ -155,8 +155,7 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
         thrusters: of a robot, padding included.
 
     Raises:
-        ConfigError: no stage takes it, an array of it has another shape than its robots want, or a
-            pulse width that the host holds is none (`command_checks.check_arrays`).
+        ConfigError: no stage takes it, or an array of it has another shape than its robots want.
     """
     entry(stages, type(command))
     command_checks.check_arrays(command, lead, thrusters)

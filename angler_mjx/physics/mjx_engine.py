@@ -16,7 +16,7 @@ the body; ours is ``nu``, both in the body. The conversion happens here, once.
 import contextlib
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -50,6 +50,12 @@ class MjxEngine:
     """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
     data: Any
     """mjx.Data, the scratch of one evaluation."""
+
+    def under(self, gravity_mps2: float) -> "MjxEngine":
+        """The same engine in a field of gravity of so much, m/s^2, along -z."""
+        before = self.model.opt.gravity
+        gravity = jnp.asarray([0.0, 0.0, -gravity_mps2], before.dtype)
+        return replace(self, model=self.model.tree_replace({"opt.gravity": gravity}))
 
     def inertia_and_force(
         self, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array

@@ -17,8 +17,7 @@ import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
 from angler_kernels.clearance import cell_neighbours
-from angler_mjx.control import stack
-from angler_mjx.control.command_checks import check_choice
+from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.errors import ConfigError
@@ -328,10 +327,12 @@ class Simulator:
     def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
         """Refuse commands that the controllers cannot be given."""
         lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
-        if isinstance(command, Mixed):
-            check_choice(command, lead)
         for one in command.commands if isinstance(command, Mixed) else [command]:
             stack.check_command(self.spec.stages, one, lead, thrusters)
+        if isinstance(command, Mixed):  # of its commands some hold any numbers
+            command_checks.check_choice(command, lead)
+        else:
+            command_checks.check_pulses(command)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
