@@ -8,9 +8,9 @@ import pytest
 
 from angler_mjx.control.commands import BodyTwist, ThrusterPwm
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import load_scenario
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.simulator.simulator import Simulator
 
 SCENARIO = """
 schema_version = 1
