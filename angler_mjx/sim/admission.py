@@ -40,7 +40,8 @@ class _Admitted:
 
     leaves: tuple[weakref.ref[Any], ...]
     """They are not kept alive."""
-    packed: jax.Array | None
+    packed: Callable[[], jax.Array | None]
+    """Their cells; not kept alive where they came with the worlds."""
 
     def holds(self, leaves: Sequence[Any]) -> bool:
         return len(leaves) == len(self.leaves) and all(
@@ -66,7 +67,9 @@ class Gate:
 
     def own(self, worlds: World) -> World:
         """Worlds that were made of this fleet: they are taken as they are from now on."""
-        self._remember(_guarded(worlds), worlds.cell_neighbours)
+        came = worlds.cell_neighbours
+        traced = came is None or isinstance(came, jax.core.Tracer)
+        self._remember(_guarded(worlds), (lambda: None) if traced else weakref.ref(came))
         return worlds
 
     def admit(self, worlds: World) -> World:
@@ -80,11 +83,11 @@ class Gate:
             return worlds
         for known in self._admitted:
             if known.holds(guarded):
-                return _packed(worlds, known.packed)
+                return _packed(worlds, known.packed())
         self._check(worlds)
         cells = worlds.environment.grid.occupied
         packed = None if self._pack is None else self._pack(cells)
-        self._remember(guarded, packed)
+        self._remember(guarded, lambda: packed)
         return _packed(worlds, packed)
 
     def adopt(self, worlds: World) -> World:
@@ -98,7 +101,7 @@ class Gate:
         speed = worlds.control.cruise_speed_mps
         return replace(worlds, control=replace(control, cruise_speed_mps=speed), body=body)
 
-    def _remember(self, leaves: Sequence[Any], packed: jax.Array | None) -> None:
+    def _remember(self, leaves: Sequence[Any], packed: Callable[[], jax.Array | None]) -> None:
         # NumPy's arrays can be written to, and a tracer is gone after its trace.
         fixed = all(isinstance(leaf, jax.Array) for leaf in leaves)
         if not fixed or any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
@@ -116,8 +119,9 @@ class Gate:
         if other := given.keys() ^ self._leaves.keys():
             names = ", ".join(f"World.{name}" for name in sorted(other)[:3])
             raise ConfigError(f"{names}: this fleet and the worlds do not both have it; {_ADVICE}")
-        for name in given.keys() - {_SPEED}:
-            _check_leaf(name, np.asarray(given[name]), np.asarray(self._leaves[name]), variant)
+        for name, leaf in given.items():
+            if name != _SPEED:
+                _check_leaf(name, np.asarray(leaf), np.asarray(self._leaves[name]), variant)
         _check_obstacles(worlds)
 
     def _check_variants(self, worlds: World) -> None:
@@ -184,8 +188,8 @@ def _check_leaf(name: str, given: np.ndarray, ours: np.ndarray, variant: np.ndar
         world, robot, *element = at = tuple(int(i) for i in np.argwhere(wrong)[0])
         where = f"[{', '.join(map(str, element))}]" if element else ""
         raise ConfigError(
-            f"World.{name}{where} of world {world}, robot {robot} is {given[at]:g}: its variant, "
-            f"{variant[world, robot]}, has {right[at]:g}; {_ADVICE}"
+            f"World.{name}{where} of world {world}, robot {robot} is {float(given[at]):g}: its variant, "
+            f"{variant[world, robot]}, has {float(right[at]):g}; {_ADVICE}"
         )
 
 
