@@ -188,8 +188,8 @@ def _check_leaf(name: str, given: np.ndarray, ours: np.ndarray, variant: np.ndar
         world, robot, *element = at = tuple(int(i) for i in np.argwhere(wrong)[0])
         where = f"[{', '.join(map(str, element))}]" if element else ""
         raise ConfigError(
-            f"World.{name}{where} of world {world}, robot {robot} is {float(given[at]):g}: its variant, "
-            f"{variant[world, robot]}, has {float(right[at]):g}; {_ADVICE}"
+            f"World.{name}{where} of world {world}, robot {robot} is {float(given[at]):g}: its "
+            f"variant, {variant[world, robot]}, has {float(right[at]):g}; {_ADVICE}"
         )
 
 
