@@ -116,9 +116,11 @@ def test_a_robot_more_changes_nothing_for_the_others(drawn):
     for name in ("start_m", "goal_m", "path_ratio", "line_free"):
         np.testing.assert_array_equal(getattr(few, name), getattr(kept, name)[:, :2])
     for a, b in zip(jax.tree.leaves(few.current), jax.tree.leaves(kept.current), strict=True):
-        np.testing.assert_array_equal(a, b)
+        # 0.3 m/s in float32: the two programs may round differently.
+        np.testing.assert_allclose(a, b, atol=1e-6)
     for name in ("size_m", "kind", "q0", "mass_kg"):
-        np.testing.assert_array_equal(getattr(few.obstacles, name), getattr(kept.obstacles, name))
+        a, b = getattr(few.obstacles, name), getattr(kept.obstacles, name)
+        np.testing.assert_allclose(a, b, rtol=1e-6)
     # A place changes only where the new robot stands in it.
-    moved = np.any(few.obstacles.p0 != kept.obstacles.p0, axis=-1)
+    moved = np.any(np.abs(few.obstacles.p0 - kept.obstacles.p0) > 1e-5, axis=-1)
     assert moved.mean() < 0.1

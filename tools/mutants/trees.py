@@ -1,0 +1,123 @@
+"""Copies of the tree for workers, and pytest in one of them."""
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.mutants.relevance import SOURCES
+
+_LEFT = shutil.ignore_patterns(
+    *[".git", ".venv", ".cache", ".mutants", ".*_cache", ".hypothesis", "__pycache__", "runs"],
+    *["build", "dist", "*.egg-info"],
+)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
+_NO_TESTS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ran:
+    """A run of pytest."""
+
+    code: int | None
+    """Its exit status; None where it was stopped."""
+    seconds: float
+    failed: str
+    """The test that failed first, or the last lines where no test could begin."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed; that all is skipped is no failure."""
+        return self.code in (0, _NO_TESTS)
+
+
+class Tree:
+    """A worker's copy of the tree.
+
+    Files are compiled once, and Python checks them by what they hold: a file that is changed twice
+    within the clock's resolution is still read anew.
+    """
+
+    def __init__(self, root: Path, copy: Path, xla: Path, cores: Sequence[int]) -> None:
+        """Copy a tree.
+
+        Args:
+            root: the tree.
+            copy: where to; what is there is replaced.
+            xla: folder of compiled programs, shared by all copies.
+            cores: processors for the tests.
+        """
+        self.root, self._cores = copy, set(cores)
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.copytree(root, copy, ignore=_LEFT, symlinks=True)
+        path = os.pathsep.join(str(copy / source) for source in SOURCES)
+        self._environment = os.environ | {
+            "PYTHONPATH": path,
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "JAX_COMPILATION_CACHE_DIR": str(xla),
+            "XDG_CACHE_HOME": str(copy / ".cache"),
+            "CI": "true",
+        }
+        packages = [str(copy / name) for name in ("angler_mjx", *SOURCES[1:], "tests")]
+        check = ["--invalidation-mode", "checked-hash"]
+        subprocess.run([sys.executable, "-m", "compileall", "-q", *check, *packages], check=True)
+
+    @contextlib.contextmanager
+    def holding(self, file: str, code: str) -> Iterator[None]:
+        """With other code in a file."""
+        path = self.root / file
+        before = path.read_bytes()
+        path.write_text(code)
+        try:
+            yield
+        finally:
+            path.write_bytes(before)
+
+    def test(self, files: Sequence[str], limit_s: float) -> Ran:
+        """Run test files in this order, up to the first failure.
+
+        Args:
+            files: from the root.
+            limit_s: wall time after which it is stopped.
+        """
+        options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-p", "tools.mutants.in_order"]
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            *options,
+            "--tb=no",
+            "-m",
+            "not gpu and not sitl",
+        ]
+        began = time.monotonic()
+        with subprocess.Popen(
+            [*command, *files],
+            cwd=self.root,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+            preexec_fn=lambda: os.sched_setaffinity(0, self._cores),
+        ) as process:
+            try:
+                said, _ = process.communicate(timeout=limit_s)
+                code: int | None = process.returncode
+            except subprocess.TimeoutExpired:
+                said, code = "", None
+            finally:
+                # Whatever the tests had started goes with them.
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+        found = _FAILED.search(said)
+        first = found[1] if found else said.strip()[-300:]
+        return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
