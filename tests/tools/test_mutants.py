@@ -6,7 +6,7 @@ import textwrap
 import pytest
 
 from tools.mutants import relevance, report, trying
-from tools.mutants.trees import Ran, Tree
+from tools.mutants.trees import Ran, StoppedError, Tree
 
 CODE = '''
 """Ten is 10."""
@@ -176,16 +176,30 @@ def test_a_cut_line_is_no_result_and_the_next_stands_on_its_own(tmp_path):
     assert [row["mutant"] for row in trying.read(file)] == ["a", "c"]
 
 
+class Worker:
+    """A tree as far as sharing goes."""
+
+    def __init__(self):
+        self.done, self.stopped = [], False
+
+    def stop(self):
+        self.stopped = True
+
+
 def test_work_is_shared_and_an_error_ends_it():
-    done = []
-    trying.all_of(["x", "y"], range(20), lambda tree, one: done.append(one))
-    assert sorted(done) == list(range(20))
+    trees = [Worker(), Worker()]
+    trying.all_of(trees, range(20), lambda tree, one: tree.done.append(one))
+    assert sorted(trees[0].done + trees[1].done) == list(range(20))
+    assert not trees[0].stopped
 
     def fail(tree, one):
-        raise ValueError(one)
+        if one == 1:
+            raise ValueError(one)
+        tree.done.append(one)
 
-    with pytest.raises(ValueError, match="0"):
-        trying.all_of(["x"], range(3), fail)
+    with pytest.raises(ValueError, match="1"):
+        trying.all_of([one := Worker()], range(50), fail)
+    assert one.stopped
 
 
 def test_the_share_is_that_of_wilson():
@@ -250,4 +264,7 @@ def test_a_copy_runs_its_own_code_and_is_put_back(tmp_path):
         assert (ran.code, ran.failed) == (1, "tests/test_size.py::test_size")
         assert copy.test(["tests/test_size.py"], 0.01).code is None
     assert copy.test(["tests/test_size.py"], 60.0).passed
+    copy.stop()
+    with pytest.raises(StoppedError):
+        copy.test(["tests/test_size.py"], 60.0)
     assert (root / "angler_mjx/__init__.py").read_text() == "SIZE = 3\n"

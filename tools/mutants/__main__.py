@@ -106,4 +106,8 @@ def main(options: Options) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Options)))
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except KeyboardInterrupt:
+        print("mutants: stopped; the same command goes on from here", file=sys.stderr)
+        sys.exit(130)

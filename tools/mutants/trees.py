@@ -38,6 +38,10 @@ class Ran:
         return self.code in (0, _NO_TESTS)
 
 
+class StoppedError(RuntimeError):
+    """The tests were ended from outside: their result says nothing."""
+
+
 class Tree:
     """A worker's copy of the tree.
 
@@ -55,6 +59,8 @@ class Tree:
             cores: processors for the tests.
         """
         self.root, self._cores = copy, set(cores)
+        self._running: subprocess.Popen[str] | None = None
+        self._stopped = False
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(root, copy, ignore=_LEFT, symlinks=True)
         path = os.pathsep.join(str(copy / source) for source in SOURCES)
@@ -86,6 +92,9 @@ class Tree:
         Args:
             files: from the root.
             limit_s: wall time after which it is stopped.
+
+        Raises:
+            StoppedError: by `stop`.
         """
         options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-p", "tools.mutants.in_order"]
         command = [
@@ -109,15 +118,30 @@ class Tree:
             start_new_session=True,
             preexec_fn=lambda: os.sched_setaffinity(0, self._cores),
         ) as process:
+            self._running = process
             try:
                 said, _ = process.communicate(timeout=limit_s)
                 code: int | None = process.returncode
             except subprocess.TimeoutExpired:
                 said, code = "", None
             finally:
-                # Whatever the tests had started goes with them.
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
+                self._running = None
+                _end(process)
+        if self._stopped:
+            raise StoppedError("stopped while tests ran")
         found = _FAILED.search(said)
         first = found[1] if found else said.strip()[-300:]
         return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
+
+    def stop(self) -> None:
+        """End what runs, and run nothing more; from another thread."""
+        self._stopped = True
+        process = self._running
+        if process is not None:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End pytest and whatever its tests started."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)

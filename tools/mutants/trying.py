@@ -7,6 +7,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -88,31 +89,28 @@ def plant(root: Path, folder: Path, workers: int) -> list[Tree]:
 
 
 def all_of[T](trees: Sequence[Tree], work: Sequence[T], do: Callable[[Tree, T], None]) -> None:
-    """Do something for each piece of work, each tree one at a time; the first error is raised."""
-    todo: queue.SimpleQueue[T] = queue.SimpleQueue()
-    for one in work:
-        todo.put(one)
-    errors: list[BaseException] = []
+    """Do something for each piece of work, each tree one at a time; the first error ends it all."""
+    free: queue.SimpleQueue[Tree] = queue.SimpleQueue()
+    for tree in trees:
+        free.put(tree)
 
-    def worker(tree: Tree) -> None:
-        while not errors:
-            try:
-                one = todo.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                do(tree, one)
-            except BaseException as error:
-                errors.append(error)
-                raise
+    def on_a_free_one(one: T) -> None:
+        tree = free.get()
+        try:
+            do(tree, one)
+        finally:
+            free.put(tree)
 
-    threads = [threading.Thread(target=worker, args=(tree,), daemon=True) for tree in trees]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    if errors:
-        raise errors[0]
+    with ThreadPoolExecutor(len(trees)) as pool:
+        jobs = [pool.submit(on_a_free_one, one) for one in work]
+        try:
+            for job in as_completed(jobs):
+                job.result()
+        except BaseException:  # an interrupt, too, must not wait for tests of many minutes
+            pool.shutdown(wait=False, cancel_futures=True)
+            for tree in trees:
+                tree.stop()
+            raise
 
 
 def measure(trees: Sequence[Tree], files: Sequence[str], folder: Path) -> dict[str, float]:
