@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.runs import prepare
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator import prepare
 
 SCENARIO = """
 schema_version = 1
