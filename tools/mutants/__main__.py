@@ -10,12 +10,9 @@ import tyro
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = (
-    "angler_mjx/sim",
-    "angler_mjx/physics",
-    "angler_mjx/control",
-    "angler_mjx/planning",
-    "angler_mjx/runs",
-    "kernels/angler_kernels",
+    *("angler_mjx/sim", "angler_mjx/engines", "angler_mjx/physics", "angler_mjx/control"),
+    *("angler_mjx/planning", "angler_mjx/scenario", "angler_mjx/simulator", "angler_mjx/runs"),
+    *("angler_mjx/storage", "kernels/angler_kernels"),
 )
 
 

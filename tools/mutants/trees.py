@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -20,6 +21,9 @@ _LEFT = shutil.ignore_patterns(
 )
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
 _NO_TESTS = 5
+_MEMORY_BYTES = 64 << 30
+"""Of addresses, for one run of pytest: a fault may ask for arrays without end, and must fail at that
+rather than take the machine with it. JAX alone maps some 10 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +120,7 @@ class Tree:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
-            preexec_fn=lambda: os.sched_setaffinity(0, self._cores),
+            preexec_fn=self._bound,
         ) as process:
             self._running = process
             try:
@@ -132,6 +136,10 @@ class Tree:
         found = _FAILED.search(said)
         first = found[1] if found else said.strip()[-300:]
         return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
+
+    def _bound(self) -> None:
+        os.sched_setaffinity(0, self._cores)
+        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
 
     def stop(self) -> None:
         """End what runs, and run nothing more; from another thread."""
