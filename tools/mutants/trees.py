@@ -22,8 +22,8 @@ _LEFT = shutil.ignore_patterns(
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
 _NO_TESTS = 5
 _MEMORY_BYTES = 64 << 30
-"""Of addresses, for one run of pytest: a fault may ask for arrays without end, and must fail at that
-rather than take the machine with it. JAX alone maps some 10 GiB."""
+"""Of addresses, for one run of pytest: a fault may ask for arrays without end, and must fail at
+that rather than take the machine with it. JAX alone maps some 10 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +67,12 @@ class Tree:
         self._stopped = False
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(root, copy, ignore=_LEFT, symlinks=True)
-        path = os.pathsep.join(str(copy / source) for source in SOURCES)
+        # The copy before whatever else is on the path, which may hold the tree itself.
+        path = [*(str(copy / source) for source in SOURCES), os.environ.get("PYTHONPATH", "")]
         self._environment = os.environ | {
-            "PYTHONPATH": path,
+            "PYTHONPATH": os.pathsep.join(filter(None, path)),
             "PYTHONDONTWRITEBYTECODE": "1",
+            "JAX_PLATFORMS": "cpu",
             "JAX_COMPILATION_CACHE_DIR": str(xla),
             "XDG_CACHE_HOME": str(copy / ".cache"),
             "CI": "true",

@@ -14,6 +14,7 @@ from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.sensing import instruments, params, suite
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sensing.readings import Truth
+from angler_mjx.sim.senses import OF_FILTER
 
 from ..independence import assert_uncorrelated
 
@@ -110,15 +111,13 @@ def test_what_is_drawn_at_the_beginning_and_at_a_step_is_independent(sensors):
     """Over many robots: turn-on errors, the filter's start, readings, and noise on the truth."""
     believes = NavigationParams(sensors=sensors)
     truth = at_rest()
-    # As in a run: the filter's part of a robot's key is that of no step.
-    of_filter = 2**32 - 1
 
     @jax.jit
     @jax.vmap
     def one(key):
         carry = suite.reset(sensors, key, truth)
         estimate = Estimate(p=truth.p, q=truth.q, nu=truth.nu)
-        start = navigation.reset(believes, estimate, jax.random.fold_in(key, of_filter))
+        start = navigation.reset(believes, estimate, jax.random.fold_in(key, OF_FILTER))
         drawn = suite.draw(sensors, key, jnp.int32(0))
         told = suite.disturb(sensors, key, jnp.int32(0), truth)
         flow = suite.disturb_current(sensors, key, jnp.int32(0), jnp.zeros(3))
