@@ -3,10 +3,16 @@
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
+
+from tools.mutants import report, trying
+from tools.mutants.mutant import Mutant
+from tools.mutants.relevance import Imports
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = (
@@ -52,47 +58,23 @@ def main(options: Options) -> int:
     try:
         from tools.mutants.places import sample
     except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith(("cosmic_ray", "parso")):
+        if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
             raise
-        print("mutants: Cosmic Ray is missing; install the extra `mutants`", file=sys.stderr)
-        return 2
-    from tools.mutants import report, trying
-    from tools.mutants.relevance import Imports
-
+        return _refuse(f"{error.name} is missing; install the extra `mutants`")
     if wrong := [folder for folder in options.folders if not (ROOT / folder).is_dir()]:
-        print(f"mutants: there is no folder {', '.join(wrong)} in {ROOT}", file=sys.stderr)
-        return 2
+        return _refuse(f"there is no folder {', '.join(wrong)} in {ROOT}")
+    for name in ("sample", "workers"):
+        if getattr(options, name) < 1:
+            return _refuse(f"--{name} {getattr(options, name)}: must be at least 1")
     mutants = sample(ROOT, options.folders, options.sample, options.seed)
-    known = {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
     if options.list:
         imports = Imports(ROOT)
         for one in mutants:
             print(f"{one.name} {one.operator} {len(imports.distances(one.file))}\n{one.diff}\n")
         return 0
     if not options.report:
-        todo = [
-            one
-            for one in mutants
-            if one.name not in known or (options.again and known[one.name]["outcome"] == "survived")
-        ]
-        print(f"mutants: {len(mutants)} drawn, {len(todo)} to try", flush=True)
-        if todo:
-            trees = trying.plant(ROOT, options.out, options.workers)
-            imports = Imports(trees[0].root)
-            changed = {one.file for one in todo}
-            wanted = {t for file in changed for t in imports.ranked(file, nearest=options.nearest)}
-            seconds = trying.measure(trees, sorted(wanted), options.out)
-            end = time.monotonic() + 3600 * options.hours
-            trying.try_all(
-                trees,
-                todo,
-                options.out,
-                seconds,
-                limit_s=60 * options.minutes,
-                until=end,
-                nearest=options.nearest,
-            )
-        known = {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
+        _try(options, mutants)
+    known = _known(options)
     rows = [known[one.name] for one in mutants if one.name in known]
     reasons = report.equivalents(Path(__file__).with_name("equivalent.toml"))
     text = report.report(options.folders, rows, len(mutants) - len(rows), reasons)
@@ -100,6 +82,48 @@ def main(options: Options) -> int:
     if rows:
         (options.out / "report.md").write_text(text + "\n")
     return 0
+
+
+def _refuse(why: str) -> int:
+    print(f"mutants: {why}", file=sys.stderr)
+    return 2
+
+
+def _known(options: Options) -> dict[str, dict[str, Any]]:
+    """The last result of each mutant."""
+    return {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
+
+
+def _try(options: Options, mutants: Sequence[Mutant]) -> None:
+    """Put to the tests what is not known yet, or survived and is to be tried again."""
+    known = _known(options)
+    todo = [
+        one
+        for one in mutants
+        if one.name not in known or (options.again and known[one.name]["outcome"] == "survived")
+    ]
+    print(f"mutants: {len(mutants)} drawn, {len(todo)} to try", flush=True)
+    if not todo:
+        return
+    end = time.monotonic() + 3600 * options.hours
+    trees = trying.plant(ROOT, options.out, options.workers)
+    imports = Imports(trees[0].root)
+    changed = {one.file for one in todo}
+    wanted = {test for file in changed for test in imports.ranked(file, nearest=options.nearest)}
+    seconds = trying.measure(trees, sorted(wanted), options.out)
+
+    def ranked(mutant: Mutant) -> list[str]:
+        return imports.ranked(mutant.file, seconds, options.nearest)
+
+    trying.try_all(
+        trees,
+        todo,
+        options.out,
+        seconds,
+        ranked=ranked,
+        limit_s=60 * options.minutes,
+        until=end,
+    )
 
 
 if __name__ == "__main__":

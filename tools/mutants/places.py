@@ -115,35 +115,31 @@ def _spared(code: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         """Python counts bytes, Cosmic Ray characters."""
         return line, len(lines[line - 1].encode()[:column].decode())
 
-    nodes: list[ast.AST] = []
-    for node in ast.walk(ast.parse(code)):
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef():
-                nodes += node.decorator_list
-                nodes += [node.returns] if node.returns else []
-                if node.name in ("__repr__", "__str__"):
-                    nodes.append(node)
-            case ast.ClassDef():
-                nodes += node.decorator_list
-            case ast.arg(annotation=annotation) if annotation is not None:
-                nodes.append(annotation)
-            case ast.AnnAssign():
-                nodes.append(node.annotation)
-            case ast.keyword(arg="strict"):
-                nodes.append(node.value)
-            case (
-                ast.Raise()
-                | ast.Assert()
-                | ast.JoinedStr()
-                | ast.Import()
-                | ast.ImportFrom()
-                | ast.TypeAlias()
-            ):
-                nodes.append(node)
     return [
         (place(node.lineno, node.col_offset), place(node.end_lineno, node.end_col_offset))
-        for node in nodes
-        if isinstance(node, ast.expr | ast.stmt)
-        and node.end_lineno is not None
-        and node.end_col_offset is not None
+        for node in _unjudged(ast.parse(code))
+        if node.end_lineno is not None and node.end_col_offset is not None
     ]
+
+
+def _unjudged(tree: ast.Module) -> Iterator[ast.expr | ast.stmt]:
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef():
+                yield from node.decorator_list
+                if node.returns is not None:
+                    yield node.returns
+                if node.name in ("__repr__", "__str__"):
+                    yield node
+            case ast.ClassDef():
+                yield from node.decorator_list
+            case (
+                ast.arg(annotation=ast.expr() as annotation) | ast.AnnAssign(annotation=annotation)
+            ):
+                yield annotation
+            case ast.keyword(arg="strict"):
+                yield node.value
+            case ast.Raise() | ast.Assert() | ast.JoinedStr() | ast.TypeAlias():
+                yield node
+            case ast.Import() | ast.ImportFrom():
+                yield node

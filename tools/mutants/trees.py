@@ -21,6 +21,10 @@ _LEFT = shutil.ignore_patterns(
 )
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
 _NO_TESTS = 5
+_OPTIONS = (
+    *("-x", "-q", "-n", "0", "--tb=no", "-m", "not gpu and not sitl"),
+    *("-p", "no:cacheprovider", "-p", "tools.mutants.in_order"),
+)
 _MEMORY_BYTES = 64 << 30
 """Of addresses, for one run of pytest: a fault may ask for arrays without end, and must fail at
 that rather than take the machine with it. JAX alone maps some 10 GiB."""
@@ -102,19 +106,9 @@ class Tree:
         Raises:
             StoppedError: by `stop`.
         """
-        options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "-p", "tools.mutants.in_order"]
-        command = [
-            sys.executable,
-            "-m",
-            "pytest",
-            *options,
-            "--tb=no",
-            "-m",
-            "not gpu and not sitl",
-        ]
         began = time.monotonic()
         with subprocess.Popen(
-            [*command, *files],
+            [sys.executable, "-m", "pytest", *_OPTIONS, *files],
             cwd=self.root,
             env=self._environment,
             stdin=subprocess.DEVNULL,

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from tools.mutants.mutant import Mutant
-from tools.mutants.relevance import Imports
 from tools.mutants.trees import Tree
 
 type Outcome = Literal["caught", "stuck", "survived"]
@@ -153,18 +152,7 @@ def attempt(
         seconds: what each takes without a fault.
         limit_s: no further files are begun after so long.
     """
-    result = Result(
-        mutant=mutant.name,
-        file=mutant.file,
-        line=mutant.line,
-        operator=mutant.operator,
-        diff=mutant.diff,
-        outcome="survived",
-        by="",
-        seconds=0.0,
-        tried=(),
-        left=len(files),
-    )
+    result = _untried(mutant, len(files))
     began = time.monotonic()
     rest = list(files)
     with tree.holding(mutant.file, mutant.code):
@@ -187,15 +175,30 @@ def attempt(
     return replace(result, seconds=round(time.monotonic() - began, 1))
 
 
+def _untried(mutant: Mutant, files: int) -> Result:
+    return Result(
+        mutant=mutant.name,
+        file=mutant.file,
+        line=mutant.line,
+        operator=mutant.operator,
+        diff=mutant.diff,
+        outcome="survived",
+        by="",
+        seconds=0.0,
+        tried=(),
+        left=files,
+    )
+
+
 def try_all(
     trees: Sequence[Tree],
     mutants: Sequence[Mutant],
     folder: Path,
     seconds: Mapping[str, float],
     *,
+    ranked: Callable[[Mutant], list[str]],
     limit_s: float,
     until: float,
-    nearest: int | None = None,
 ) -> None:
     """Put mutants to the tests until all are through or the time is up.
 
@@ -204,17 +207,16 @@ def try_all(
         mutants: those that nothing is known of yet.
         folder: of the results.
         seconds: what each test file takes.
+        ranked: test files of a mutant, the nearest first.
         limit_s: for one mutant.
         until: `time.monotonic` after which none is begun.
-        nearest: test files of a mutant at most.
     """
-    imports, book = Imports(trees[0].root), Book(folder / "results.jsonl")
+    book = Book(folder / "results.jsonl")
 
     def one(tree: Tree, mutant: Mutant) -> None:
         if time.monotonic() > until:
             return
-        files = imports.ranked(mutant.file, seconds, nearest)
-        result = attempt(tree, mutant, files, seconds, limit_s)
+        result = attempt(tree, mutant, ranked(mutant), seconds, limit_s)
         book.write(asdict(result))
         where = f"{result.file}:{result.line}"
         print(f"{result.outcome:8} {result.seconds:6.0f} s  {where}  {result.by}", flush=True)
