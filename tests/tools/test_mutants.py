@@ -1,11 +1,13 @@
 """The tool that puts faults into the code: which it chooses, what it runs, what it makes of it."""
 
 import contextlib
+import os
 import textwrap
+from pathlib import Path
 
 import pytest
 
-from tools.mutants import relevance, report, trying
+from tools.mutants import inside, relevance, report, trying
 from tools.mutants.trees import Ran, StoppedError, Tree
 
 CODE = '''
@@ -241,23 +243,37 @@ def test_equivalent_mutants_do_not_count_and_survivors_are_shown(tmp_path):
     assert "2 of the sample not tried yet" in text
 
 
+TEST_SIZE = """
+import os
+
+import angler_mjx.runs
+
+
+def test_size():
+    assert os.sched_getaffinity(0) == {{{core}}}
+    assert not os.path.exists("runs")
+    assert angler_mjx.SIZE == 3
+"""
+
+
 def test_a_copy_runs_its_own_code_and_is_put_back(tmp_path):
     """A fault of the same length, put in within the clock's resolution, is what runs."""
-    root = tmp_path / "root"
+    root, core = tmp_path / "root", min(os.sched_getaffinity(0))
     files = {
         "angler_mjx/__init__.py": "SIZE = 3\n",
         **{f"{folder}/empty.py": "" for folder in ("kernels", "sitl_bridge", "experiments")},
         "tools/mutants/__init__.py": "",
-        "tools/mutants/in_order.py": "",
+        "tools/mutants/inside.py": Path(inside.__file__).read_text(),
         "pyproject.toml": "[tool.pytest.ini_options]\naddopts = ['--import-mode=importlib']\n"
         "markers = ['gpu', 'sitl']\n",
-        "tests/test_size.py": "import angler_mjx\n\ndef test_size():\n"
-        "    assert angler_mjx.SIZE == 3\n",
+        "tests/test_size.py": TEST_SIZE.format(core=core),
+        "angler_mjx/runs/__init__.py": "",
+        "runs/demo/results.parquet": "",
     }
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
-    copy = Tree(root, tmp_path / "copy", tmp_path / "xla", [0])
+    copy = Tree(root, tmp_path / "copy", tmp_path / "xla", [core])
     assert copy.test(["tests/test_size.py"], 60.0).passed
     with copy.holding("angler_mjx/__init__.py", "SIZE = 4\n"):
         ran = copy.test(["tests/test_size.py"], 60.0)

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -13,21 +12,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tools.mutants.inside import CORES
 from tools.mutants.relevance import SOURCES
 
-_LEFT = shutil.ignore_patterns(
-    *[".git", ".venv", ".cache", ".mutants", ".*_cache", ".hypothesis", "__pycache__", "runs"],
-    *["build", "dist", "*.egg-info"],
-)
+_LEFT_ANYWHERE = {"__pycache__"}
+_LEFT_AT_THE_TOP = {".git", ".venv", ".cache", ".hypothesis", ".mutants", "build", "dist", "runs"}
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
 _NO_TESTS = 5
 _OPTIONS = (
     *("-x", "-q", "-n", "0", "--tb=no", "-m", "not gpu and not sitl"),
-    *("-p", "no:cacheprovider", "-p", "tools.mutants.in_order"),
+    *("-p", "no:cacheprovider", "-p", "tools.mutants.inside"),
 )
-_MEMORY_BYTES = 64 << 30
-"""Of addresses, for one run of pytest: a fault may ask for arrays without end, and must fail at
-that rather than take the machine with it. JAX alone maps some 10 GiB."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +61,16 @@ class Tree:
             xla: folder of compiled programs, shared by all copies.
             cores: processors for the tests.
         """
-        self.root, self._cores = copy, set(cores)
+        self.root = copy
         self._running: subprocess.Popen[str] | None = None
         self._stopped = False
         shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(root, copy, ignore=_LEFT, symlinks=True)
+
+        def left(folder: str, names: list[str]) -> set[str]:
+            at_the_top = _LEFT_AT_THE_TOP if Path(folder) == root else set[str]()
+            return (_LEFT_ANYWHERE | at_the_top) & set(names)
+
+        shutil.copytree(root, copy, ignore=left, symlinks=True)
         # The copy before whatever else is on the path, which may hold the tree itself.
         path = [*(str(copy / source) for source in SOURCES), os.environ.get("PYTHONPATH", "")]
         self._environment = os.environ | {
@@ -79,6 +79,7 @@ class Tree:
             "JAX_PLATFORMS": "cpu",
             "JAX_COMPILATION_CACHE_DIR": str(xla),
             "XDG_CACHE_HOME": str(copy / ".cache"),
+            CORES: ",".join(map(str, cores)),
             "CI": "true",
         }
         packages = [str(copy / name) for name in ("angler_mjx", *SOURCES[1:], "tests")]
@@ -116,7 +117,6 @@ class Tree:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
-            preexec_fn=self._bound,
         ) as process:
             self._running = process
             try:
@@ -132,10 +132,6 @@ class Tree:
         found = _FAILED.search(said)
         first = found[1] if found else said.strip()[-300:]
         return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
-
-    def _bound(self) -> None:
-        os.sched_setaffinity(0, self._cores)
-        resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
 
     def stop(self) -> None:
         """End what runs, and run nothing more; from another thread."""
