@@ -47,7 +47,9 @@ def tree(tmp_path):
         "angler_mjx/rooms/low.py": CODE,
         "angler_mjx/rooms/high.py": "from angler_mjx.rooms import low\n",
         "angler_mjx/rooms/alone.py": "SIZE = 3\n",
-        "tests/angler_mjx/rooms/conftest.py": "",
+        "tests/angler_mjx/rooms/conftest.py": "from angler_mjx.rooms import used\n",
+        "angler_mjx/rooms/used.py": "SIZE = 4\n",
+        "tests/angler_mjx/rooms/test_used.py": "from angler_mjx.rooms import used\n",
         "tests/angler_mjx/rooms/helper.py": "from angler_mjx.rooms.alone import SIZE\n",
         "tests/angler_mjx/rooms/test_low.py": "from angler_mjx.rooms.low import least\n",
         "tests/angler_mjx/rooms/test_high.py": "import angler_mjx.rooms.high\n",
@@ -78,6 +80,11 @@ def test_relevant_are_those_that_import_a_module_the_nearest_first(tree):
     assert imports.distances("angler_mjx/rooms/alone.py") == {
         "tests/angler_mjx/rooms/test_alone.py": 1
     }
+    # What a conftest imports may not be used: farther than what the test names itself.
+    used = imports.distances("angler_mjx/rooms/used.py")
+    assert used.pop("tests/angler_mjx/rooms/test_used.py") == 1
+    assert set(used.values()) == {2}
+    assert len(used) == 3
 
 
 def drawn(tree, seed=0, count=1000):

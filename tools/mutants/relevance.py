@@ -53,7 +53,9 @@ class Imports:
     def ranked(
         self, file: str, seconds: Mapping[str, float] | None = None, nearest: int | None = None
     ) -> list[str]:
-        """Test files of a module: the nearest first, those beside it before others, then the quick.
+        """Test files of a module, the nearest first.
+
+        Of those that are equally near, those beside the module, then those of its name, the quick.
 
         Args:
             file: of the module, from the root.
@@ -62,39 +64,45 @@ class Imports:
         """
         far = self.distances(file)
         beside = {test: not _mirrors(test, file) for test in far}
-        names = sorted(far, key=lambda t: (far[t], beside[t], t))[:nearest]
+        named = {test: Path(test).stem != f"test_{Path(file).stem}" for test in far}
+        names = sorted(far, key=lambda t: (far[t], beside[t], named[t], t))[:nearest]
         if seconds is None:
             return names
         known = [test for test in names if test in seconds]
-        return sorted(known, key=lambda t: (far[t], beside[t], seconds[t], t))
+        return sorted(known, key=lambda t: (far[t], beside[t], named[t], seconds[t], t))
 
-    def _steps(self, direct: set[str], wanted: str) -> int | None:
-        queue = deque((name, 1) for name in direct)
-        seen = set(direct)
+    def _steps(self, direct: Mapping[str, int], wanted: str) -> int | None:
+        """From what a test file imports, at the steps given, to a module."""
+        at = dict(direct)
+        queue = deque(sorted(at, key=lambda name: at[name]))
         while queue:
-            name, steps = queue.popleft()
-            if name == wanted:
-                return steps
-            for further in self._imports.get(name, set()) - seen:
-                seen.add(further)
-                queue.append((further, steps + 1))
-        return None
+            name = queue.popleft()
+            for further in self._imports.get(name, set()):
+                if at[name] + 1 < at.get(further, len(self._known)):
+                    at[further] = at[name] + 1
+                    queue.append(further)
+        return at.get(wanted)
 
-    def _of_test(self, file: Path) -> set[str]:
-        """What a test file imports, with the conftest and helpers that it names in its folders."""
-        found, queue, seen = set[str](), [file], set[Path]()
-        for folder in file.relative_to(self._root).parents:
-            conftest = self._root / folder / "conftest.py"
-            queue += [conftest] if conftest.is_file() else []
+    def _of_test(self, file: Path) -> dict[str, int]:
+        """What a test file and its helpers import: 1; what only a conftest does: 2."""
+        conftests = [
+            self._root / folder / "conftest.py"
+            for folder in file.relative_to(self._root).parents
+            if (self._root / folder / "conftest.py").is_file()
+        ]
+        return dict.fromkeys(self._with_helpers(conftests), 2) | dict.fromkeys(
+            self._with_helpers([file]), 1
+        )
+
+    def _with_helpers(self, files: list[Path]) -> set[str]:
+        """Modules of the project that files import, with the helpers beside them."""
+        found, queue, seen = set[str](), list(files), set[Path]()
         while queue:
             one = queue.pop()
-            if one in seen:
-                continue
-            seen.add(one)
-            # What a conftest holds may not be used: one step farther than what the test names.
-            modules = self._read(one, "")
-            found |= modules
-            queue += self._helpers(one)
+            if one not in seen:
+                seen.add(one)
+                found |= self._read(one, "")
+                queue += self._helpers(one)
         return found
 
     def _helpers(self, file: Path) -> list[Path]:
