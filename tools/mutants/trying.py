@@ -116,13 +116,16 @@ def measure(trees: Sequence[Tree], files: Sequence[str], folder: Path) -> dict[s
     """Seconds that each test file takes without a fault, most programs being compiled for it.
 
     What fails without a fault, or takes more than 15 minutes, tells nothing and is left out.
-    Times are kept, and taken again only for files that changed.
+    Times are kept, and taken again only for files that changed or failed.
     """
     kept, book = folder / "tests.jsonl", Book(folder / "tests.jsonl")
     root = trees[0].root
     stamp = {file: hash_of(root / file) for file in files}
     known = {row["file"]: row for row in read(kept)}
-    new = [file for file in files if known.get(file, {}).get("hash") != stamp[file]]
+    fresh = {
+        file for file, row in known.items() if row["passed"] and row["hash"] == stamp.get(file)
+    }
+    new = [file for file in files if file not in fresh]
 
     def once(tree: Tree, file: str) -> None:
         ran = tree.test([file], 900.0)
@@ -132,7 +135,10 @@ def measure(trees: Sequence[Tree], files: Sequence[str], folder: Path) -> dict[s
 
     all_of(trees, new, once)
     known = {row["file"]: row for row in read(kept)}
-    return {file: known[file]["seconds"] for file in files if known[file]["passed"]}
+    lost = [file for file in files if not known[file]["passed"]]
+    if lost:
+        print(f"mutants: without a fault these fail, and are left out: {', '.join(lost)}")
+    return {file: known[file]["seconds"] for file in files if file not in lost}
 
 
 def hash_of(file: Path) -> str:
