@@ -17,7 +17,7 @@ from tools.mutants.relevance import SOURCES
 
 _LEFT_ANYWHERE = {"__pycache__"}
 _LEFT_AT_THE_TOP = {".git", ".venv", ".cache", ".hypothesis", ".mutants", "build", "dist", "runs"}
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.M)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.M)
 _NO_TESTS = 5
 _OPTIONS = (
     *("-x", "-q", "-n", "0", "--tb=no", "-m", "not gpu and not sitl"),
