@@ -155,7 +155,7 @@ def place(
         return _given(recipe, open_cell, start_gap.ravel(), radius_m)
     point = cell_centres(recipe).reshape(-1, 3).T[..., None]
 
-    def at_random(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def at_random(key: jax.Array) -> tuple[jax.Array, ...]:
         noise_key, mirror_key = jax.random.split(key)
         # One field serves all robots: taking the least value left is drawing without putting back.
         noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
