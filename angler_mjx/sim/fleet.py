@@ -216,10 +216,20 @@ def parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyIne
 def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
     """Which variant each robot of one world is.
 
+    A robot's number and its own chances decide, nothing else: a robot more, of whatever vehicle,
+    changes nothing for those before it.
+
+    Args:
+        fleet: all variants.
+        key: of this draw in this world.
+
     Returns:
         int32 [n_robot] variants, and the parameters and inertias of the robots, [n_robot] leading.
     """
-    chosen = jax.random.categorical(key, fleet.log_weight, axis=1).astype(jnp.int32)
+    robots = jnp.arange(fleet.log_weight.shape[0], dtype=jnp.uint32)
+    of_robot = jax.vmap(jax.random.fold_in, (None, 0))(key, robots)
+    # Of one row at a time: the first numbers of a row are the same however long it is.
+    chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
     control, body = parameters(fleet, chosen)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
     return chosen, replace(control, cruise_speed_mps=speed), body
