@@ -44,8 +44,8 @@ _ABOUT: dict[str, tuple[str, str]] = {
     "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
     "pwm_us": (
         "us",
-        "command of each thruster; 1500 in padding columns, 0 where there was none: of a robot that "
-        "diverged, and after all robots of the tile had ended",
+        "command of each thruster; 1500 in padding columns, 0 where there was none: of a robot "
+        "that diverged, and after all robots of the tile had ended",
     ),
     "target_m": ("m", "where the controller aims, world frame"),
     "current_mps": ("m/s", "water velocity at the robot, world frame"),
@@ -211,7 +211,7 @@ class Recorder:
         arrays: dict[str, Any] = dict(self._group.arrays())
         # A run that was begun by an older version has no end.
         for part in (ESTIMATE, END):
-            group: Any = self._group[part] if part in self._group else None
+            group: Any = self._group.get(part)
             named = () if group is None else group.arrays()
             arrays.update({f"{part}/{name}": array for name, array in named})
         return arrays

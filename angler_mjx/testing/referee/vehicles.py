@@ -36,7 +36,8 @@ class Hull:
 class Robot:
     """One robot of the fleet."""
 
-    vehicle: str
+    names: tuple[str, ...]
+    """Of its vehicle: as the scenario calls it, and as its file does."""
     parameter_sets: tuple[str, ...]
     """Those that it can be."""
     hull: Hull
@@ -65,61 +66,63 @@ class Robot:
         return low, high
 
 
-def read(entry: Mapping[str, Any], inputs: Path) -> Robot:
+def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> Robot:
     """The robot of an entry of ``fleet`` in a run's config.
 
     Args:
         entry: of the resolved scenario.
-        inputs: folder of the run with copies of the files that it was flown with, if there is one.
+        copies: files that the run was flown with, by the names that the scenario gives them.
 
     Raises:
         ConfigError: a file is missing or holds no such numbers; says which.
     """
-    path = _find(str(entry["vehicle"]), inputs, SHIPPED, "vehicle")
+    path = _place(str(entry["vehicle"]), copies)
     file = _toml(path)
     try:
-        thruster = str(file["rotor"]["model"])
-        table = _toml(
-            _find(thruster, inputs, SHIPPED / "thrusters", "thruster", beside=path.parent)
-        )
+        model = str(file["rotor"]["model"])
+        table = _toml(path.parent / model if model.endswith(".toml") else _shipped(model))
         centre = np.asarray(file["base"]["center_of_mass_m"], float)
         capsules = file["hull"]["capsules"]
-        volts = np.asarray(table["voltage_v"], float)
-        weights = np.array(
-            [np.interp(entry["battery_v"], volts, row) for row in np.eye(len(volts))]
-        )
-        health = entry.get("thruster_health", {})
+        health = entry.get("thruster_health") or {}
         names = [str(one["name"]) for one in file["thrusters"]["layout"]]
-        sets = tuple(entry.get("parameter_mix") or ()) or (
-            str(entry.get("parameter_set") or file["default_set"]),
-        )
+        one_set = str(entry.get("parameter_set") or file["default_set"])
         return Robot(
-            vehicle=str(entry["vehicle"]),
-            parameter_sets=sets,
+            names=(str(entry["vehicle"]), str(file["name"])),
+            parameter_sets=tuple(entry.get("parameter_mix") or ()) or (one_set,),
             hull=Hull(
                 a_m=np.array([one["from_m"] for one in capsules], float) - centre,
                 b_m=np.array([one["to_m"] for one in capsules], float) - centre,
                 r_m=np.array([one["radius_m"] for one in capsules], float),
             ),
             pwm_us=np.asarray(table["pwm_us"], float),
-            power_w=np.asarray(table["power_w"], float) @ weights,
+            power_w=_at_voltage(table, float(entry["battery_v"])),
             alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be judged by: {_what(error)}") from error
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{path}: the referee cannot use it: {what}") from error
 
 
-def _find(name: str, inputs: Path, shipped: Path, kind: str, beside: Path | None = None) -> Path:
-    """A file by its name: the copy in the run, the shipped one, or the path itself."""
-    stem = Path(name).stem
-    copies = [inputs / folder / f"{stem}.toml" for folder in (f"{kind}s", kind, ".")]
-    places = [path for path in copies if path.is_file()]
-    if places:
-        return places[0]
-    if not name.endswith(".toml"):
-        return shipped / f"{name}.toml"
-    path = Path(name)
-    return path if path.is_absolute() or beside is None else beside / path
+def _at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
+    """Power [n] W at one voltage, on a straight line between the two columns beside it."""
+    volts, power = np.asarray(table["voltage_v"], float), np.asarray(table["power_w"], float)
+    if not volts[0] <= voltage_v <= volts[-1]:
+        raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
+    right = int(np.clip(np.searchsorted(volts, voltage_v), 1, volts.size - 1))
+    share = (voltage_v - volts[right - 1]) / (volts[right] - volts[right - 1])
+    between: Floats = (1.0 - share) * power[:, right - 1] + share * power[:, right]
+    return between
+
+
+def _place(name: str, copies: Mapping[str, Path]) -> Path:
+    """A vehicle's file: the run's copy, the path itself, or the shipped one."""
+    if name in copies:
+        return copies[name]
+    return Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
+
+
+def _shipped(thruster: str) -> Path:
+    return SHIPPED / "thrusters" / f"{thruster}.toml"
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -130,7 +133,3 @@ def _toml(path: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error}); the referee needs the vehicle and thruster files "
             "that the run was flown with"
         ) from error
-
-
-def _what(error: Exception) -> str:
-    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
