@@ -391,7 +391,7 @@ def test_a_world_that_is_not_there_is_named(tmp_path):
 
 def test_it_judges_by_the_copies_that_the_run_made(tmp_path):
     """A thruster that draws twice the power, under the name of the shipped vehicle."""
-        path = write(tmp_path / "run", to_a_goal())
+    path = write(tmp_path / "run", to_a_goal())
     inputs = path / "inputs"
     (inputs / "vehicles").mkdir(parents=True)
     vehicle = (vehicles.SHIPPED / "bluerov2_heavy.toml").read_text()
