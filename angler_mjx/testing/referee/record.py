@@ -1,21 +1,17 @@
 """What the referee reads of a run folder: settings, results, and what was stored of each world."""
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import zarr
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import vehicles
+from angler_mjx.testing.referee.folder import Row, read_copies, read_json, read_rows, reading
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.vehicles import Robot
 
@@ -33,24 +29,6 @@ OUTCOMES = (
     "diverged",
 )
 """By their numbers in ``trajectories.zarr``."""
-
-NUMBERS = (
-    "path_length_m",
-    "energy_j",
-    "min_clearance_m",
-    "min_separation_m",
-    "time_to_goal_s",
-    "failure_time_s",
-    "failure_x_m",
-    "failure_y_m",
-    "failure_z_m",
-    "impact_speed_mps",
-)
-WORDS = ("vehicle", "parameter_set", "outcome", "failure_pair")
-"""Columns of ``episodes.parquet`` that are judged."""
-
-type Row = dict[str, Any]
-"""What was stored of one robot of one world; numbers that are missing are NaN."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,18 +105,6 @@ PLACE = (
 )
 
 
-@contextmanager
-def _reading(what: Path) -> Iterator[None]:
-    """Turn what a damaged file raises into one message."""
-    try:
-        yield
-    except ConfigError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, IndexError, RuntimeError) as error:
-        what_else = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise ConfigError(f"{what}: cannot be judged: {what_else}") from error
-
-
 def open_run(path: Path) -> Run:
     """Open a run folder.
 
@@ -149,8 +115,8 @@ def open_run(path: Path) -> Run:
         unfinished = path.parent / f".{path.name}.partial"
         more = f"; its run goes on or broke off in {unfinished}" if unfinished.exists() else ""
         raise ConfigError(f"{path}: not a run folder (no summary.json in it){more}")
-    config = _json(path / "config.json")
-    with _reading(path / "config.json"):
+    config = read_json(path / "config.json")
+    with reading(path / "config.json"):
         timing = config["time"]
         hz, dt = float(timing["record_hz"]), float(timing["control_dt_s"])
         if hz == 0.0 or not (path / "trajectories.zarr").exists():
@@ -158,7 +124,7 @@ def open_run(path: Path) -> Run:
                 f"{path}: this run stored no trajectories (record_hz = 0), so there is nothing to "
                 f"judge it by; run it again with --record-hz {1.0 / dt:g}"
             )
-        copies = _copies(path / "inputs")
+        copies = read_copies(path / "inputs")
         fleet = [(vehicles.read(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
         facts = {
@@ -168,13 +134,13 @@ def open_run(path: Path) -> Run:
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
         }
-    with _reading(path / "trajectories.zarr"):
+    with reading(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = group["pwm_us"].dtype.kind in "iu"
     return Run(
         path=path,
         robots=robots,
-        rows=_rows(path / "episodes.parquet", len(robots)),
+        rows=read_rows(path / "episodes.parquet", len(robots)),
         one_scene=_is_one_scene(path / "summary.json"),
         whole_us=whole,
         group=group,
@@ -183,7 +149,7 @@ def open_run(path: Path) -> Run:
 
 
 def _is_one_scene(path: Path) -> bool:
-    summary = _json(path)
+    summary = read_json(path)
     return summary.get("worlds_done") == 1 and summary.get("tile") == 1
 
 
@@ -217,7 +183,7 @@ def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
     def read(name: str) -> Any:
         return run.group[name][first:last]
 
-    with _reading(where):
+    with reading(where):
         names = ["p_m", "q", "nu", "pwm_us", "outcome"]
         moving = ["obstacle_p_m", "obstacle_q"] if "obstacle_p_m" in run.group else []
         stored = {name: read(name) for name in [*names, *moving]}
@@ -227,7 +193,7 @@ def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
             ends = {name: read(f"end/{name}") for name in kept}
         place = {name: read(f"environment/{name}") for name in PLACE}
     for index in chosen:
-        with _reading(where):
+        with reading(where):
             yield _world(
                 run,
                 index,
@@ -267,50 +233,3 @@ def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]
         pwm_us=states["pwm_us"].astype(float),
         place=place,
     )
-
-
-def _rows(path: Path, robots: int) -> dict[int, list[Row]]:
-    with _reading(path):
-        table = pq.read_table(path, columns=["world", "robot", *WORDS, *NUMBERS])
-        table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
-        columns: dict[str, Any] = {
-            "world": table["world"].to_numpy(),
-            "robot": table["robot"].to_numpy(),
-            **{name: table[name].to_pylist() for name in WORDS},
-            **{name: table[name].cast(pa.float64()).to_numpy() for name in NUMBERS},
-        }
-    found: dict[int, list[Row]] = {}
-    for i in range(table.num_rows):
-        row = {name: values[i] for name, values in columns.items()}
-        found.setdefault(int(row["world"]), []).append(row)
-    for world, rows in found.items():
-        if [int(row["robot"]) for row in rows] != list(range(robots)):
-            raise ConfigError(f"{path}: world {world} has not one row for each of {robots} robots")
-    return found
-
-
-def _copies(folder: Path) -> dict[str, Path]:
-    """Files that the run was flown with, by the names that its scenario gives them."""
-    if not folder.exists():
-        return {}
-    index = folder / "inputs.json"
-    found = {}
-    with _reading(index):
-        for one in _json(index)["files"]:
-            inside = PurePosixPath(one["copy_path"])
-            if inside.is_absolute() or ".." in inside.parts:
-                raise ConfigError(f"{index}: {one['copy_path']!r} leads out of the folder")
-            path = folder / inside
-            if hashlib.sha256(path.read_bytes()).hexdigest() != one["copy_sha256"]:
-                raise ConfigError(f"{path}: is not the copy that the run made; put that one back")
-            if one["role"] == "vehicle":
-                found[str(one["named"])] = path
-    return found
-
-
-def _json(path: Path) -> dict[str, Any]:
-    with _reading(path):
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(table, dict):
-            raise ValueError("it is no JSON object")
-        return table

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from angler_mjx.testing.referee import contacts
 from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, Ints, Near, Pairs
+from angler_mjx.testing.referee.folder import Row
 from angler_mjx.testing.referee.geometry import Floats, rotate
-from angler_mjx.testing.referee.record import Row, Run, World
+from angler_mjx.testing.referee.record import Run, World
 
 FASTEST = 50.0
 """A robot whose six velocities add up to this has diverged."""
