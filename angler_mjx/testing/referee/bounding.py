@@ -1,7 +1,5 @@
 """Judging a robot of whose episode only some states were stored: what they allow, and no more."""
 
-from typing import cast
-
 import numpy as np
 
 from angler_mjx.testing.referee import findings as say
@@ -84,7 +82,7 @@ def _time(tell: Telling, scene: Scene, robot: int, step: int) -> None:
         high = scene.run.horizon_steps * dt if over else low + scene.run.every * dt
     fits: Result = "agrees" if low - slack <= stored <= high + slack else "disagrees"
     span = f"{low:.6g} to {high:.6g}"
-    tell.words("end_time_s", "bounded", cast(str, stored), span, fits, SPARSE)
+    tell.words("end_time_s", "bounded", stored, span, fits, SPARSE)
 
 
 def _numbers(

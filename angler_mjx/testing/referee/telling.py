@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.testing.referee.findings import Finding, How, Result
+from angler_mjx.testing.referee.findings import Finding, How, Result, Value
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.record import OUTCOMES
 from angler_mjx.testing.referee.scene import FAILED, Scene
@@ -29,9 +29,9 @@ class Telling:
         self.found.append(Finding(**where, quantity=quantity, how=how, result=result, **more))
 
     def words(
-        self, quantity: str, how: How, stored: str, judged: str, result: Result, note: str = ""
+        self, quantity: str, how: How, stored: Value, judged: Value, result: Result, note: str = ""
     ) -> None:
-        """Two words that are to be equal, or a verdict on them."""
+        """A verdict on what was stored and what was judged."""
         self._say(quantity, how, result, stored=stored, judged=judged, note=note)
 
     def number(
