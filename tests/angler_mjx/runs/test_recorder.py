@@ -8,7 +8,7 @@ import zarr
 from angler_mjx.sim.state import Sample
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
-from angler_mjx.storage.harvest import (
+from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
     Constants,
     End,
     FinishedTile,
