@@ -9,11 +9,6 @@ from angler_mjx.sim.state import Sample
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
 from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
-    Constants,
-    End,
-    FinishedTile,
-    arrays,
-)
 from angler_mjx.storage.recorder import Recorder, Shape
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch

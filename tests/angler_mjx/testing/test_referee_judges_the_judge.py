@@ -31,6 +31,7 @@ ROBOTS = {
     "leaves at the side": (SMALL, (5.2, 0.0, -4.0), (0.9, 0.0, 0.1), FAR),
     "stands": (HURT, (-2.0, -5.0, -10.0), (0.0, 0.0, 0.0), FAR),
     "hits what has failed": (SMALL, (0.0, -4.6, -8.0), (0.0, 0.2, 0.8), FAR),
+    "passes what stands": (SMALL, (-5.0, -4.2, -10.0), (1.9, 0.0, 0.0), FAR),
 }
 ROCK = ((2, 2, 4), (2, 6, 4))
 BALLS = (
@@ -50,6 +51,7 @@ EXPECTED = {
     "leaves at the side": ("out_of_bounds", "none"),
     "stands": ("timeout", "none"),
     "hits what has failed": ("collision_robot", "robot:5"),
+    "passes what stands": ("timeout", "none"),
 }
 
 
@@ -87,6 +89,8 @@ def test_everything_happened(flight):
     assert found == EXPECTED
     lived = flight.rows[list(ROBOTS).index("passes rock and lives")]
     assert 0.02 < lived["min_clearance_m"] < 0.3  # and it ends far from all
+    passed = flight.rows[list(ROBOTS).index("passes what stands")]
+    assert 0.2 < passed["min_separation_m"] < 0.5  # likewise
 
 
 @pytest.mark.parametrize("quantity", [*referee.QUANTITIES])
