@@ -169,7 +169,7 @@ class SessionRecording:
             first=self._world,
             kept=1,
             constants=kept,
-            end=jax.tree.map(np.asarray, harvest.end(inside.state)),
+            end=jax.tree.map(np.asarray, harvest.end(inside.state, recorded=True)),
             parts=[joined],
         )
 

@@ -156,7 +156,7 @@ def _to_the_horizon(timed: Timed) -> FinishedTile:
         first=0,
         kept=simulator.tile,
         constants=_on_host(harvest.constants(worlds, recorded=True)),
-        end=_on_host(harvest.end(state)),
+        end=_on_host(harvest.end(state, recorded=True)),
         parts=parts,
     )
 

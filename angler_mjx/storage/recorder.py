@@ -22,7 +22,7 @@ from zarr.codecs import BloscCodec
 
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import shards
-from angler_mjx.storage.harvest import ESTIMATE, Arrays
+from angler_mjx.storage.harvest import END, ESTIMATE, Arrays
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
@@ -44,7 +44,8 @@ _ABOUT: dict[str, tuple[str, str]] = {
     "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
     "pwm_us": (
         "us",
-        "command of each thruster; 1500 in padding columns, 0 where a diverged robot had none",
+        "command of each thruster; 1500 in padding columns, 0 where there was none: of a robot "
+        "that diverged, and after all robots of the tile had ended",
     ),
     "target_m": ("m", "where the controller aims, world frame"),
     "current_mps": ("m/s", "water velocity at the robot, world frame"),
@@ -57,6 +58,8 @@ _ABOUT: dict[str, tuple[str, str]] = {
     "obstacle_q": ("1", "attitude of each obstacle, quaternion wxyz, body to world"),
 }
 """Sampled arrays [world, time, robot or obstacle, ...]: unit and meaning."""
+
+_BODIES = {"obstacle_p_m": 3, "obstacle_q": 4}
 
 _TOLD: dict[str, tuple[int, str, str]] = {
     "p_m": (3, "m", "centre of mass as the controllers were told it, world frame"),
@@ -84,11 +87,10 @@ class Shape:
 
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
-        floats = self.robots * (3 + 4 + 6 + 3 + 3) + self.obstacles * 7
+        floats = self.robots * (3 + 4 + 6 + 3 + 3 + self.thrusters) + self.obstacles * 7
         if self.estimated:
             floats += self.robots * sum(width for width, _, _ in _TOLD.values())
-        small = self.robots * (2 * self.thrusters + 1)
-        return self.samples * (4 * floats + small) + self.robots * self.plan_points * 16
+        return self.samples * (4 * floats + self.robots) + self.robots * self.plan_points * 16
 
 
 class Recorder:
@@ -144,17 +146,29 @@ class Recorder:
         per_robot = {"p_m": 3, "q": 4, "nu": 6, "target_m": 3, "current_mps": 3}
         for name, width in per_robot.items():
             self._sampled(name, (shape.robots, width), np.float32)
-        self._sampled("pwm_us", (shape.robots, shape.thrusters), np.uint16)
+        self._sampled("pwm_us", (shape.robots, shape.thrusters), np.float32)
         self._sampled("outcome", (shape.robots,), np.uint8)
-        self._sampled("obstacle_p_m", (shape.obstacles, 3), np.float32)
-        self._sampled("obstacle_q", (shape.obstacles, 4), np.float32)
+        for name, width in _BODIES.items():
+            self._sampled(name, (shape.obstacles, width), np.float32)
         if shape.estimated:
             for name, (width, unit, meaning) in _TOLD.items():
                 tail = (shape.samples, shape.robots, width)
                 self._create(f"{ESTIMATE}/{name}", tail, np.float32, unit, meaning)
+        self._last()
         points = (shape.robots, shape.plan_points)
         self._create("plan_time_s", points, np.float32, "s", "time of each way-point")
         self._create("plan_m", (*points, 3), np.float32, "m", "way-points, world frame")
+
+    def _last(self) -> None:
+        """The state after the last sample: when all robots of the tile had ended, or at the end."""
+        shape = self._shape
+        step = "control steps until this state, the one after the last sample"
+        self._create(f"{END}/step", (), np.int32, "1", step)
+        tails = {name: (shape.robots, width) for name, width in (("p_m", 3), ("q", 4), ("nu", 6))}
+        tails |= {name: (shape.obstacles, width) for name, width in _BODIES.items()}
+        for name, tail in tails.items():
+            self._create(f"{END}/{name}", tail, np.float32, *_ABOUT[name])
+        self._create(f"{END}/outcome", (shape.robots,), np.uint8, *_ABOUT["outcome"])
 
     def _sampled(self, name: str, tail: tuple[int, ...], dtype: Any) -> None:
         unit, meaning = _ABOUT[name]
@@ -195,9 +209,11 @@ class Recorder:
     def _arrays(self) -> dict[str, Any]:
         """By name, opened once: opening costs as much as writing a small tile."""
         arrays: dict[str, Any] = dict(self._group.arrays())
-        if self._shape.estimated:
-            group: Any = self._group[ESTIMATE]
-            arrays.update({f"{ESTIMATE}/{name}": array for name, array in group.arrays()})
+        # A run that was begun by an older version has no end.
+        for part in (ESTIMATE, END):
+            group: Any = self._group.get(part)
+            named = () if group is None else group.arrays()
+            arrays.update({f"{part}/{name}": array for name, array in named})
         return arrays
 
     def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
