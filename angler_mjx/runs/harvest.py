@@ -10,13 +10,11 @@ import numpy as np
 from angler_mjx.errors import RunError
 from angler_mjx.runs.results import TileResult
 from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.storage.layout import ESTIMATE
 from angler_mjx.world.environment import Environment
 
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
-
-ESTIMATE = "estimate"
-"""Group of what the controllers were told, where that was not the truth."""
 
 _SAMPLED = {
     "p_m": "p",

@@ -33,6 +33,16 @@ def load(name_or_path: str) -> VehicleConfig:
     return config.model_copy(update={"rotor": config.rotor.model_copy(update={"model": model})})
 
 
+def locate(name_or_path: str) -> Path:
+    """File of a vehicle; arguments and errors as in `load`."""
+    return _locate(name_or_path, _VEHICLES, "vehicle")
+
+
+def locate_thruster(name_or_path: str) -> Path:
+    """File of a thruster; arguments and errors as in `load_thruster`."""
+    return _locate(name_or_path, _THRUSTERS, "thruster")
+
+
 def load_thruster(name_or_path: str) -> ThrusterTable:
     """Read a thruster file.
 

@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.runs.folder import Run
-from angler_mjx.runs.harvest import ESTIMATE
+from angler_mjx.storage.layout import ESTIMATE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.interop.atomic import replacing
+from angler_mjx.storage.atomic import replacing
 from angler_mjx.runs import harvest, results
 from angler_mjx.runs.folder import Run
 from angler_mjx.runs.harvest import FinishedTile

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.interop.atomic import replacing
+from angler_mjx.storage.atomic import replacing
 
 TABLE, FLIGHTS = "spotcheck.json", "flights"
 
