@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
     from angler_mjx.control.joint_goal import JointGoal, JointPoint
     from angler_mjx.control.joint_trajectory import JointTrajectory
-    from angler_mjx.runs.folder import Run
     from angler_mjx.runs.rollout import resume, rollout
-    from angler_mjx.runs.scenario import Scenario, load_scenario
-    from angler_mjx.runs.simulator import Simulator
+    from angler_mjx.scenario.scenario import Scenario, load_scenario
     from angler_mjx.session.batch import BatchSession
     from angler_mjx.session.interface import Observation, Session
     from angler_mjx.sim.state import Outcome
+    from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.storage.folder import Run
 
 __version__ = "0.1.0"
 
@@ -50,12 +50,12 @@ _HOME = {
     "Observation": "angler_mjx.session.interface",
     "Outcome": "angler_mjx.sim.state",
     "PoseTarget": "angler_mjx.control.commands",
-    "Run": "angler_mjx.runs.folder",
-    "Scenario": "angler_mjx.runs.scenario",
+    "Run": "angler_mjx.storage.folder",
+    "Scenario": "angler_mjx.scenario.scenario",
     "Session": "angler_mjx.session.interface",
-    "Simulator": "angler_mjx.runs.simulator",
+    "Simulator": "angler_mjx.simulator.simulator",
     "ThrusterPwm": "angler_mjx.control.commands",
-    "load_scenario": "angler_mjx.runs.scenario",
+    "load_scenario": "angler_mjx.scenario.scenario",
     "resume": "angler_mjx.runs.rollout",
     "rollout": "angler_mjx.runs.rollout",
 }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from angler_mjx.runs.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped
 from angler_mjx.vehicles import library
 
 ROOT = Path(__file__).parent.parent

@@ -7,7 +7,7 @@ from angler_mjx.cli.device import Device, choose
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
-    from angler_mjx.benchmark.speed import Row
+    from angler_mjx.speed.rows import Row
 
 RESULTS = Path("benchmarks/results.jsonl")
 CHART = Path("docs/images/performance.png")
@@ -63,7 +63,7 @@ def bench(
         _table(table, out)
     else:
         choose(device)
-        from angler_mjx.benchmark.workloads import Request
+        from angler_mjx.speed.workloads import Request
 
         asked = Request(
             profile=profile,
@@ -83,9 +83,9 @@ def bench(
 def _measure(asked: Any, out: Path) -> None:
     from rich.console import Console
 
-    from angler_mjx.benchmark import measuring, roofline, workloads
-    from angler_mjx.benchmark.report import around, complete
-    from angler_mjx.benchmark.speed import record
+    from angler_mjx.speed import measuring, roofline, workloads
+    from angler_mjx.speed.report import around, complete
+    from angler_mjx.speed.rows import record
 
     chosen = workloads.cases(asked)
     console = Console(stderr=True)
@@ -115,7 +115,7 @@ def _show(rows: "list[Row]", device: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.benchmark.report import complete
+    from angler_mjx.speed.report import complete
 
     shown = Table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
@@ -171,7 +171,7 @@ def _compare(a: str, b: str, results: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.benchmark.compare import compare
+    from angler_mjx.speed.compare import compare
 
     shown = Table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
     for row in compare(a, b, results):
@@ -188,7 +188,7 @@ def _compare(a: str, b: str, results: Path) -> None:
 
 
 def _chart(rows: Path, out: Path) -> None:
-    from angler_mjx.benchmark import chart
+    from angler_mjx.speed import chart
     from angler_mjx.viewing import style
 
     style.save(chart.draw(rows), out)
@@ -196,7 +196,7 @@ def _chart(rows: Path, out: Path) -> None:
 
 
 def _table(rows: Path, out: Path | None) -> None:
-    from angler_mjx.benchmark import chart
+    from angler_mjx.speed import chart
 
     if out is None:
         print(chart.table(rows))

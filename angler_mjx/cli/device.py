@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
-    from angler_mjx.runs.team import Team
+    from angler_mjx.runs.processes import Team
 
 type Device = Literal["cpu", "gpu"]
 
@@ -69,7 +69,7 @@ def join(
         ConfigError: flags of a shared run without ``--distributed``, or not enough of them.
         RunError: the others did not come.
     """
-    from angler_mjx.runs import team
+    from angler_mjx.runs import processes as team
 
     if distributed:
         joined = team.join(coordinator, processes, process)

@@ -27,7 +27,7 @@ def export(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from angler_mjx.interop import mcap as bags
-    from angler_mjx.runs.folder import Run
+    from angler_mjx.storage.folder import Run
     from angler_mjx.viewing.choose import good_world, worst_world
 
     loaded = Run(run)

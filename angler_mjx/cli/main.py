@@ -17,13 +17,13 @@ from angler_mjx.cli import (
     env,
     export,
     rollout,
-    sitl,
-    sitl_run,
-    spotcheck,
     teleop,
     tune,
     vehicle,
 )
+from angler_mjx.cli.sitl import commands as sitl
+from angler_mjx.cli.sitl import run as sitl_run
+from angler_mjx.cli.sitl import spotcheck
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED = 2, 130

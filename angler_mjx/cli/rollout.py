@@ -11,7 +11,7 @@ from angler_mjx.cli.device import Device, choose, join
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
-    from angler_mjx.runs.folder import Run
+    from angler_mjx.storage.folder import Run
 
 
 def scenarios() -> None:
@@ -19,7 +19,7 @@ def scenarios() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.runs.scenario import load_scenario, shipped
+    from angler_mjx.scenario.scenario import load_scenario, shipped
 
     table = Table("scenario", "robots", "description")
     for name in shipped():
@@ -84,7 +84,7 @@ def rollout(
     )
     from angler_mjx.cli.progress import Bar
     from angler_mjx.runs import rollout as runs
-    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.scenario.scenario import load_scenario
 
     given = {
         "worlds": worlds,
@@ -124,7 +124,7 @@ def figures(run: Annotated[Path, tyro.conf.Positional]) -> None:
     Args:
         run: Run folder.
     """
-    from angler_mjx.runs.folder import Run
+    from angler_mjx.storage.folder import Run
 
     _draw(Run(run))
     print(run / "figures")
@@ -137,7 +137,7 @@ def replay(run: Annotated[Path, tyro.conf.Positional], world: int | None = None)
         run: Run folder.
         world: Index of the world; the worst one if left out.
     """
-    from angler_mjx.runs.folder import Run
+    from angler_mjx.storage.folder import Run
     from angler_mjx.viewing import replay as viewer
 
     loaded = Run(run)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.device import Device, choose, keep_all_programs
-from angler_mjx.cli.sitl_run import Level, Source, prepare
-from angler_mjx.cli.sitl_run import opener as real_autopilots
+from angler_mjx.cli.sitl.run import Level, Source, prepare
+from angler_mjx.cli.sitl.run import opener as real_autopilots
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def teleop(
         prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.scenario.scenario import load_scenario
     from angler_mjx.teleop import driving, opening
 
     settings = driving.Settings(

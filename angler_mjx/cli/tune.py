@@ -52,7 +52,7 @@ def tune(
         device: Where to compute; JAX's choice if left out.
     """
     choose(device)
-    from angler_mjx.runs.scenario import load_scenario
+    from angler_mjx.scenario.scenario import load_scenario
     from angler_mjx.tuning import problem
     from angler_mjx.tuning import tune as tuning
 

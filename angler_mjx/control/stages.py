@@ -13,7 +13,6 @@ from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate, PoseTar
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.laws import (
     aitsm,
-    ardusub,
     computed_torque,
     follow,
     ismc,
@@ -24,6 +23,7 @@ from angler_mjx.control.laws import (
     tracking,
     velocity,
 )
+from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.laws.targets import TrackingTarget
 from angler_mjx.control.stack import Given, Stage, Stages
 from angler_mjx.control.trajectory import Trajectory

@@ -22,8 +22,8 @@ from pydantic import Field
 from angler_mjx.control.joint_goal import JointGoal, JointPoint, shape_faults
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse
-from angler_mjx.storage.atomic import replacing
 from angler_mjx.interop.ros_messages import NANO, joint_trajectory
+from angler_mjx.storage.atomic import replacing
 
 SCHEMA_VERSION = 1
 

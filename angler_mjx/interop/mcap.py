@@ -16,10 +16,10 @@ import pyarrow.compute as pc
 from angler_mjx.control.joint_goal import JointGoal, JointPoint
 from angler_mjx.errors import ConfigError
 from angler_mjx.interop import ros_messages as ros
-from angler_mjx.storage.atomic import replacing, require_free
 from angler_mjx.interop.bag import Bag
-from angler_mjx.runs.folder import Run
-from angler_mjx.world import store
+from angler_mjx.storage import environments as store
+from angler_mjx.storage.atomic import replacing, require_free
+from angler_mjx.storage.folder import Run
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 

@@ -62,9 +62,7 @@ def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, R
     """
     total = len(world)
     if total == 0:
-        return {
-            name: Rate(count=0, rate=0.0, low=0.0, high=1.0, effective=0.0) for name in ended
-        }
+        return {name: Rate(count=0, rate=0.0, low=0.0, high=1.0, effective=0.0) for name in ended}
     number, robots = np.unique(world, return_inverse=True, return_counts=True)[1:]
     most = float(np.sum(robots.astype(float) ** 2)) / total
     effects = {name: _effect(hit, number, robots) for name, hit in ended.items()}

@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import folder, harvest, results, sizes, waves
-from angler_mjx.runs.harvest import FinishedTile
+from angler_mjx.runs import sizes, waves
+from angler_mjx.runs.processes import Alone, Team
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
-from angler_mjx.runs.recorder import Recorder
-from angler_mjx.runs.scenario import Scenario
-from angler_mjx.runs.simulator import CompileTime, Simulator
-from angler_mjx.runs.team import Alone, Team
-from angler_mjx.runs.writer import Writer
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.simulator.simulator import CompileTime, Simulator
+from angler_mjx.storage import folder, harvest, results
+from angler_mjx.storage.harvest import FinishedTile
+from angler_mjx.storage.recorder import Recorder
+from angler_mjx.storage.writer import Writer
 
 
 @dataclass(kw_only=True)

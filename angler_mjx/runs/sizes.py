@@ -4,8 +4,8 @@ import numpy as np
 import psutil
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.recorder import Shape
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage.recorder import Shape
 
 
 def shape_of(simulator: Simulator) -> Shape:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from angler_mjx.runs import devices, harvest
-from angler_mjx.runs.harvest import FinishedTile
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import Sample, World
+from angler_mjx.simulator import devices
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage import harvest
+from angler_mjx.storage.harvest import FinishedTile
 
 AHEAD = 2
 """Segments that the device has been given and the host has not taken."""

@@ -13,8 +13,7 @@ from angler_mjx.control.commands import BodyWrench
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.scenario import Scenario, load_scenario
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.checks import Limits, Place
 from angler_mjx.session.desk import PLAN, Desk
@@ -22,6 +21,7 @@ from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo
 from angler_mjx.session.rejoin import Ways
 from angler_mjx.session.view import View, Watched, believed, covariance, look, shown
 from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.simulator.simulator import Simulator
 
 POINTS = 256
 """Points of a JointTrajectory, where a caller says nothing."""

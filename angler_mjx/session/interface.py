@@ -67,7 +67,7 @@ class SceneObstacles:
     attitude: Floats
     """[n, 4] q."""
     kind: NDArray[np.integer[Any]]
-    """[n] a kind of `angler_mjx.world.obstacle_types`."""
+    """[n] a kind of `angler_mjx.world.obstacles.types`."""
     size_m: Floats
     """[n, 3]."""
 

@@ -21,7 +21,7 @@ from angler_mjx.control.joint_trajectory import (
 from angler_mjx.control.stack import Stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.board import Board
 from angler_mjx.session.checks import Limits
 from angler_mjx.session.interface import Floats, Order

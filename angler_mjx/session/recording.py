@@ -14,14 +14,14 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import folder, harvest, results
-from angler_mjx.runs.harvest import FinishedTile
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
-from angler_mjx.runs.recorder import Recorder, Shape
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.batch import Inside
 from angler_mjx.session.interface import Floats, Observation
 from angler_mjx.sim.state import Sample
+from angler_mjx.storage import folder, harvest, results
+from angler_mjx.storage.harvest import FinishedTile
+from angler_mjx.storage.recorder import Recorder, Shape
 
 
 class Recordable(Protocol):

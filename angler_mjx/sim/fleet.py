@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.lanes.planes import is_table
 from angler_mjx.control import allocation
 from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
-from angler_mjx.sim.planes import is_table
 from angler_mjx.vehicles import library, mjcf, params
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.rotor_config import RotorResponse

@@ -70,7 +70,7 @@ class SimSpec:
     """The controllers, from the highest down."""
     gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
-    (`angler_mjx.sim.gradients`)."""
+    (`angler_mjx.engines.gradients`)."""
     crews: tuple[Crew, ...] = ()
     """All other robots' controllers are given the truth."""
 

@@ -141,9 +141,7 @@ def stand_ins(run: Path) -> dict[str, str]:
     """
     used = {(one.role, one.named): one.sha256 for one in read_inputs(run)}
     return {
-        named: str(path)
-        for named, path in copies(run).items()
-        if _state(named, used) != "same"
+        named: str(path) for named, path in copies(run).items() if _state(named, used) != "same"
     }
 
 
@@ -219,7 +217,9 @@ def _keep(place: Path, found: _Found, data: bytes, names: set[str]) -> Input:
     """Write a copy, under a name that no other copy has."""
     stem, end = found.path.stem[:60], found.path.suffix
     ways = (stem if i == 1 else f"{stem}_{i}" for i in range(1, len(names) + 2))
-    name = next(f"{found.role}s/{one}{end}" for one in ways if f"{found.role}s/{one}{end}" not in names)
+    name = next(
+        f"{found.role}s/{one}{end}" for one in ways if f"{found.role}s/{one}{end}" not in names
+    )
     names.add(name)
     (place / name).parent.mkdir(exist_ok=True)
     with atomic.whole(place / name) as writing:

@@ -36,7 +36,10 @@ def _sampled(unit: str, text: str, *dims: str, dtype: type = np.float32) -> Kind
 
 ARRAYS: dict[str, Kind] = {
     "p_m": _sampled(
-        "m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)", "robot", "axis"
+        "m",
+        "centre of mass, world frame (x east, y north, z up, 0 at the surface)",
+        "robot",
+        "axis",
     ),
     "q": _sampled(
         "1",
@@ -98,9 +101,7 @@ ARRAYS: dict[str, Kind] = {
         "rad", "standard deviations of the attitude, about the world's axes", "robot", "axis"
     ),
     "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
-    "plan_m": Kind(
-        dims=("robot", "way_point", "axis"), unit="m", text="way-points, world frame"
-    ),
+    "plan_m": Kind(dims=("robot", "way_point", "axis"), unit="m", text="way-points, world frame"),
 }
 """Arrays [world, ...] by their names in the group, in the order in which they are made."""
 
@@ -146,9 +147,7 @@ def check(group: Any, where: str, *, worlds: int, robots: int, estimated: bool) 
     sizes["obstacle"] = _size(group, "obstacle_p_m", -2, where) if "obstacle_p_m" in group else 0
     for name in names(sizes, estimated=estimated):
         if name not in group:
-            raise ConfigError(
-                f"{where}/{name}: is missing; copy it again, or make the run anew"
-            )
+            raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
         array, kind = group[name], ARRAYS[name]
         wanted = (worlds, *tail(kind, sizes))
         if array.shape != wanted or array.dtype != kind.dtype or array.chunks != (1, *wanted[1:]):

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import folder
-from angler_mjx.runs.folder import Run
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.storage import folder
+from angler_mjx.storage.folder import Run
 from angler_mjx.teleop import live_view, opening, script
 from angler_mjx.teleop.loop import Driven, Watcher, drive
 from angler_mjx.teleop.pilot import SILENCE_S, Pilot

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from angler_mjx.control.commands import BodyTwist
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.interface import Session
 from angler_mjx.session.recording import Recordable

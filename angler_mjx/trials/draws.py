@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control.laws.ardusub_gains import ArduSubGains
+from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.control.stack import ControlParams
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.trials import courses, flying, kinds

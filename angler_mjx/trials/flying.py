@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.control.stack import Command, ControlParams
-from angler_mjx.sim import free_flight
-from angler_mjx.sim.free_flight import Flight
+from angler_mjx.engines import free_flight
+from angler_mjx.engines.free_flight import Flight
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.trials.courses import START_M
 from angler_mjx.vehicles.params import VehicleParams

@@ -15,7 +15,7 @@ import numpy as np
 
 from angler_mjx.control.stack import Command, ControlParams
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.trials import eight, kinds
 from angler_mjx.trials.courses import START_M

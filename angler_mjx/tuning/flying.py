@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.sim import free_flight
+from angler_mjx.engines import free_flight
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.trials import kinds
 from angler_mjx.tuning import knobs as turning

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-from angler_mjx.control.laws.ardusub_gains import ArduSubGains
+from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.control.stack import Stages
 
 FIRMWARE = ArduSubGains(WPNAV_SPEED=1000.0)

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.laws.ardusub_gains import ArduSubGains
+from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.state import SimSpec
 

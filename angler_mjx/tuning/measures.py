@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from angler_kernels import quaternion
 from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.sim.free_flight import Flight
+from angler_mjx.engines.free_flight import Flight
 from angler_mjx.sim.robot import thrust_and_power
 from angler_mjx.trials.draws import RATE_RADPS, TILT_RAD
 from angler_mjx.vehicles.params import VehicleParams

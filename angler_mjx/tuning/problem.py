@@ -9,7 +9,7 @@ import numpy as np
 
 from angler_mjx.control import stages
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.trials import kinds
 from angler_mjx.tuning import flights as drawing

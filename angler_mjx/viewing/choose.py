@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.runs.folder import Run
+from angler_mjx.storage.folder import Run
 
 
 def worst_world(run: Run) -> int:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from angler_mjx.runs.folder import FIGURES, Run
+from angler_mjx.storage.folder import FIGURES, Run
 from angler_mjx.viewing import maps, scene, statistics, style
 from angler_mjx.viewing.choose import good_world, worst_world
 

@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from angler_mjx.errors import RunError, UnsupportedError
-from angler_mjx.runs.folder import REPLAY, Run
+from angler_mjx.storage.folder import REPLAY, Run
 from angler_mjx.viewing import maps, scene, window
 from angler_mjx.viewing.choose import good_world, worst_world
 

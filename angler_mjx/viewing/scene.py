@@ -9,8 +9,9 @@ import numpy as np
 import pyarrow.compute as pc
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.folder import Run
-from angler_mjx.world import currents, store
+from angler_mjx.storage import environments as store
+from angler_mjx.storage.folder import Run
+from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
 
 

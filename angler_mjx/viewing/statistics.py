@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from angler_mjx.runs.results import OUTCOMES, rates
+from angler_mjx.storage.results import OUTCOMES, rates
 from angler_mjx.viewing import style
 
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from angler_kernels.bit_grid import everywhere, population, unpack
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.difficulty import line_is_free, shortest_ways
-from angler_mjx.world.obstacle_explicit import explicit_rows
+from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.placement import cell_centres, cell_of, obstacle_gap, passable_cells, place
 from angler_mjx.world.rules import draw_cells
 

@@ -18,8 +18,8 @@ from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import ConfigError
 from angler_mjx.world.config import WorldRecipe
-from angler_mjx.world.obstacle_explicit import explicit_rows
 from angler_mjx.world.obstacles import STATIC, Obstacles
+from angler_mjx.world.obstacles.explicit import explicit_rows
 
 # Corner c is (bit 0 -> x, bit 1 -> y, bit 2 -> z). The first four are pairwise face diagonals and
 # go to the other four, so up to four robots share no corner at all.

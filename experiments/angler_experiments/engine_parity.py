@@ -18,9 +18,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from angler_mjx.runs.scenario import Scenario, load_scenario
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
+from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.vehicles import library
 
 type Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ import tyro
 
 from angler_mjx.control.joint_goal import JointGoal, JointPoint
 from angler_mjx.interop import joint_trajectory_file
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = "sitl_formation"
 MOVE_S, HOLD_S, STEP_S = 60.0, 10.0, 4.0

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from angler_mjx.runs.folder import Run
+from angler_mjx.storage.folder import Run
 from angler_mjx.storage.layout import ESTIMATE
 
 

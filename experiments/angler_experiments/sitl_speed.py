@@ -15,13 +15,14 @@ from pathlib import Path
 
 import tyro
 
-from angler_mjx.runs.scenario import Scenario, load_scenario
+from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.vehicles import library
-from angler_sitl import binary, motion, parameters
-from angler_sitl.lockstep import LockStep, Spent
-from angler_sitl.ports import Ports, allocate
-from angler_sitl.process import Instance, Launch, kill_all
-from angler_sitl.scene import Scene
+from angler_sitl.firmware import binary, parameters
+from angler_sitl.firmware.process import Instance, Launch, kill_all
+from angler_sitl.scene import motion
+from angler_sitl.scene.scene import Scene
+from angler_sitl.wire.lockstep import LockStep, Spent
+from angler_sitl.wire.ports import Ports, allocate
 
 BOOT_S = 6.0
 """Simulated time until the autopilots have booted and their filters run."""

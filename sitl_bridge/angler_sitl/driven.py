@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop.opening import Opened, Opener, Tell
-from angler_sitl.ground_station import GroundStation
-from angler_sitl.parameters import Level, Source
+from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.session import SitlSession
+from angler_sitl.wire.ground_station import GroundStation
 
 
 def opener(*, level: Level, source: Source, gcs: str | None, binary: Path | None) -> Opener:

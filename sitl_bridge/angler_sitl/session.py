@@ -16,7 +16,7 @@ import numpy as np
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.batch import POINTS, START_TOLERANCE, WAY_BACK, Inside
 from angler_mjx.session.checks import Limits, Place
@@ -30,16 +30,16 @@ from angler_mjx.session.interface import (
 from angler_mjx.session.rejoin import Ways
 from angler_mjx.sim.state import World
 from angler_mjx.vehicles import library
-from angler_sitl import binary as binaries
-from angler_sitl import levels
-from angler_sitl import parameters as firmware
-from angler_sitl.choosing import scenario_of, speed_of
-from angler_sitl.helm import Helm
-from angler_sitl.levels import STICK_LEVELS
-from angler_sitl.parameters import Level, Source
-from angler_sitl.scene import Scene
-from angler_sitl.sight import Sight
+from angler_sitl.firmware import binary as binaries
+from angler_sitl.firmware import parameters as firmware
+from angler_sitl.firmware.parameters import Level, Source
+from angler_sitl.missions.choosing import scenario_of, speed_of
+from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.sight import Sight
 from angler_sitl.squad import Settings, Squad
+from angler_sitl.steering import levels
+from angler_sitl.steering.helm import Helm
+from angler_sitl.steering.levels import STICK_LEVELS
 
 
 class SitlSession:
@@ -68,7 +68,7 @@ class SitlSession:
         Args:
             scenario: the scenario, its name, or its file.
             world: which of its worlds.
-            level: where commands enter: see `angler_sitl.levels`.
+            level: where commands enter: see `angler_sitl.steering.levels`.
             source: where the autopilots' filters learn their position.
             estimate: what our own controllers and checks go by: the autopilots' filters, or the
                 truth.

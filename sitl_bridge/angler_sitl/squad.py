@@ -12,19 +12,26 @@ from typing import Literal, Self
 
 from angler_mjx.session.interface import RobotInfo
 from angler_mjx.vehicles import library
-from angler_sitl import calling, sticks
-from angler_sitl import parameters as firmware
-from angler_sitl import ports as sockets
-from angler_sitl.binary import Binary
-from angler_sitl.boot import Place, Ready, boot
-from angler_sitl.levels import MODES
-from angler_sitl.lockstep import LockStep
-from angler_sitl.navigation import Navigation
-from angler_sitl.parameters import Level, Source
-from angler_sitl.pilot import Motion, Pilot, motion_of
-from angler_sitl.process import HOME_LAT_DEG, HOME_LON_DEG, Instance, Launch, kill_all
-from angler_sitl.scene import Scene
-from angler_sitl.tlog import NAME, Telemetry
+from angler_sitl.firmware import parameters as firmware
+from angler_sitl.firmware.binary import Binary
+from angler_sitl.firmware.boot import Place, Ready, boot
+from angler_sitl.firmware.parameters import Level, Source
+from angler_sitl.firmware.process import (
+    HOME_LAT_DEG,
+    HOME_LON_DEG,
+    Instance,
+    Launch,
+    kill_all,
+)
+from angler_sitl.scene.scene import Scene
+from angler_sitl.steering import sticks
+from angler_sitl.steering.levels import MODES
+from angler_sitl.steering.navigation import Navigation
+from angler_sitl.steering.pilot import Motion, Pilot, motion_of
+from angler_sitl.wire import calling
+from angler_sitl.wire import ports as sockets
+from angler_sitl.wire.lockstep import LockStep
+from angler_sitl.wire.tlog import NAME, Telemetry
 
 FIX_AGE_S = 0.03
 """How old external navigation is when it is sent. The firmware takes it for so much older than when

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.errors import AnglerError
-from angler_sitl import binary
-from angler_sitl.binary import Binary
-from angler_sitl.ports import allocate
+from angler_sitl.firmware import binary
+from angler_sitl.firmware.binary import Binary
+from angler_sitl.wire.ports import allocate
 
 STAND_IN = Path(__file__).parent / "stand_in.py"
 

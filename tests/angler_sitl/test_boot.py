@@ -7,12 +7,17 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_sitl import boot as booting
-from angler_sitl.boot import Place, boot
-from angler_sitl.lockstep import LockStep
-from angler_sitl.pilot import Fix, Pilot, mode_name, motion_of
-from angler_sitl.ports import allocate
-from angler_sitl.process import Instance, Launch, kill_all
+from angler_sitl.firmware import boot as booting
+from angler_sitl.firmware.boot import Place, boot
+from angler_sitl.firmware.process import Instance, Launch, kill_all
+from angler_sitl.steering.pilot import (
+    Fix,
+    Pilot,
+    mode_name,
+    motion_of,
+)
+from angler_sitl.wire.lockstep import LockStep
+from angler_sitl.wire.ports import allocate
 
 HOME = Place(lat_deg=47.6, lon_deg=-122.3)
 STEP_S, PERIOD = 1 / 100, 5

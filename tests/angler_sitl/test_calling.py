@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_sitl import calling, packets, sockets
-from angler_sitl.binary import Binary
-from angler_sitl.process import Instance, Launch, kill_all
+from angler_sitl.firmware import sockets
+from angler_sitl.firmware.binary import Binary
+from angler_sitl.firmware.process import Instance, Launch, kill_all
+from angler_sitl.wire import calling, packets
 
 
 @contextmanager

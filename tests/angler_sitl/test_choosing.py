@@ -3,8 +3,8 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import load_scenario
-from angler_sitl.choosing import scenario_of
+from angler_mjx.scenario.scenario import load_scenario
+from angler_sitl.missions.choosing import scenario_of
 
 
 def test_fewer_robots_take_the_first_places():

@@ -12,8 +12,8 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.vehicles.library import available
-from angler_sitl import binary, sockets
-from angler_sitl.doctor import examine
+from angler_sitl.firmware import binary, sockets
+from angler_sitl.firmware.doctor import examine
 
 
 def rows(path=None):

@@ -14,8 +14,8 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
-from angler_sitl import binary, install
-from angler_sitl.probe import Findings
+from angler_sitl.firmware import binary, install
+from angler_sitl.firmware.probe import Findings
 
 from .file_server import Server
 

@@ -15,8 +15,9 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.session.interface import RobotInfo
 from angler_mjx.sim.state import SimSpec
-from angler_sitl import levels, messages, sticks
-from angler_sitl.parameters import LEVELS
+from angler_sitl.firmware.parameters import LEVELS
+from angler_sitl.steering import levels, sticks
+from angler_sitl.wire import messages
 
 DT = 0.05
 

@@ -9,9 +9,9 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 from scipy.spatial.transform import Rotation
 
-from angler_sitl import messages
-from angler_sitl.link import Link
-from angler_sitl.tlog import Telemetry
+from angler_sitl.wire import messages
+from angler_sitl.wire.link import Link
+from angler_sitl.wire.tlog import Telemetry
 
 LOOPBACK = "127.0.0.1"
 

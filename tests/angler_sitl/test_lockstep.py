@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_sitl import lockstep, process
-from angler_sitl.lockstep import LockStep
-from angler_sitl.packets import STATE_NUMBERS
-from angler_sitl.ports import allocate
-from angler_sitl.scene import States
+from angler_sitl.firmware import process
+from angler_sitl.scene.scene import States
+from angler_sitl.wire import lockstep
+from angler_sitl.wire.lockstep import LockStep
+from angler_sitl.wire.packets import STATE_NUMBERS
+from angler_sitl.wire.ports import allocate
 
 DT_S = 1 / 400
 

@@ -20,11 +20,11 @@ from angler_mjx.cli.main import main
 from angler_mjx.control.joint_goal import JointGoal, JointPoint
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.interop import joint_trajectory_file, mcap
-from angler_mjx.runs.folder import Run
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.storage.folder import Run
 from angler_mjx.teleop import driving, opening
-from angler_sitl import mission
-from angler_sitl.mission import Settings
+from angler_sitl.missions import mission
+from angler_sitl.missions.mission import Settings
 from angler_sitl.session import SitlSession
 
 SCENARIO = """

@@ -4,7 +4,7 @@ import struct
 import pytest
 
 from angler_mjx.errors import RunError
-from angler_sitl import packets
+from angler_sitl.wire import packets
 
 PULSES = tuple(range(1500, 1516))
 

@@ -9,9 +9,15 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.tuning import gain_files
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.library import available, load
-from angler_sitl import parameters, probe
-from angler_sitl.airframe import FACTORS, frame_of
-from angler_sitl.parameters import LEVELS, SOURCES, differences, for_vehicle, reason
+from angler_sitl.firmware import parameters, probe
+from angler_sitl.firmware.airframe import FACTORS, frame_of
+from angler_sitl.firmware.parameters import (
+    LEVELS,
+    SOURCES,
+    differences,
+    for_vehicle,
+    reason,
+)
 
 HEAVY = load("bluerov2_heavy")
 

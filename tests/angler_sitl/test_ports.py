@@ -7,7 +7,7 @@ import socket
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_sitl.ports import allocate, number
+from angler_sitl.wire.ports import allocate, number
 
 
 def sockets_of(ports):

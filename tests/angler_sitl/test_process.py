@@ -10,10 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from angler_sitl import process, sockets
-from angler_sitl.binary import Binary
-from angler_sitl.ports import allocate
-from angler_sitl.process import Instance, Launch, kill_all
+from angler_sitl.firmware import process, sockets
+from angler_sitl.firmware.binary import Binary
+from angler_sitl.firmware.process import Instance, Launch, kill_all
+from angler_sitl.wire.ports import allocate
 
 STATE = (
     '\n{{"timestamp":{:.4f},"imu":{{"gyro":[0,0,0],"accel_body":[0,0,-9.81]}},"position":[0,0,0],'
@@ -133,9 +133,9 @@ def test_nothing_outlives_a_program_that_is_killed(stand_in, tmp_path):
     script = (
         "import os, sys, time\n"
         "from pathlib import Path\n"
-        "from angler_sitl.binary import Binary\n"
-        "from angler_sitl.ports import allocate\n"
-        "from angler_sitl.process import Instance, Launch\n"
+        "from angler_sitl.firmware.binary import Binary\n"
+        "from angler_sitl.wire.ports import allocate\n"
+        "from angler_sitl.firmware.process import Instance, Launch\n"
         "binary = Binary(path=Path(sys.argv[1]), version='', sha256='')\n"
         "for i, ports in enumerate(allocate(2)):\n"
         "    folder = Path(sys.argv[2]) / str(i)\n"

@@ -3,9 +3,9 @@ import pytest
 
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import Outcome
-from angler_sitl.scene import Scene
+from angler_sitl.scene.scene import Scene
 
 SCENARIO = {
     "name": "two_kinds",

@@ -17,7 +17,7 @@ from angler_mjx.teleop.loop import Driven
 from angler_mjx.teleop.recording import Recording
 from angler_mjx.testing import Bounds, check_session
 from angler_mjx.testing.driving import run, twist
-from angler_sitl.choosing import scenario_of
+from angler_sitl.missions.choosing import scenario_of
 from angler_sitl.session import SitlSession
 
 pytestmark = pytest.mark.sitl

@@ -16,15 +16,20 @@ import pyarrow as pa
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.control.laws.ardusub_gains import ArduSubGains
+from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.folder import EPISODES, SUMMARY, TRAJECTORIES, Run
 from angler_mjx.runs.rollout import rollout
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import World
+from angler_mjx.storage.folder import (
+    EPISODES,
+    SUMMARY,
+    TRAJECTORIES,
+    Run,
+)
 from angler_mjx.vehicles import library
-from angler_sitl import parameters, probe
+from angler_sitl.firmware import parameters, probe
 from angler_sitl.spotcheck import checking, flight, gaps, picking, scenes
 from angler_sitl.spotcheck.flight import Flight
 from angler_sitl.spotcheck.found import Settings

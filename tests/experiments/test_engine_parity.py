@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from angler_experiments import engine_parity
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 
 from angler_experiments.sitl_formation import MOVE_S, SCENARIO, goals, main, places
 from angler_mjx.interop import joint_trajectory_file
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from angler_kernels.clearance.neighbours import (
     neighbour_window,
     point_neighbours,
 )
-from angler_kernels.clearance.reference import (
+from angler_kernels.clearance.shapes import (
     BOX,
     CAPSULE,
     SPHERE,

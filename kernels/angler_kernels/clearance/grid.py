@@ -8,7 +8,7 @@ cell that it would have held.
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.clearance.reference import point_box, segment_box
+from angler_kernels.clearance.shapes import point_box, segment_box
 
 
 def capsules_grid(

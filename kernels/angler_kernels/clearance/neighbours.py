@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.clearance.reference import Line, point_box, segment_point
+from angler_kernels.clearance.shapes import Line, point_box, segment_point
 
 type Scalars = Sequence[jax.Array]
 

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.folder import Run
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim.state import World
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage.folder import Run
 from angler_mjx.vehicles import library
-from angler_sitl import binary as binaries
-from angler_sitl import parameters as firmware
-from angler_sitl.choosing import speed_of
+from angler_sitl.firmware import binary as binaries
+from angler_sitl.firmware import parameters as firmware
+from angler_sitl.missions.choosing import speed_of
 from angler_sitl.spotcheck import flight, flying, folder, page, picking, scenes
 from angler_sitl.spotcheck.flight import RECORDED
 from angler_sitl.spotcheck.flying import Flyer

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from angler_mjx.runs.results import OUTCOMES
+from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing import style
 from angler_sitl.spotcheck.flight import RECORDED, Flight
 from angler_sitl.spotcheck.found import Found

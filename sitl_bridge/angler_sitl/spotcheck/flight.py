@@ -17,11 +17,11 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.atomic import replacing
-from angler_mjx.runs import harvest, results
-from angler_mjx.runs.folder import Run
-from angler_mjx.runs.harvest import FinishedTile
 from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.storage import harvest, results
+from angler_mjx.storage.atomic import replacing
+from angler_mjx.storage.folder import Run
+from angler_mjx.storage.harvest import FinishedTile
 
 type Floats = NDArray[np.floating[Any]]
 

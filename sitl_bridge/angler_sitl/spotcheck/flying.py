@@ -9,11 +9,11 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import ControllerConfig, Scenario
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.scenario.scenario import ControllerConfig, Scenario
 from angler_mjx.sim.state import Outcome, Sample, World
-from angler_sitl.choosing import scenario_of
-from angler_sitl.parameters import Source
+from angler_mjx.simulator.simulator import Simulator
+from angler_sitl.firmware.parameters import Source
+from angler_sitl.missions.choosing import scenario_of
 from angler_sitl.session import SitlSession
 from angler_sitl.spotcheck import flight
 from angler_sitl.spotcheck.flight import Flight

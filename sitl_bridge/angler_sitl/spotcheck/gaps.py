@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.runs.results import wilson
+from angler_mjx.storage.results import wilson
 from angler_sitl.spotcheck.flight import Flight, Floats
 
 

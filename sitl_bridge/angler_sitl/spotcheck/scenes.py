@@ -8,11 +8,11 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs.folder import Run
-from angler_mjx.runs.scenario import Scenario
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_mjx.world import store
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage import environments as store
+from angler_mjx.storage.folder import Run
 
 TOLERANCE = 1e-3
 """Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind

@@ -8,7 +8,7 @@ import pytest
 
 from angler_mjx.cli.main import COMMANDS, GROUPS, main
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.folder import Run
+from angler_mjx.storage.folder import Run
 
 
 def run(*arguments):

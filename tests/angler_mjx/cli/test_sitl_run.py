@@ -4,9 +4,9 @@ import os
 
 import pytest
 
-from angler_mjx.cli import sitl_run
 from angler_mjx.cli.main import main
-from angler_sitl import parameters
+from angler_mjx.cli.sitl import run as sitl_run
+from angler_sitl.firmware import parameters
 
 SCENARIO = """
 schema_version = 1

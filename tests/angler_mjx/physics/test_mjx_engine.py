@@ -124,8 +124,8 @@ def test_only_single_free_bodies_are_taken():
 def test_mjx_is_loaded_by_those_who_compute_with_it_alone():
     script = (
         "import sys\n"
-        "from angler_mjx.runs.scenario import load_scenario\n"
-        "from angler_mjx.runs.simulator import Simulator\n"
+        "from angler_mjx.scenario.scenario import load_scenario\n"
+        "from angler_mjx.simulator.simulator import Simulator\n"
         "engine = {'engine': 'fused', 'tile': 1}\n"
         "Simulator(load_scenario('open_water_current').model_copy(update=engine))\n"
         "sys.exit('mujoco.mjx' in sys.modules)\n"

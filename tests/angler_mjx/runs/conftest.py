@@ -2,7 +2,7 @@
 
 import pytest
 
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = """
 schema_version = 1

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.runs.folder import Run, partial_path
+from angler_mjx.storage.folder import Run, partial_path
 
 SCENARIO = """
 schema_version = 1

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from angler_mjx.runs.simulator import Simulator
+from angler_mjx.simulator.simulator import Simulator
 
 
 def test_a_world_made_alone_is_that_of_a_tile(scenario):

@@ -5,11 +5,16 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.runs import recorder, shards
-from angler_mjx.runs.harvest import Constants, End, FinishedTile, arrays
-from angler_mjx.runs.recorder import Recorder, Shape
 from angler_mjx.sim.state import Sample
-from angler_mjx.world import store
+from angler_mjx.storage import environments as store
+from angler_mjx.storage import recorder, shards
+from angler_mjx.storage.harvest import (
+    Constants,
+    End,
+    FinishedTile,
+    arrays,
+)
+from angler_mjx.storage.recorder import Recorder, Shape
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
 

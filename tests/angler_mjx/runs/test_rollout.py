@@ -12,13 +12,13 @@ import pytest
 import zarr
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.folder import partial_path
 from angler_mjx.runs.progress import Silent
-from angler_mjx.runs.results import EPISODE_SCHEMA, OUTCOMES
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.runs.simulator import Simulator
 from angler_mjx.sim import episode
 from angler_mjx.sim.state import Outcome
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage.folder import partial_path
+from angler_mjx.storage.results import EPISODE_SCHEMA, OUTCOMES
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped
 
 
 @pytest.mark.parametrize(

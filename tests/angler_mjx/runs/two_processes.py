@@ -10,7 +10,7 @@ import sys
 import jax
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs import team
+from angler_mjx.runs import processes as team
 
 
 def main(port, index, then):

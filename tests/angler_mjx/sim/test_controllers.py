@@ -16,17 +16,18 @@ from angler_mjx.control import stack, stages
 from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.control.joint_trajectory import from_path
 from angler_mjx.control.laws.targets import as_tracking
-from angler_mjx.errors import ConfigError
-from angler_mjx.sim import lane_steps, robot
-from angler_mjx.sim.fused import FusedEngine
-from angler_mjx.sim.fused_layout import (
+from angler_mjx.engines.lanes import steps as lane_steps
+from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.lanes.layout import (
     moving_of,
     scene_of,
     spread_out,
     to_arrays,
     to_lanes,
 )
-from angler_mjx.sim.fused_triton import TritonEngine
+from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim import robot
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world import currents
 

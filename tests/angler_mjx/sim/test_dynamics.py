@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.engines import dynamics
+from angler_mjx.engines.triton import launch as triton
 from angler_mjx.errors import RunError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import dynamics, triton
 from angler_mjx.vehicles import library, params
 
 STEPS = 100

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.sim.engines import by_name, default_kernels
-from angler_mjx.sim.fused import FusedEngine
-from angler_mjx.sim.fused_triton import TritonEngine
+from angler_mjx.engines.base import by_name, default_kernels
+from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Touched
 
 from ..compiling import quickly

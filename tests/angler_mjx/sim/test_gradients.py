@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.sim.gradients import tracking_cost
+from angler_mjx.engines.gradients import tracking_cost
 
 from ..compiling import quickly
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from angler_kernels import lanes
-from angler_mjx.sim import pair_search
-from angler_mjx.sim.lane_search import (
+from angler_mjx.engines.lanes import pairs as pair_search
+from angler_mjx.engines.lanes.search import (
     GROUP,
     SLOTS,
     Met,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_kernels import lanes
-from angler_mjx.sim.planes import TABLE_FROM, Layout, is_table
+from angler_kernels.lanes.planes import TABLE_FROM, Layout, is_table
 
 W, R = 5, 3
 

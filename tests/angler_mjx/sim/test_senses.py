@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from angler_mjx.control import stages
-from angler_mjx.runs import crews
+from angler_mjx.engines.base import MjxEngine
+from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.scenario import crews
 from angler_mjx.sensing.config import SensorsConfig
-from angler_mjx.sim.engines import MjxEngine
-from angler_mjx.sim.fused import FusedEngine
-from angler_mjx.sim.fused_triton import TritonEngine
 from angler_mjx.world.grid import Grid, height_above_bottom
 
 from ..compiling import quickly

@@ -10,9 +10,9 @@ from angler_mjx.cli.main import main
 from angler_mjx.cli.teleop import teleop
 from angler_mjx.errors import ConfigError, RunError, UnsupportedError
 from angler_mjx.interop import mcap
-from angler_mjx.runs.folder import Run, reopen
-from angler_mjx.runs.scenario import load_scenario
+from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
+from angler_mjx.storage.folder import Run, reopen
 from angler_mjx.teleop import live_view, opening
 from angler_mjx.teleop.driving import Settings, run
 from angler_mjx.teleop.loop import drive

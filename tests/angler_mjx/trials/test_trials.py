@@ -11,8 +11,8 @@ import pytest
 
 from angler_mjx.cli import main
 from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.engines import free_flight
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim import free_flight
 from angler_mjx.trials import courses, document, draws, eight, figures, kinds, listing, steps
 from angler_mjx.trials.kinds import Kind
 from angler_mjx.trials.trial import Trial, misses_of_eight, misses_of_step

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.sim.free_flight import Flight
+from angler_mjx.engines.free_flight import Flight
 from angler_mjx.trials import kinds
 from angler_mjx.tuning import measures, objectives
 from angler_mjx.tuning.measures import LEVER_M, Measures, Reference

@@ -8,9 +8,9 @@ import pytest
 
 from angler_mjx.cli import main
 from angler_mjx.control import stages
-from angler_mjx.control.laws.ardusub_gains import ArduSubGains
+from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario, shipped
 from angler_mjx.tuning import (
     figures,
     flights,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.runs.folder import REPLAY
+from angler_mjx.storage.folder import REPLAY
 from angler_mjx.viewing import replay
 
 rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")

@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 from matplotlib.patches import Rectangle
 
-from angler_mjx.runs.results import OUTCOMES, wilson
+from angler_mjx.storage.results import OUTCOMES, wilson
 from angler_mjx.viewing import statistics, style
 
 KINDS = (("bluerov2", "blue_gazebo"), ("bluerov2_heavy", "wu2018"))

@@ -10,9 +10,10 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
-from angler_mjx.world import currents, obstacle_bodies, obstacles
+from angler_mjx.world import currents, obstacles
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.obstacle_explicit import explicit_rows
+from angler_mjx.world.obstacles import bodies as obstacle_bodies
+from angler_mjx.world.obstacles.explicit import explicit_rows
 
 RHO, G = 1025.0, 9.81
 LO, HI = np.array([-12.0, -12.0, -26.0]), np.array([12.0, 12.0, 2.0])

@@ -10,7 +10,7 @@ import zarr
 from angler_mjx.cli import env
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.files import parse
-from angler_mjx.world import store
+from angler_mjx.storage import environments as store
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
 

@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.laws import ardusub, ardusub_mixer, ardusub_pid
+from angler_mjx.control.laws.ardusub import law as ardusub
+from angler_mjx.control.laws.ardusub import mixer as ardusub_mixer
+from angler_mjx.control.laws.ardusub import pid as ardusub_pid
 
 DT = 0.05
 # Motors 1 to 8 of vectored_6dof: roll, pitch, yaw, throttle, forward, lateral, in FRD.

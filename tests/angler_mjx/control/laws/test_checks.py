@@ -6,7 +6,6 @@ import pytest
 
 from angler_mjx.control.laws import (
     aitsm,
-    ardusub,
     computed_torque,
     ismc,
     los,
@@ -14,6 +13,7 @@ from angler_mjx.control.laws import (
     pid_velocity,
     tracking,
 )
+from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.errors import ConfigError
 
 LAWS = [

@@ -11,7 +11,6 @@ from angler_kernels import lanes
 from angler_mjx.control.commands import BodyTwist, BodyWrench
 from angler_mjx.control.laws import (
     aitsm,
-    ardusub,
     computed_torque,
     ismc,
     los,
@@ -19,6 +18,7 @@ from angler_mjx.control.laws import (
     pid_velocity,
     tracking,
 )
+from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.vehicles import library, params
 

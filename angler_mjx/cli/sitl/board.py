@@ -1,0 +1,112 @@
+"""How the robots of a flight stand, on stderr: a live table, or lines where no terminal is."""
+
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from angler_mjx.errors import RunError
+from angler_mjx.session.interface import Observation
+from angler_mjx.teleop.loop import Watcher
+from angler_sitl.missions import standing
+from angler_sitl.missions.standing import Standing
+from angler_sitl.session import SitlSession
+
+PAINT_S = 0.25
+"""From one table to the next, by the wall clock."""
+LINES_S = 10.0
+"""From one set of lines to the next, in seconds of the scene."""
+
+
+def board(session: SitlSession) -> AbstractContextManager[Watcher]:
+    """What suits the place that stderr goes to."""
+    console = Console(stderr=True)
+    return _Table(session, console) if console.is_terminal else _Lines(session, console)
+
+
+class _Table:
+    """A live table; the last one stays."""
+
+    def __init__(self, session: SitlSession, console: Console) -> None:
+        self._session, self._latest = session, session.observe()
+        self._live = Live(console=console, auto_refresh=False)
+        self._painted = 0.0
+
+    def __enter__(self) -> Self:
+        self._live.start()
+        self._paint()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(RunError):  # where a crash took the autopilots away
+            self._paint()
+        self._live.stop()
+
+    def after(self, observation: Observation) -> None:
+        """See `Watcher`."""
+        self._latest = observation
+        if time.perf_counter() - self._painted >= PAINT_S:
+            self._paint()
+
+    def _paint(self) -> None:
+        self._painted = time.perf_counter()
+        rows = standing.look(self._session, self._latest)
+        self._live.update(table(self._latest.time_s, rows), refresh=True)
+
+
+class _Lines:
+    """Lines, for a file or a pipe."""
+
+    def __init__(self, session: SitlSession, console: Console) -> None:
+        self._session, self._console, self._due_s = session, console, 0.0
+
+    def __enter__(self) -> Self:
+        self.after(self._session.observe())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+    def after(self, observation: Observation) -> None:
+        """See `Watcher`."""
+        # A thousandth of a second: times are sums in floating point.
+        if observation.time_s < self._due_s - 1e-3:
+            return
+        self._due_s += LINES_S
+        for row in standing.look(self._session, observation):
+            line = f"{observation.time_s:7.2f} s  {row.line()}"
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+def table(time_s: float, rows: Sequence[Standing]) -> Table:
+    """All robots at one time."""
+    made = Table(title=f"{time_s:.2f} s", title_justify="left")
+    for name in ("robot", "mode", "armed", "EKF", "off m", "clear m", "outcome", "remark"):
+        made.add_column(name, justify="right" if name.endswith(" m") else "left")
+    for row in rows:
+        made.add_row(
+            row.name,
+            row.mode,
+            "armed" if row.armed else "[red]no",
+            "good" if row.located else "[red]bad",
+            f"{row.off_m:.2f}",
+            f"{row.clearance_m:.2f}",
+            row.outcome,
+            row.remark.replace("[", r"\["),
+        )
+    return made

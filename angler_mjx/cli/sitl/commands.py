@@ -1,0 +1,107 @@
+"""`angler sitl`: real ArduSub processes. Getting one, and looking whether it runs here."""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from angler_mjx.errors import ConfigError, UnsupportedError
+
+
+def install(
+    from_: Annotated[Path | None, tyro.conf.arg(name="from")] = None,
+    url: str | None = None,
+    version: str = "stable-4.5.3",
+    sha256: str | None = None,
+) -> None:
+    """Put an ArduSub SITL into the cache folder, where all commands find it.
+
+    It is fetched from ArduPilot's server, or taken from a file where there is no network. A broken
+    transfer goes on when the command is run again.
+
+    Args:
+        from_: Take this file and use no network.
+        url: Fetch it from here and not from ArduPilot's server.
+        version: Which official build: stable-4.5.3, latest, ...
+        sha256: Refuse it unless its checksum is this one.
+    """
+    need_extra()
+    if from_ is not None and url is not None:
+        raise ConfigError("--from and --url: give one of them")
+    from angler_sitl.firmware import install as installing
+
+    if from_ is not None:
+        done = installing.from_file(from_.expanduser(), checksum=sha256)
+    else:
+        with _Bar() as bar:
+            done = installing.from_network(version, url, bar.tell, checksum=sha256)
+    print(f"ArduSub {done.version}, sha256 {done.sha256}", file=sys.stderr)
+    print(done.path)
+
+
+def doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
+    """Look whether real autopilots can be run here, in one table.
+
+    Args:
+        ardusub: The ArduSub to look at; else ANGLER_ARDUSUB, else the installed one.
+        isolate: Do it in a network namespace, where no socket can be reached from outside.
+    """
+    need_extra()
+    if isolate:
+        from angler_sitl.firmware import isolation
+
+        isolation.isolate()
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_sitl.firmware.doctor import examine
+
+    table = Table("", "looked at")
+    # Folded: a checksum cut short is of no use.
+    table.add_column("found", overflow="fold")
+    marks = {True: "[green]good", False: "[red]fault", None: "[yellow]note"}
+    faults = []
+    with Console(stderr=True).status("looking"):
+        for check in examine(ardusub):
+            table.add_row(marks[check.good], check.name, check.text)
+            if check.good is False:
+                faults.append(check.name)
+    Console().print(table)
+    if faults:
+        raise ConfigError(f"at fault: {', '.join(faults)}; see the table")
+
+
+def need_extra() -> None:
+    """Refuse to go on without pymavlink.
+
+    Raises:
+        UnsupportedError: it is not installed.
+    """
+    if find_spec("pymavlink") is None:
+        raise UnsupportedError("real autopilots need pymavlink: pip install 'angler-mjx[sitl]'")
+
+
+class _Bar:
+    """Progress of a transfer on stderr."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
+
+        self._bar = Progress(
+            BarColumn(), DownloadColumn(), TransferSpeedColumn(), console=Console(stderr=True)
+        )
+        self._task = self._bar.add_task("ardusub", total=None)
+
+    def __enter__(self) -> "_Bar":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self._bar.stop()
+
+    def tell(self, here: int, total: int | None) -> None:
+        """See `angler_sitl.firmware.fetch.Tell`."""
+        self._bar.update(self._task, completed=here, total=total)

@@ -1,0 +1,137 @@
+"""`angler sitl run`: a scenario on real ArduSub processes, from plan to run folder."""
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from angler_mjx.cli.device import Device, choose, keep_all_programs
+from angler_mjx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from angler_mjx.teleop.opening import Opener
+    from angler_sitl.missions.flight import Flight
+
+type Level = Literal["thrusters", "guided", "poshold", "althold", "manual"]
+type Source = Literal["vision", "vicon", "gps"]
+
+_INTERRUPTED = 130
+
+
+def run(
+    scenario: Annotated[str, tyro.conf.Positional],
+    robots: int | None = None,
+    world: int = 0,
+    seed: int | None = None,
+    level: Level = "guided",
+    plan: tuple[str, ...] = ("grid",),
+    source: Source = "vision",
+    speed: Literal["max"] | float = "max",
+    duration: float | None = None,
+    out: Path | None = None,
+    on_crash: Literal["end", "hold"] = "end",
+    gcs: str | None = None,
+    isolate: bool = False,
+    ardusub: Path | None = None,
+    parameters: Path | None = None,
+    device: Device = "cpu",
+) -> None:
+    """Fly a world of a scenario on real ArduSub processes, and write a run folder.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        robots: Number of robots, the first of the scenario's; more of its last kind if it has
+            fewer.
+        world: Index of the world.
+        seed: Seed of the run; the scenario's if left out.
+        level: What is sent. thrusters: signals of our own controllers; guided: targets for
+            ArduSub's. The others are driven by hand: angler teleop --session sitl.
+        plan: grid for the planner's paths, or JSON files of JointTrajectories: one with all robots
+            or one for each. Robots in none of them follow the planner's path.
+        source: Where ArduSub learns its position.
+        speed: Times real time at most.
+        duration: Seconds of the scene, whoever has ended; until all robots have ended or the
+            horizon if left out.
+        out: Run folder to make; runs/NAME-sitl if left out.
+        on_crash: Whether the loss of one ArduSub ends the run, or the others go on.
+        gcs: A ground station that may join, as in udp:127.0.0.1:14550.
+        isolate: Do it in a network namespace, where no socket can be reached from outside.
+        ardusub: The ArduSub to run; else ANGLER_ARDUSUB, else the installed one.
+        parameters: File with parameters of ArduSub, as angler tune and MAVProxy write them, for all
+            robots.
+        device: Where to compute.
+    """
+    prepare(isolate=isolate, gcs=gcs)
+    choose(device)
+    keep_all_programs()
+    from angler_mjx.cli.sitl.board import board
+    from angler_mjx.scenario.scenario import load_scenario
+    from angler_sitl.missions import mission
+    from angler_sitl.missions.choosing import scenario_of
+    from angler_sitl.scene import motion
+
+    motion.compute_inline()
+    loaded = load_scenario(scenario, **({} if seed is None else {"seed": seed}))
+    chosen = scenario_of(loaded, robots)
+    settings = mission.Settings(
+        out=out or Path("runs") / f"{chosen.name}-sitl",
+        world=world,
+        level=level,
+        source=source,
+        plan=plan,
+        speed=speed,
+        on_crash=on_crash,
+        duration_s=duration,
+        gcs=gcs,
+        binary=ardusub,
+        parameters=parameters,
+    )
+    flight, made = mission.run(chosen, settings, partial(print, file=sys.stderr), board)
+    _report(flight)
+    print(made.path)
+    if flight.by_signal:
+        print("angler: interrupted; what was flown until then is kept", file=sys.stderr)
+        sys.exit(_INTERRUPTED)
+
+
+def prepare(*, isolate: bool, gcs: str | None) -> None:
+    """Look whether there is what real autopilots need, and shut the network out if asked to.
+
+    Call it before anything is loaded that starts threads: see `angler_sitl.firmware.isolation`.
+
+    Raises:
+        ConfigError: a ground station is to join a network that nobody can join.
+        UnsupportedError: pymavlink is not installed, or the system gives no network namespace.
+    """
+    from angler_mjx.cli.sitl.commands import need_extra
+
+    need_extra()
+    if not isolate:
+        return
+    if gcs is not None:
+        raise ConfigError(f"--gcs {gcs}: with --isolate nobody can join; leave out one of them")
+    from angler_sitl.firmware import isolation
+
+    isolation.isolate()
+
+
+def opener(*, level: Level, source: Source, gcs: str | None, ardusub: Path | None) -> "Opener":
+    """Opens real autopilots for `angler teleop`; arguments as of `run`."""
+    from angler_sitl.driven import opener as of_autopilots
+    from angler_sitl.scene import motion
+
+    motion.compute_inline()
+    return of_autopilots(level=level, source=source, gcs=gcs, binary=ardusub)
+
+
+def _report(flight: "Flight") -> None:
+    """How it went, in a line for all and a line for each robot."""
+    print(
+        f"{flight.scene_s:.2f} s of the scene in {flight.wall_s:.2f} s "
+        f"({flight.real_time:.1f} times real time)"
+    )
+    for i, status in enumerate(flight.last.status):
+        note = f", {status.note}" if status.note else ""
+        print(f"robot_{i}: {status.outcome.name.lower()}{note}")

@@ -1,0 +1,153 @@
+"""`angler spotcheck`: episodes of a batch run flown again by real ArduSub autopilots."""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Literal, Self
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from angler_mjx.cli.device import choose, keep_all_programs
+from angler_mjx.errors import ConfigError, UnsupportedError
+
+
+def spotcheck(
+    run: Annotated[Path, tyro.conf.Positional],
+    episodes: int = 8,
+    stratify: Literal["outcome", "none"] = "outcome",
+    against: tuple[Literal["surrogate", "cascade"], ...] = ("surrogate", "cascade"),
+    level: tuple[Literal["guided", "thrusters"], ...] = ("thrusters", "guided"),
+    robots: tuple[int, ...] = (),
+    source: Literal["vision", "vicon", "gps"] = "vision",
+    speed: str = "max",
+    seed: int = 0,
+    ardusub: Path | None = None,
+    out: Path | None = None,
+    resume: bool = False,
+    isolate: bool = False,
+) -> None:
+    """Fly episodes of a batch run again with real ArduSub autopilots, and report the gap.
+
+    Worlds are made again from the run's scenario and seed, and compared with what it recorded. The
+    same plans are flown at each level. The folder holds report.md with figures, gaps.csv, and every
+    flight.
+
+    Args:
+        run: Run folder of angler rollout, with trajectories.
+        episodes: How many worlds.
+        stratify: outcome draws worlds so that rare outcomes are there; none draws any.
+        against: Fly them again in the batch simulator too, with the surrogate of ArduSub, the
+            cascade, or both. What the run recorded is always compared.
+        level: Where commands enter the autopilots: at their thrusters, or as position targets.
+        robots: Fly the first so many robots of each world; several numbers are flown one after
+            another. All robots if left out.
+        source: Where the autopilots' filters learn their position.
+        speed: Times real time at most, or max.
+        seed: Of the draw of worlds.
+        ardusub: The ArduSub to run; else ANGLER_ARDUSUB, else the installed one.
+        out: Folder to make; RUN-spotcheck if left out.
+        resume: Go on with an interrupted spot check in the same folder, with the same arguments.
+        isolate: Do it in a network namespace, where no socket can be reached from outside.
+    """
+    if find_spec("pymavlink") is None:
+        raise UnsupportedError("real autopilots need pymavlink: pip install 'angler-mjx[sitl]'")
+    if isolate:
+        from angler_sitl.firmware import isolation
+
+        isolation.isolate()
+    choose(None)
+    keep_all_programs()
+    from angler_sitl.scene.motion import compute_inline
+    from angler_sitl.spotcheck import checking, page
+    from angler_sitl.spotcheck.found import Settings
+
+    compute_inline()
+    settings = Settings(
+        episodes=episodes,
+        stratify=stratify,
+        seed=seed,
+        against=tuple(dict.fromkeys(against)),
+        levels=tuple(dict.fromkeys(level)),
+        robots=robots,
+        source=source,
+        speed=_speed(speed),
+        binary=ardusub,
+    )
+    place = out or run.with_name(f"{run.resolve().name}-spotcheck")
+    with _Bar() as bar:
+        found = checking.check(run, settings, place, bar, resume=resume)
+    for name, count, reference, one in page.rows(found):
+        print(
+            f"{name}, {count} robots, against {reference}: {one.agree} of {one.robots} ended the "
+            f"same way; track {one.track_rms_m[0]:.2f} m, way {one.path_rms_m[0]:.2f} m (medians)"
+        )
+    print(place)
+    if not found.complete:
+        print("interrupted: go on with --resume", file=sys.stderr)
+        sys.exit(130)
+
+
+def _speed(text: str) -> Literal["max"] | float:
+    if text == "max":
+        return "max"
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"--speed {text}: give a positive number, or max") from None
+
+
+class _Bar:
+    """Flights done, and how far the one in the air is, on stderr."""
+
+    def __init__(self) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            MofNCompleteColumn(),
+            TextColumn("flights"),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+        )
+        self._all = self._bar.add_task("setting up", total=None)
+        self._done = 0.0
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def start(self, flights: int, done: int) -> None:
+        """See `angler_sitl.spotcheck.checking.Progress`."""
+        self._done = float(done)
+        self._bar.reset(self._all, total=flights, completed=done)
+
+    def doing(self, what: str) -> None:
+        """See `angler_sitl.spotcheck.checking.Progress`."""
+        self._bar.update(self._all, description=what)
+
+    def at(self, share: float) -> None:
+        """See `angler_sitl.spotcheck.checking.Progress`."""
+        self._bar.update(self._all, completed=self._done + share)
+
+    def flown(self) -> None:
+        """See `angler_sitl.spotcheck.checking.Progress`."""
+        self._done += 1.0
+        self._bar.update(self._all, completed=self._done)

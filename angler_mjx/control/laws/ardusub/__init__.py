@@ -1,0 +1,1 @@
+"""ArduSub's own control loops and mixer."""

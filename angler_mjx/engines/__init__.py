@@ -1,0 +1,1 @@
+"""The engines: each puts the phases of a control step together for tiles of worlds."""

@@ -1,0 +1,246 @@
+"""Worlds and their states as lanes, for the fused engine in plain JAX, and back as arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import clearance, lanes
+from angler_kernels.lanes.planes import is_table
+from angler_mjx.control.stack import ControlParams, Memory
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.engines.lanes import judge as lane_judge
+from angler_mjx.engines.lanes import steps as lane_steps
+from angler_mjx.engines.lanes.steps import Cells
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import episode
+from angler_mjx.sim.fleet import Fleet, Group
+from angler_mjx.sim.state import Senses, Tally, World, WorldState
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import Obstacles, ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """What changes from step to step of the robots of a group, as lanes."""
+
+    vehicle: VehicleState
+    carry: Memory
+    tally: Tally
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """What changes from step to step, as lanes."""
+
+    groups: tuple[Robots, ...]
+    obstacles: ObstacleState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What stays the same of the robots of a group, as lanes."""
+
+    group: Group
+    params: ControlParams
+    path: Trajectory
+    goal_m: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What stays the same during a segment, as lanes."""
+
+    groups: tuple[Given, ...]
+    current: Any
+    cells: Cells
+    shape: lane_steps.Shape
+    obstacles: Obstacles
+    reach: jax.Array
+    """Of the obstacles, [n_obstacle, W]."""
+    n_robot: int
+    n_obstacle: int
+
+
+def side_by_side(parts: Sequence[Any]) -> Any:
+    """Trees of lanes [n, W] of the groups as one, [R, W]."""
+
+    def one(*leaves: np.ndarray) -> np.ndarray:
+        out = np.empty_like(leaves[0])
+        for index in np.ndindex(*out.shape):
+            out[index] = jnp.concatenate([leaf[index] for leaf in leaves])
+        return out
+
+    return jax.tree.map(one, *parts)
+
+
+def of_group(tree: Any, group: Group) -> Any:
+    """The robots of a group of arrays [W, R, ...]."""
+    return jax.tree.map(lambda leaf: leaf[:, group.first : group.first + group.count], tree)
+
+
+def spread_out(elements: np.ndarray, like: jax.Array) -> np.ndarray:
+    """Object array whose lanes all have one shape."""
+    out = np.empty_like(elements)
+    for index in np.ndindex(*elements.shape):
+        out[index] = jnp.broadcast_to(elements[index], like.shape)
+    return out
+
+
+def to_lanes(tree: Any, lead: int) -> Any:
+    """Arrays [W, ...] with ``lead`` axes of lanes as object arrays, worlds last.
+
+    Long ones become tables.
+    """
+
+    def one(leaf: jax.Array) -> Any:
+        tail = leaf.shape[lead:]
+        if is_table(tail):
+            return _table(leaf, lead)
+        return lanes.split(jnp.swapaxes(leaf, 0, lead - 1), lead)
+
+    return jax.tree.map(one, tree)
+
+
+def _table(leaf: jax.Array, lead: int) -> lanes.Table:
+    """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]."""
+    tail = leaf.shape[lead:]
+    size = int(np.prod(tail))
+    flat = leaf.reshape(-1)
+    body = np.arange(leaf.size // size, dtype=np.int32).reshape(leaf.shape[:lead])
+    base = jnp.asarray(np.swapaxes(body, 0, lead - 1) * np.int32(size))
+
+    def load(place: Any) -> jax.Array:
+        return flat.at[place].get(mode="promise_in_bounds")
+
+    return lanes.Table(load, tail, leaf.dtype, base=base)
+
+
+def to_arrays(tree: Any, lead: int) -> Any:
+    """Object arrays of lanes [..., W] to arrays [W, ...]."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, lead - 1, 0), lanes.join(tree))
+
+
+def moving_of(fleet: Fleet, state: WorldState) -> Moving:
+    """The state of worlds as lanes."""
+
+    def of(group: Group) -> Robots:
+        robots = Robots(vehicle=state.vehicles, carry=state.carry, tally=state.tally)
+        lanes_of: Robots = to_lanes(of_group(robots, group), 2)
+        return lanes_of
+
+    return Moving(groups=tuple(map(of, fleet.groups)), obstacles=to_lanes(state.obstacles, 2))
+
+
+def vehicles_of(moving: Moving) -> VehicleState:
+    """Where all robots are, as arrays [W, R, ...]."""
+    vehicles: VehicleState = to_arrays(
+        side_by_side([robots.vehicle for robots in moving.groups]), 2
+    )
+    return vehicles
+
+
+def world_state(moving: Moving, step: jax.Array, senses: tuple[Senses | None, ...]) -> WorldState:
+    """The inverse of `moving_of`; ``step`` [W]."""
+    robots = to_arrays(side_by_side(moving.groups), 2)
+    return WorldState(
+        vehicles=robots.vehicle,
+        carry=robots.carry,
+        obstacles=to_arrays(moving.obstacles, 2),
+        tally=robots.tally,
+        step=step,
+        senses=senses,
+    )
+
+
+def grid_shape(environment: Environment) -> lane_steps.Shape:
+    """Cells along x, y and z of environments [W, ...]."""
+    nx, ny, nz = environment.grid.occupied.shape[1:]
+    return nx, ny, nz
+
+
+def packed_cells(worlds: World) -> jax.Array:
+    """`clearance.cell_neighbours` of worlds [W, ...], packed now if that was not done before."""
+    if worlds.cell_neighbours is not None:
+        return worlds.cell_neighbours
+    return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
+
+
+def scene_of(fleet: Fleet, worlds: World) -> Scene:
+    """Everything that stays the same, laid out as lanes."""
+    environment = worlds.environment
+
+    def given(group: Group) -> Given:
+        return Given(
+            group=group,
+            params=_params(fleet, group, worlds),
+            path=to_lanes(of_group(worlds.path, group), 2),
+            goal_m=to_lanes(of_group(environment.goal_m, group), 2),
+        )
+
+    obstacles = to_lanes(environment.obstacles, 2)
+    return Scene(
+        groups=tuple(map(given, fleet.groups)),
+        current=to_lanes(environment.current, 1),
+        cells=_cells(worlds),
+        shape=grid_shape(environment),
+        obstacles=obstacles,
+        reach=lane_judge.reach(obstacles),
+        n_robot=environment.start_m.shape[1],
+        n_obstacle=environment.obstacles.kind.shape[1] if environment.obstacles.kinds else 0,
+    )
+
+
+def _cells(worlds: World) -> Cells:
+    environment, neighbours = worlds.environment, packed_cells(worlds)
+    grid = environment.grid
+    lo, hi = jax.vmap(episode.region)(environment)
+    return Cells(
+        neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1),
+        origin_m=to_lanes(grid.origin_m, 1),
+        cell_m=to_lanes(grid.cell_m, 1),
+        floor_z_m=to_lanes(environment.floor_z_m, 1),
+        lo=to_lanes(lo, 1),
+        hi=to_lanes(hi, 1),
+    )
+
+
+def _params(fleet: Fleet, group: Group, worlds: World) -> ControlParams:
+    """Parameters of a group's robots; an element that no variant changes is one number for all."""
+    variant = jnp.swapaxes(of_group(worlds.variant, group), 0, 1)
+    leaves, tree = jax.tree.flatten(fleet.control)
+    possible = [
+        _parameter(leaf, letters, group.variant, variant)
+        for leaf, letters in zip(leaves, group.sameness, strict=True)
+    ]
+    params: ControlParams = jax.tree.unflatten(tree, possible)
+    cruise = to_lanes(of_group(worlds.control.cruise_speed_mps, group), 2)
+    return replace(params, cruise_speed_mps=cruise)
+
+
+def _parameter(leaf: jax.Array, letters: str, common: int, variant: jax.Array) -> Any:
+    """One leaf [n_variant, ...] of the parameters, by the variant of each robot of a group."""
+    tail = leaf.shape[1:]
+    flat = leaf.reshape(-1)
+
+    def load(place: Any) -> jax.Array:
+        return flat.at[place].get(mode="promise_in_bounds")
+
+    if is_table(tail):
+        chosen = variant if "v" in letters else common
+        base = chosen * np.int32(len(letters))
+        return lanes.Table(load, tail, leaf.dtype, base=base)
+    out = np.empty(len(letters), object)
+    for k, letter in enumerate(letters):
+        if letter == "z":
+            out[k] = np.zeros((), leaf.dtype)[()]
+        elif letter == "s":
+            out[k] = flat[common * len(letters) + k]
+        else:
+            out[k] = load(variant * np.int32(len(letters)) + k)
+    return out.reshape(tail)

@@ -1,0 +1,101 @@
+"""The search for the nearest shape, for the few pairs that need it: plain JAX's way.
+
+Of thousands of pairs of a robot and a shape a handful are near enough to matter. All pairs are
+looked at for that; those that are wanted are listed, and their distances worked out a chunk at a
+time. A kernel, whose lanes are few, does better with `lane_search.of_lanes`.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+from angler_mjx.engines.lanes.search import (
+    Exact,
+    Nearest,
+    Others,
+    Seeker,
+)
+
+CHUNK = 128
+"""Pairs whose distances are worked out at once: few cost as much as this many."""
+
+
+def pick(tree: Any, index: Any) -> Any:
+    """Lanes at an index of lanes [n, W]; what is the same for all, and tables, stay as they are."""
+
+    def one(leaf: Any) -> Any:
+        if isinstance(leaf, lanes.Table):
+            return leaf
+        whole = leaf.ravel()
+        items = [x.at[index].get(mode="promise_in_bounds") if np.ndim(x) == 2 else x for x in whole]
+        return lanes.pack(items, leaf.shape)
+
+    return jax.tree.map(one, tree)
+
+
+def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+    """See `lane_search.Search`; the lanes of ``me`` are [R, W].
+
+    ``others.load`` takes an index of lanes [n, W]: slices, or two arrays of whole numbers.
+    """
+    if others.count == 0:
+        return start
+    number = others.first + np.arange(others.count, dtype=np.int32)[:, None, None]
+    wanted = me.wants(others.load(np.s_[:, None]), number != myself)
+
+    def look(best: Nearest) -> Nearest:
+        gap, shape = _least(wanted, me, others, exact, best.gap)
+        found = shape >= 0
+        met = others.load((jnp.maximum(shape, 0), np.arange(shape.shape[1], dtype=np.int32)))
+        of_shape, fixed, v = exact(me, met)
+        return Nearest(
+            gap=jnp.where(found, _derived(gap, of_shape), best.gap),
+            index=jnp.where(found, others.first + shape, best.index),
+            fixed=jnp.where(found, fixed, best.fixed),
+            v=tuple(jnp.where(found, x, y) for x, y in zip(v, best.v, strict=True)),
+        )
+
+    nearest: Nearest = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, start)
+    return nearest
+
+
+def _least(
+    wanted: jax.Array, me: Seeker, others: Others, exact: Exact, gap: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """The least gap [R, W] of wanted pairs [n, R, W] below ``gap``, and its shape; -1 if none.
+
+    Without derivatives. The first of equal gaps counts.
+    """
+    count = jnp.cumsum(wanted.reshape(-1), dtype=jnp.int32)
+
+    def body(carry: Any) -> Any:
+        done, gap, shape = carry
+        nth = done + 1 + np.arange(CHUNK, dtype=np.int32)
+        place = jnp.searchsorted(count, nth, method="scan_unrolled").astype(jnp.int32)
+        i, r, w = jnp.unravel_index(jnp.minimum(place, wanted.size - 1), wanted.shape)
+        found = jax.lax.stop_gradient(exact(pick(me, (r, w)), others.load((i, w)))[0])
+        nearer = (nth <= count[-1]) & (found < gap[r, w])
+        gap = gap.at[r, w].min(jnp.where(nearer, found, jnp.inf))
+        # Of equals the first, also within a chunk: the old number goes, then the least stays.
+        to = (jnp.where(nearer & (found == gap[r, w]), r, wanted.shape[1]), w)
+        shape = shape.at[to].set(others.count, mode="drop").at[to].min(i, mode="drop")
+        return done + CHUNK, gap, shape
+
+    none = jnp.full(gap.shape, -1, jnp.int32)
+    start = (jnp.int32(0), jax.lax.stop_gradient(gap), none)
+    _, gap, shape = jax.lax.while_loop(lambda carry: carry[0] < count[-1], body, start)
+    return gap, shape
+
+
+@jax.custom_jvp
+def _derived(value: jax.Array, same: jax.Array) -> jax.Array:
+    """``value``, with the derivative of ``same``, which is not computed otherwise."""
+    return value
+
+
+@_derived.defjvp
+def _derived_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+    return _derived(*primals), tangents[1]

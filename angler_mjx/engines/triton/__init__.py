@@ -1,0 +1,1 @@
+"""The fused engine as Pallas kernels for a GPU."""

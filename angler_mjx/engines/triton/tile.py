@@ -1,0 +1,166 @@
+"""What stays the same of a tile of worlds during a segment, laid out for kernels."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+from angler_kernels.lanes.planes import Layout, Shelf
+from angler_mjx.control.stack import ControlParams
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.engines.lanes.layout import grid_shape, packed_cells
+from angler_mjx.engines.lanes.steps import Cells
+from angler_mjx.engines.triton import launch as triton
+from angler_mjx.engines.triton.bank import Bank
+from angler_mjx.sim import episode
+from angler_mjx.sim.fleet import Fleet, Group
+from angler_mjx.sim.state import World
+from angler_mjx.world.obstacles.types import bounding_radius
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class RobotConstants:
+    """Of one robot."""
+
+    variant: Any
+    path: Trajectory
+    goal_m: Any
+    cruise_speed_mps: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WorldConstants:
+    """Of one world."""
+
+    current: Any
+    origin_m: Any
+    cell_m: Any
+    floor_z_m: Any
+    lo: Any
+    hi: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyConstants:
+    """Of one obstacle."""
+
+    given: Any
+    reach: Any
+    """Radius of the bounding sphere, m; -inf for padding."""
+
+
+class Tile:
+    """Constants of worlds [W] in flat arrays, and where their parts lie.
+
+    Attributes:
+        worlds, robots, obstacles: numbers of them; obstacles [in each world] include padding.
+        some_obstacle: whether any row of obstacles can be more than padding.
+        grid: cells along x, y and z.
+        groups: of the fleet.
+        dtype: of all numbers.
+        arrays: what kernels are given: see ``read_*`` for what is in them.
+    """
+
+    def __init__(self, fleet: Fleet, worlds: World) -> None:
+        """Pack a tile."""
+        environment = worlds.environment
+        self.dtype = environment.start_m.dtype
+        self.worlds, self.robots = environment.start_yaw_rad.shape
+        self.obstacles = environment.obstacles.kind.shape[1]
+        self.some_obstacle = bool(environment.obstacles.kinds)
+        self.grid = grid_shape(environment)
+        self.groups = fleet.groups
+        self._bank, bank = Bank.of(fleet, self.dtype)
+        neighbours = packed_cells(worlds)
+        self._cells = neighbours[0].size
+        self._robot, robot = self.pack(
+            RobotConstants(
+                variant=worlds.variant,
+                path=worlds.path,
+                goal_m=environment.goal_m,
+                cruise_speed_mps=worlds.control.cruise_speed_mps,
+            ),
+            2,
+        )
+        lo, hi = jax.vmap(episode.region)(environment)
+        self._world, water = self.pack(
+            WorldConstants(
+                current=environment.current,
+                origin_m=environment.grid.origin_m,
+                cell_m=environment.grid.cell_m,
+                floor_z_m=environment.floor_z_m,
+                lo=lo,
+                hi=hi,
+            ),
+            1,
+        )
+        given = environment.obstacles
+        radius = jax.vmap(jax.vmap(bounding_radius))(given.kind, given.size_m)
+        reach = jnp.where(given.exists, radius, -jnp.inf)
+        self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
+        self.arrays = bank, robot, water, body, neighbours.reshape(-1)
+
+    def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
+        """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
+        layout = Layout.of(tree, lead)
+        return layout, layout.pack(tree, self.dtype)
+
+    def shape(self, *tail: int) -> jax.ShapeDtypeStruct:
+        """Shape of numbers of one body."""
+        return jax.ShapeDtypeStruct(tail, self.dtype)
+
+    def layout(self, tree: Any, rows: int) -> Layout:
+        """Layout of arrays [W, rows, ...], from shapes [...] of one body."""
+        shapes = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct((self.worlds, rows, *leaf.shape), leaf.dtype), tree
+        )
+        return Layout.of(shapes, 2)
+
+    def shelf(self, layout: Layout, samples: int) -> Shelf:
+        """Room for samples of a layout."""
+        return Shelf(
+            layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
+        )
+
+    def robot(self, refs: Any, lane: Any) -> RobotConstants:
+        """Constants of robots number ``lane``, in a kernel that was given ``arrays`` as refs."""
+        found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
+        return found
+
+    def params(self, refs: Any, group: Group, constants: RobotConstants) -> ControlParams:
+        """Parameters of robots of a group."""
+        params = self._bank.read(triton.loader(refs[0]), group, constants.variant[()])
+        return replace(params, cruise_speed_mps=constants.cruise_speed_mps)
+
+    def params_at(self, refs: Any, group: Group, lane: Any) -> ControlParams:
+        """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
+        variant = self._robot.read(triton.loader(refs[1]), lane, lambda x: x.variant)
+        return self._bank.read(triton.loader(refs[0]), group, variant[()])
+
+    def water(self, refs: Any, at: Any) -> WorldConstants:
+        """Constants of worlds number ``at``."""
+        found: WorldConstants = self._world.read(triton.loader(refs[2]), at)
+        return found
+
+    def body(self, refs: Any, place: Any, only: Any) -> Any:
+        """A part of the constants of obstacles number ``place``."""
+        return self._body.read(triton.loader(refs[3]), place, only)
+
+    def ground(self, refs: Any, water: WorldConstants, at: Any) -> Cells:
+        """Cells of worlds number ``at``."""
+        base = at * np.int32(self._cells)
+        load = triton.loader(refs[4])
+        return Cells(
+            neighbours=lanes.Table(load, (self._cells,), np.int32, base=base),
+            origin_m=water.origin_m,
+            cell_m=water.cell_m,
+            floor_z_m=water.floor_z_m,
+            lo=water.lo,
+            hi=water.hi,
+        )

@@ -1,0 +1,1 @@
+"""A scenario made runnable: worlds drawn and planned, compiled steps, devices."""

@@ -1,0 +1,366 @@
+"""A scenario made runnable: worlds from indices, and the compiled reset, step and segment.
+
+This is where ``jit`` stands. Every call works on one tile a device: a fixed number of worlds with
+consecutive global indices, so a run of any size compiles once, and the same tile on the same kind
+of device gives the same bytes wherever it stands in a run and however many devices there are.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
+
+from angler_mjx.control import stack
+from angler_mjx.control.mixed import Mixed
+from angler_mjx.control.stack import Command
+from angler_mjx.engines import base as engines
+from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim import fleet
+from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.simulator import devices as on_devices
+from angler_mjx.simulator.devices import (
+    EACH,
+    SAME,
+    Memory,
+    limit_bytes,
+    placed,
+    too_large,
+    tree_bytes,
+)
+from angler_mjx.simulator.prepare import preparer
+from angler_mjx.world import generate
+from angler_mjx.world.config import resolve
+
+DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
+"""Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
+
+
+def default_tile(worlds: int) -> int:
+    """Tile for a run of ``worlds`` on the default device: never more than the run holds."""
+    return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
+
+
+SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
+"""A segment has at most so many samples, or control steps where that is more. A call took an
+H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
+
+NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
+"""For drawing and planning: XLA's search for a faster form of one of its kernels takes minutes on a
+GPU (8 robots, 1,024 worlds on an H200: 291 s instead of 14 s), and what it finds is no faster."""
+
+type Segment = tuple[WorldState, Sample, jax.Array]
+"""State after a segment, samples of it, and how many robots of each world still run."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompileTime:
+    """Seconds from Python to machine code, by function."""
+
+    prepare_s: float
+    reset_s: float
+    segment_s: float
+
+    @property
+    def total_s(self) -> float:
+        """All of them."""
+        return self.prepare_s + self.reset_s + self.segment_s
+
+
+class Simulator:
+    """Compiled simulation of one scenario, a wave of tiles at a time: one tile on each device.
+
+    With one device, a wave is a tile. Every leaf that a method gives or takes has [devices * tile]
+    worlds leading, spread over the devices.
+
+    Attributes:
+        scenario: what is simulated.
+        tile: worlds of one device in one call.
+        devices: number of devices.
+        fleet: compiled vehicles.
+        spec: settings of the simulation.
+        samples: stored samples in one segment.
+        steps_per_sample: control steps from one to the next.
+    """
+
+    def __init__(
+        self, scenario: Scenario, *, tile: int | None = None, devices: int | None = 1
+    ) -> None:
+        """Read the vehicles and put the functions together; nothing is compiled yet.
+
+        Args:
+            scenario: what to simulate.
+            tile: worlds in one call; the scenario's, or else the device's default.
+            devices: devices to spread tiles over; all of this process if None.
+
+        Raises:
+            ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
+                there are fewer devices.
+        """
+        self.scenario = scenario
+        self.tile = tile or scenario.tile or default_tile(scenario.worlds)
+        self.spec = scenario.sim_spec()
+        self._mesh = on_devices.mesh(devices)
+        self.devices = self._mesh.size
+        self.fleet: fleet.Fleet = jax.device_put(
+            fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
+            NamedSharding(self._mesh, SAME),
+        )
+        timing = scenario.time
+        self.steps_per_sample = timing.steps_per_sample or _divisor(timing.control_steps, 100)
+        most = max(SEGMENT_SAMPLES, SEGMENT_STEPS // self.steps_per_sample)
+        self.samples = (
+            _divisor(timing.control_steps // self.steps_per_sample, most)
+            if timing.steps_per_sample
+            else 1
+        )
+        radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
+        generate.check_fleet(resolve(scenario.world), radius)
+        self._prepare_tile = preparer(scenario, self.tile)
+        self.kernels = scenario.kernels or engines.default_kernels(
+            scenario.engine, jax.default_backend()
+        )
+        if self.kernels == "triton" and jax.default_backend() != "gpu":
+            raise ConfigError(
+                'kernels = "triton": needs an NVIDIA GPU, and JAX computes on '
+                f'{jax.default_backend()} here; use kernels = "xla"'
+            )
+        self._engine = engines.by_name(scenario.engine, self.kernels)
+        self._memory: Memory | None = None
+        self._compiled = False
+        self._prepare: Callable[..., World] = self._spread(
+            self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
+        )
+        self._reset: Callable[..., WorldState] = self._spread(
+            partial(self._engine.reset, self.spec), SAME, EACH
+        )
+        self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
+            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
+        )
+        self._segment: Callable[..., Segment] = self._spread(
+            self._run_segment, SAME, EACH, EACH, donate_argnums=2
+        )
+        self._commanded: Callable[..., Segment] = self._spread(
+            self._run_segment, SAME, EACH, EACH, EACH, donate_argnums=2
+        )
+
+    def _spread(self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any) -> Any:
+        """A compiled function that runs on each device, on its tiles.
+
+        Results say themselves that they lie tile by tile: what takes them is then one program,
+        whether it was compiled ahead of time or is called.
+        """
+        return jax.jit(
+            on_devices.on_each(self._mesh, function, *specs),
+            out_shardings=NamedSharding(self._mesh, EACH),
+            **options,
+        )
+
+    @property
+    def segment_steps(self) -> int:
+        """Control steps in one segment."""
+        return self.samples * self.steps_per_sample
+
+    @property
+    def segments(self) -> int:
+        """Segments in the horizon."""
+        return self.scenario.time.control_steps // self.segment_steps
+
+    def variants(self) -> list[tuple[str, str]]:
+        """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
+        kinds = fleet.variants(self.scenario.members())
+        return [(kind.vehicle, kind.parameter_set) for kind in kinds]
+
+    def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
+        """Worlds first, first + 1 and on: drawn, furnished and planned.
+
+        Args:
+            first: global index of the first world.
+            seed: instead of the scenario's.
+
+        Returns:
+            World with [devices * tile] leading on every leaf.
+        """
+        return self.wave([first + i * self.tile for i in range(self.devices)], seed=seed)
+
+    def wave(self, firsts: Sequence[int], *, seed: int | None = None) -> World:
+        """As `worlds`, with the first world of each device's tile given on its own.
+
+        Args:
+            firsts: global indices, one a device.
+            seed: instead of the scenario's.
+        """
+        number = np.uint32(self.scenario.seed if seed is None else seed)
+        # Put in their places, as `compile` says they are: otherwise it is another program.
+        numbers = jax.device_put(
+            (number, np.asarray(firsts, np.uint32)),
+            (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
+        )
+        return self._prepare(self.fleet, *numbers)
+
+    def world_shape(self) -> World:
+        """Shapes and types of one tile of worlds, without computing any."""
+
+        def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
+
+        shapes: World = jax.tree.map(of_tile, self._wave_shape)
+        return shapes
+
+    @cached_property
+    def _wave_shape(self) -> World:
+        """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
+        shapes = jax.eval_shape(self._prepare, *self._seed_shapes())
+        worlds: World = placed(shapes, self._mesh, EACH)
+        return worlds
+
+    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+        """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
+        number = jax.ShapeDtypeStruct((), jnp.uint32)
+        firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
+        return (
+            placed(self.fleet, self._mesh, SAME),
+            placed(number, self._mesh, SAME),
+            placed(firsts, self._mesh, EACH),
+        )
+
+    def reset(self, worlds: World) -> WorldState:
+        """State of each world at t = 0."""
+        return self._reset(self.fleet, worlds)
+
+    def step(
+        self, worlds: World, state: WorldState, command: Command | Mixed | None = None
+    ) -> tuple[WorldState, Sample]:
+        """One control step.
+
+        Args:
+            worlds: from ``worlds``.
+            state: from ``reset`` or the step before.
+            command: to the controllers of all robots instead of their paths, [world, robot]
+                leading; it enters at the first stage that takes its type. `Mixed` drives each
+                robot by a command of another type.
+
+        Returns:
+            The next state, and the sample of the state before with its command.
+
+        Raises:
+            ConfigError: no stage of the controllers takes the command, or it is not for every
+                robot of every world.
+        """
+        if command is not None:
+            lead = state.tally.outcome.shape
+            for one in command.commands if isinstance(command, Mixed) else [command]:
+                stack.check_command(self.spec.stages, one, lead)
+        return self._step(self.fleet, worlds, state, command)
+
+    def segment(
+        self, worlds: World, state: WorldState, command: Command | None = None
+    ) -> tuple[WorldState, Sample]:
+        """``segment_steps`` control steps; the given state's memory is used up.
+
+        Args:
+            worlds: from ``worlds``.
+            state: from ``reset`` or the segment before.
+            command: as for `step`; the same in all steps.
+
+        Returns:
+            The state after them, and samples [world, samples, ...].
+
+        Raises:
+            ConfigError: as `step`.
+        """
+        if command is None:
+            after, sample, _ = self.advance(worlds, state)
+            return after, sample
+        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
+        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
+        return after, sample
+
+    def advance(self, worlds: World, state: WorldState) -> Segment:
+        """As `segment`, and int32 [world]: how many robots of each are still on their way.
+
+        The count is an array of its own: it can be read after the state was used up.
+        """
+        return self._segment(self.fleet, worlds, state)
+
+    def compile(self) -> CompileTime:
+        """Compile for this tile ahead of time; later calls use the compiled functions.
+
+        Returns:
+            What it took; zeros if it was done before.
+
+        Raises:
+            RunError: the tile does not fit into device memory; says which one does.
+        """
+        if self._compiled:
+            return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
+        kinds, number, firsts = self._seed_shapes()
+        worlds = self._wave_shape
+        state = placed(jax.eval_shape(self._reset, kinds, worlds), self._mesh, EACH)
+        try:
+            prepare, prepare_s = _compiled(self._prepare, kinds, number, firsts)
+            reset, reset_s = _compiled(self._reset, kinds, worlds)
+            segment, segment_s = _compiled(self._segment, kinds, worlds, state)
+        except jax.errors.JaxRuntimeError as error:
+            # There is no account yet of what the programs need: what they give is the least.
+            least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
+            self._memory = Memory(prepare=least, segment=least)
+            self.explain(error)
+            raise
+        self._memory = on_devices.analyse(prepare, reset, segment)
+        limit = limit_bytes(self._mesh.devices.flat[0])
+        if self._memory is not None and self._memory.needed > limit:
+            raise too_large(self.tile, self._memory.needed, limit, "before the first world")
+        self._prepare, self._reset, self._segment = prepare, reset, segment
+        self._compiled = True
+        return CompileTime(prepare_s=prepare_s, reset_s=reset_s, segment_s=segment_s)
+
+    def explain(self, error: Exception) -> None:
+        """Turn a device's error for want of memory into one that says which tile would fit.
+
+        Raises:
+            RunError: it is one of those; others are left as they are.
+        """
+        if not on_devices.is_out_of_memory(error):
+            return
+        limit = limit_bytes(self._mesh.devices.flat[0])
+        # What failed needs more than there is, whatever the account says.
+        needed = None if self._memory is None else max(self._memory.needed, limit)
+        cause = str(error).splitlines()[0][:120]
+        raise too_large(self.tile, needed, limit, cause) from error
+
+    def _run_segment(
+        self,
+        kinds: fleet.Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None = None,
+    ) -> Segment:
+        after, sample = self._engine.segment(
+            self.spec,
+            kinds,
+            worlds,
+            state,
+            n_sample=self.samples,
+            steps_per_sample=self.steps_per_sample,
+            command=command,
+        )
+        running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
+        return after, sample, running
+
+
+def _divisor(total: int, most: int) -> int:
+    """Largest divisor of ``total`` up to ``most``: short segments make a steady progress bar."""
+    return max(n for n in range(1, most + 1) if total % n == 0)
+
+
+def _compiled(function: Any, *example: Any) -> tuple[Callable[..., Any], float]:
+    start = time.perf_counter()
+    executable = function.lower(*example).compile()
+    return executable, time.perf_counter() - start

@@ -1,0 +1,206 @@
+"""What a file of rows looks like: a chart of throughput over worlds, and a table in Markdown."""
+
+import math
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.speed import rows as speed
+from angler_mjx.speed.compare import latest
+from angler_mjx.viewing import style
+
+BEGIN, END = "<!-- rows: begin -->", "<!-- rows: end -->"
+"""What stands between them in a document is replaced by the table."""
+_UNIT = "vehicle-steps/s"
+_MARKS = "osD^vPX*"
+
+
+def draw(path: Path) -> Figure:
+    """Throughput of simulations over the number of worlds, both axes logarithmic.
+
+    Args:
+        path: file of rows; the last of each workload, size, engine and device is taken.
+
+    Raises:
+        ConfigError: it holds no simulation.
+    """
+    rows = [row for row in latest(speed.read(path)) if row["unit"] == _UNIT]
+    if not rows:
+        raise ConfigError(f"--chart {path}: holds no row in {_UNIT}")
+    lines: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
+    for row in sorted(rows, key=lambda row: row["worlds"]):
+        lines[_series(row)].append(row)
+    best = max(rows, key=lambda row: row["median"])
+    with style.styled():
+        figure = style.new_figure(9.6, 5.6 + 0.12 * len(lines), headline_in=0.65)
+        style.headline(
+            figure,
+            f"Up to {_short(best['median'])} vehicle-steps/s",
+            f"{best['workload']}, {_engine(best)}, {best['worlds']:,} worlds x {best['robots']} on "
+            f"{_device(best)}; medians, bars from least to greatest",
+        )
+        axes = figure.subplots()
+        for place, (name, held) in enumerate(sorted(lines.items())):
+            _line(axes, place, name, held)
+        _rooflines(axes, rows)
+        _finish(axes)
+        figure.legend(loc="outside lower left", ncols=2, handlelength=2.4)
+    return figure
+
+
+def table(path: Path) -> str:
+    """The rows of a file as a table in Markdown: the last of each workload, size and device.
+
+    Args:
+        path: file of rows.
+    """
+    head = (
+        "| workload | engine | device | worlds x robots | median | spread | of the roofline "
+        "| flops; bytes | compile |\n| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+    )
+    rows = sorted(
+        latest(speed.read(path)),
+        key=lambda row: (*_series(row), row["worlds"]),
+    )
+    return "\n".join([head, *map(_table_row, rows)])
+
+
+def write_table(path: Path, document: Path) -> None:
+    """Put the table of a file between the two marks of a document.
+
+    Raises:
+        ConfigError: the document cannot be read or written, or has no marks.
+    """
+    try:
+        text = document.read_text(encoding="utf-8")
+        before, mark, rest = text.partition(BEGIN)
+        _, end, after = rest.partition(END)
+        if not mark or not end:
+            raise ConfigError(f"--out {document}: has no place for a table ({BEGIN} ... {END})")
+        document.write_text(f"{before}{BEGIN}\n{table(path)}\n{END}{after}", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+
+
+def _series(row: dict[str, Any]) -> tuple[str, ...]:
+    return (row["workload"], _engine(row), _device(row), f"{row['robots']:4d}")
+
+
+def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    workload, engine, device, robots = name
+    color, again = style.robot_color(place), place // len(style.ROBOTS) % 2 == 1
+    worlds = [row["worlds"] for row in rows]
+    median = [row["median"] for row in rows]
+    below = [row["median"] - row["low"] for row in rows]
+    above = [row["high"] - row["median"] for row in rows]
+    axes.errorbar(
+        worlds,
+        median,
+        yerr=[below, above],
+        color=color,
+        marker=_MARKS[place % len(_MARKS)],
+        markersize=5.5,
+        # Where colours repeat: single points have no line that could tell them apart.
+        markerfacecolor=style.PAPER if again else color,
+        linestyle="--" if again else "-",
+        linewidth=1.8,
+        capsize=2.5,
+        label=f"{workload}, {_robots(int(robots))}, {engine}, {device}",
+    )
+
+
+def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    """What memory and arithmetic allow, by workload and device; of several engines the highest.
+
+    Only of those measured at several sizes: lines for single points would hide one another.
+    """
+    of: dict[tuple[str, str], float] = {}
+    sizes: dict[tuple[str, str], set[int]] = {}
+    for row in rows:
+        name = (row["workload"], _device(row))
+        of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
+        sizes.setdefault(name, set()).add(row["worlds"])
+    above, left = math.inf, True
+    for (workload, device), bound in sorted(of.items(), key=lambda item: -item[1]):
+        if not bound or len(sizes[workload, device]) < 2:
+            continue
+        axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
+        # Where lines lie close together: in turn above on the right and below on the left.
+        close = above <= 1.8 * bound
+        left = not (close and left)
+        axes.text(
+            0.01 if left else 0.27,
+            bound * (0.94 if close and left else 1.06),
+            f"roofline: {workload}, {device}",
+            transform=axes.get_yaxis_transform(),
+            va="top" if close and left else "bottom",
+            fontsize=8.0,
+            color=style.QUIET,
+        )
+        above = bound
+
+
+def _finish(axes: Axes) -> None:
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 1.5, high * 1.5)
+    ticks = [4**k for k in range(11)]
+    left, right = axes.get_xlim()
+    shown = [tick for tick in ticks if left <= tick <= right]
+    axes.set_xticks(shown, [f"{tick:,}" for tick in shown])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("worlds in one device call")
+    axes.set_ylabel("physics steps of vehicles in a second")
+    axes.grid()
+
+
+def _table_row(row: dict[str, Any]) -> str:
+    spread = (row["high"] - row["low"]) / row["median"]
+    share = _percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
+    counted = f"{row['flops']:,.0f}" if row["flops"] else "-"
+    moved = f"{row['least_bytes']:.3g}" if row["least_bytes"] else "-"
+    compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] is not None else "-"
+    compiled += " (cached)" if row["cached_programs"] else ""
+    cells = [
+        row["workload"],
+        _engine(row),
+        _device(row),
+        f"{row['worlds']:,} x {row['robots']}",
+        f"{_short(row['median'])} {row['unit']}",
+        f"{100 * spread:.0f} %",
+        share,
+        f"{counted}; {moved}",
+        compiled,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _engine(row: dict[str, Any]) -> str:
+    if row["engine"] is None:
+        return "-"
+    return f"{row['engine']}/{row['kernels']}" if row["engine"] == "fused" else str(row["engine"])
+
+
+def _device(row: dict[str, Any]) -> str:
+    name = "CPU" if row["device"] == "cpu" else str(row["device"]).removeprefix("NVIDIA ")
+    return name if row["devices"] == 1 else f"{row['devices']} {name}"
+
+
+def _robots(number: int) -> str:
+    return "1 robot" if number == 1 else f"{number} robots"
+
+
+def _percent(share: float) -> str:
+    """Two digits, or as many as a whole number has."""
+    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
+
+
+def _short(rate: float) -> str:
+    """As 1.2e8, without the zero and sign that Python puts into an exponent."""
+    mantissa, exponent = f"{rate:.1e}".split("e")
+    return f"{mantissa}e{int(exponent)}" if abs(int(exponent)) > 3 else f"{rate:.0f}"

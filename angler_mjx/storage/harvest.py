@@ -1,0 +1,175 @@
+"""From the device to the host: what a finished tile of worlds leaves behind."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import RunError
+from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.storage.layout import ESTIMATE
+from angler_mjx.storage.results import TileResult
+from angler_mjx.world.environment import Environment
+
+type Arrays = dict[str, Callable[[slice], np.ndarray]]
+"""Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
+
+_SAMPLED = {
+    "p_m": "p",
+    "q": "q",
+    "nu": "nu",
+    "pwm_us": "pwm_us",
+    "target_m": "target_m",
+    "current_mps": "current_mps",
+    "outcome": "outcome",
+    "obstacle_p_m": "obstacle_p",
+    "obstacle_q": "obstacle_q",
+}
+"""Name on disk and in `Sample`."""
+
+_BELIEVED = {
+    "p_m": "p",
+    "q": "q",
+    "nu": "nu",
+    "position_std_m": "position_std_m",
+    "velocity_std_mps": "velocity_std_mps",
+    "attitude_std_rad": "attitude_std_rad",
+}
+"""Name on disk, in the group ``estimate``, and in `Belief`."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Constants:
+    """What the host keeps of the worlds of a tile; [tile] leads."""
+
+    valid: jax.Array
+    redraws: jax.Array
+    variant: jax.Array
+    planned: jax.Array
+    environment: Environment | None
+    """None where nothing is recorded, as the plans."""
+    plan_time_s: jax.Array | None
+    plan_m: jax.Array | None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class End:
+    """What the host keeps of the last state of a tile; [tile] leads."""
+
+    tally: Tally
+    p: jax.Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishedTile:
+    """A finished tile on the host, waiting to be written."""
+
+    first: int
+    kept: int
+    """Worlds of the run in it: fewer than the tile at the end of a run."""
+    constants: Constants
+    end: End
+    parts: list[Sample]
+    """Samples of its segments, until all robots had ended; empty where nothing is recorded."""
+
+
+def constants(worlds: World, *, recorded: bool) -> Constants:
+    """What to keep of worlds."""
+    return Constants(
+        valid=worlds.environment.valid,
+        redraws=worlds.environment.redraws,
+        variant=worlds.variant,
+        planned=worlds.path.found,
+        environment=worlds.environment if recorded else None,
+        plan_time_s=worlds.path.time_s if recorded else None,
+        plan_m=worlds.path.position_m if recorded else None,
+    )
+
+
+def end(state: WorldState) -> End:
+    """What to keep of the last state."""
+    return End(tally=state.tally, p=state.vehicles.p)
+
+
+def require_valid(constants: Constants, first: int, kept: int) -> None:
+    """Refuse a run in which a world could not be furnished for the fleet."""
+    valid = np.asarray(constants.valid)[:kept]
+    if not valid.all():
+        bad = first + int(np.flatnonzero(~valid)[0])
+        raise RunError(
+            f"world {bad} cannot hold the fleet: no drawing within the redraw limit had room for "
+            "its starts and goals; use fewer robots, a larger shape or a lower density"
+        )
+
+
+def tile_result(tile: FinishedTile) -> TileResult:
+    """A tile's end as host arrays, the horizon's end turned into time-outs."""
+    kept = tile.kept
+    tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], tile.end.tally)
+    outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
+    return TileResult(
+        world=np.arange(tile.first, tile.first + kept),
+        variant=np.asarray(tile.constants.variant)[:kept],
+        planned=np.asarray(tile.constants.planned)[:kept],
+        outcome=outcome,
+        end_time_s=tally.end_time_s,
+        path_length_m=tally.path_length_m,
+        energy_j=tally.energy_j,
+        min_clearance_m=tally.min_clearance_m,
+        min_separation_m=tally.min_separation_m,
+        touched=tally.touched,
+        touched_index=tally.touched_index,
+        impact_speed_mps=tally.impact_speed_mps,
+        p=np.asarray(tile.end.p)[:kept],
+        redraws=np.asarray(tile.constants.redraws)[:kept],
+    )
+
+
+def arrays(tile: FinishedTile, samples: int) -> Arrays:
+    """Recorded arrays of a tile.
+
+    Args:
+        tile: with its parts.
+        samples: in the whole horizon.
+    """
+    made: Arrays = {
+        name: partial(_joined, [getattr(part, field) for part in tile.parts], samples)
+        for name, field in _SAMPLED.items()
+    }
+    beliefs = [part.belief for part in tile.parts if part.belief is not None]
+    if beliefs:
+        for name, field in _BELIEVED.items():
+            rows = [getattr(belief, field) for belief in beliefs]
+            made[f"{ESTIMATE}/{name}"] = partial(_joined, rows, samples)
+    made["pwm_us"] = partial(_whole_numbers, made["pwm_us"])
+    made["outcome"] = partial(_bytes, made["outcome"])
+    made["plan_time_s"] = lambda worlds: np.asarray(tile.constants.plan_time_s)[worlds]
+    made["plan_m"] = lambda worlds: np.asarray(tile.constants.plan_m)[worlds]
+    return made
+
+
+def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
+    """[n, samples, ...]: NaN, or for whole numbers the last value, where the tile had ended."""
+    count = len(parts[0][worlds])
+    whole = np.empty((count, samples, *parts[0].shape[2:]), parts[0].dtype)
+    at = 0
+    for part in parts:
+        whole[:, at : at + part.shape[1]] = part[worlds]
+        at += part.shape[1]
+    whole[:, at:] = np.nan if whole.dtype.kind == "f" else whole[:, at - 1 : at]
+    return whole
+
+
+def _whole_numbers(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+    values = make(worlds)
+    # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
+    np.rint(np.fmax(values, 0.0, out=values), out=values)
+    return values.astype(np.uint16)
+
+
+def _bytes(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+    return make(worlds).astype(np.uint8)

@@ -1,0 +1,172 @@
+"""One world's obstacles from a config and a key: the explicit rows, then the drawn ones.
+
+Drawn obstacles are placed one after another. Each tries a fixed number of random places and takes
+the first that is free: clear of cells, of explicit obstacles, of the points to keep clear, and of
+those already placed. If none is clear of the latter, the one that overlaps least is taken; if none
+is clear of the former, the row is left out (``exists = False``).
+"""
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.clearance import capsules_obstacle, point_grid
+from angler_mjx.vehicles.properties import GRAVITY_MPS2
+from angler_mjx.world.grid import Grid
+from angler_mjx.world.obstacles import bodies
+from angler_mjx.world.obstacles.config import DynamicConfig, ObstaclesConfig
+from angler_mjx.world.obstacles.explicit import explicit_rows
+from angler_mjx.world.obstacles.types import (
+    BOX,
+    DRIFT,
+    SPHERE,
+    Obstacles,
+    bounding_radius,
+)
+
+_TRIES = 64
+
+
+def draw(
+    config: ObstaclesConfig,
+    key: jax.Array,
+    grid: Grid,
+    bounds_lo: jax.Array,
+    bounds_hi: jax.Array,
+    keep_out_m: jax.Array,
+    keep_out_radius_m: jax.Array | float,
+    water_density: jax.Array | float,
+    gravity: jax.Array | float = GRAVITY_MPS2,
+) -> Obstacles:
+    """Obstacles of one world: the explicit ones first, then the drawn ones; at least one row.
+
+    Args:
+        config: what to draw.
+        key: random key of this world's obstacles.
+        grid: static cells; drawn obstacles must be smaller in radius than a cell.
+        bounds_lo: [3] lower corner of the region that obstacles stay in, m, W.
+        bounds_hi: [3] upper corner.
+        keep_out_m: [k, 3] points to keep clear of (starts and goals), m, W.
+        keep_out_radius_m: [k] or [] distance to keep from each to an obstacle's surface, m.
+        water_density: [] kg/m^3.
+        gravity: [] m/s^2, turns the asked rise and sink speeds into masses.
+    """
+    placed = explicit_rows(config.explicit, water_density) if config.explicit else None
+    if config.dynamic.count == 0 and placed is not None:
+        return placed
+    if config.dynamic.count == 0:
+        row = _drifting(DynamicConfig(count=1), key, water_density, gravity)
+        return replace(row, exists=jnp.zeros(1, bool), kinds=(), motions=())
+    drawn = _drifting(config.dynamic, key, water_density, gravity)
+
+    def distances(p: jax.Array) -> jax.Array:
+        away = jnp.sqrt(jnp.sum((keep_out_m - p) ** 2, axis=1)) - keep_out_radius_m
+        gap, _ = point_grid(p, grid.occupied, grid.origin_m, grid.cell_m)
+        gap = jnp.minimum(gap, jnp.min(away, initial=jnp.inf))
+        return gap if placed is None else jnp.minimum(gap, _gap_to(placed, p))
+
+    radius = jax.vmap(bounding_radius)(drawn.kind, drawn.size_m)
+    where = jax.random.uniform(jax.random.fold_in(key, 1), (config.dynamic.count, _TRIES, 3))
+    inset = radius[:, None, None]
+    lo, hi = bounds_lo + inset, bounds_hi - inset
+    tries = lo + where * jnp.maximum(hi - lo, 0.0)
+    p0, exists = _place(tries, jax.vmap(jax.vmap(distances))(tries) - radius[:, None], radius)
+    drawn = replace(drawn, p0=p0, exists=exists)
+    return drawn if placed is None else _concatenate(placed, drawn)
+
+
+def _drifting(
+    config: DynamicConfig, key: jax.Array, density: jax.Array | float, gravity: jax.Array | float
+) -> Obstacles:
+    """Rows of drifting spheres and cubes, all at the origin.
+
+    Every coefficient of a shape goes with a power of its size, so the shapes of bounding radius
+    1 m are scaled. A body that rises at v is lighter than its displaced water by its drag at v over
+    gravity.
+    """
+    n = config.count
+    keys = jax.random.split(jax.random.fold_in(key, 0), 5)
+    scale = jax.random.uniform(keys[0], (n,), float, *config.radius_m)
+    cube = jax.random.uniform(keys[1], (n,)) < config.cube_share
+    tendency = jax.random.uniform(keys[2], (n,))
+    rises = tendency < config.rise_share
+    sinks = ~rises & (tendency < config.rise_share + config.sink_share)
+    speed = jax.random.uniform(keys[3], (n,), float, *config.vertical_speed_mps)
+    turn = jax.random.normal(keys[4], (n, 4))
+
+    half = 1.0 / math.sqrt(3.0)
+    ball, die = bodies.sphere(1.0), bodies.box((half, half, half))
+
+    def pick(of_sphere: object, of_cube: object, power: jax.Array) -> jax.Array:
+        unit = jnp.where(cube[:, None], jnp.asarray(of_cube, float), jnp.asarray(of_sphere, float))
+        return unit * scale[:, None] ** power
+
+    powers = jnp.array([3, 3, 3, 5, 5, 5])
+    volume = pick([ball.volume_m3], [die.volume_m3], jnp.array([3]))[:, 0]
+    D_q = 0.5 * density * pick(ball.drag, die.drag, powers - jnp.array([1, 1, 1, 0, 0, 0]))
+    lift = D_q[:, 2] * speed * speed / gravity
+    mass = density * volume - jnp.where(rises, lift, 0.0) + jnp.where(sinks, lift, 0.0)
+    size = pick([1.0, 0.0, 0.0], [half] * 3, jnp.ones(3, jnp.int32))
+    shares = {SPHERE: config.cube_share < 1, BOX: config.cube_share > 0}
+    return Obstacles(
+        kind=jnp.where(cube, BOX, SPHERE).astype(jnp.int32),
+        size_m=size,
+        motion=jnp.full(n, DRIFT, jnp.int32),
+        path=jnp.zeros((n, 8)),
+        p0=jnp.zeros((n, 3)),
+        q0=turn / jnp.sqrt(jnp.sum(turn * turn, axis=1, keepdims=True)),
+        nu0=jnp.zeros((n, 6)),
+        mass_kg=mass,
+        inertia_kgm2=mass[:, None] * pick(ball.inertia_m2, die.inertia_m2, jnp.full(3, 2)),
+        volume_m3=volume,
+        M_A=density * pick(ball.added, die.added, powers),
+        D_l=jnp.zeros((n, 6)),
+        D_q=D_q,
+        exists=jnp.ones(n, bool),
+        kinds=tuple(kind for kind, occurs in shares.items() if occurs),
+        motions=(DRIFT,),
+    )
+
+
+def _gap_to(obstacles: Obstacles, p: jax.Array) -> jax.Array:
+    """Distance [] of a point to the surfaces of obstacles at their start."""
+    point, zero = p[None], jnp.zeros(1, p.dtype)
+    to_one = partial(capsules_obstacle, point, point, zero, kinds=obstacles.kinds)
+    return jnp.min(jax.vmap(to_one)(obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m))
+
+
+def _place(tries: jax.Array, margin: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A place [n, 3] for each of n obstacles, and whether it is free.
+
+    Args:
+        tries: [n, k, 3] places to try, m, W.
+        margin: [n, k] clearance there to everything that stands already; must not be negative.
+        radius: [n] bounding radii.
+    """
+    n = radius.shape[0]
+
+    def place_one(p: jax.Array, i: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        apart = jnp.sqrt(jnp.sum((tries[i][:, None] - p) ** 2, axis=2)) - radius - radius[i]
+        overlap = jnp.min(jnp.where(jnp.arange(n) < i, apart, 0.0), axis=1)
+        score = jnp.where(margin[i] >= 0.0, jnp.minimum(overlap, 0.0), -jnp.inf)
+        best = jnp.argmax(score)
+        chosen, free = tries[i, best], margin[i, best] >= 0.0
+        # One that is left out keeps no place.
+        return p.at[i].set(jnp.where(free, chosen, jnp.inf)), (chosen, free)
+
+    _, (places, free) = jax.lax.scan(place_one, jnp.zeros((n, 3), tries.dtype), jnp.arange(n))
+    return places, free
+
+
+def _concatenate(first: Obstacles, second: Obstacles) -> Obstacles:
+    """The rows of two sets, in order."""
+    kinds = tuple(sorted(set(first.kinds) | set(second.kinds)))
+    motions = tuple(sorted(set(first.motions) | set(second.motions)))
+    first, second = (replace(rows, kinds=kinds, motions=motions) for rows in (first, second))
+    joined: Obstacles = jax.tree.map(
+        lambda a, b: jnp.concatenate([a, b.astype(a.dtype)]), first, second
+    )
+    return joined

@@ -1,0 +1,135 @@
+"""Rows for the obstacles that a file lists by hand; the same in every world."""
+
+import math
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.world.obstacles import bodies
+from angler_mjx.world.obstacles.config import (
+    BoxConfig,
+    CapsuleConfig,
+    CircleMotion,
+    DriftMotion,
+    ExplicitConfig,
+    SineMotion,
+    SphereConfig,
+    StraightMotion,
+    Vector,
+)
+from angler_mjx.world.obstacles.types import (
+    BOX,
+    CAPSULE,
+    CIRCLE,
+    DRIFT,
+    SINE,
+    SPHERE,
+    STATIC,
+    STRAIGHT,
+    Obstacles,
+)
+
+_MOTION = {"static": STATIC, "drift": DRIFT, "straight": STRAIGHT, "sine": SINE, "circle": CIRCLE}
+
+
+def explicit_rows(items: Sequence[ExplicitConfig], density: jax.Array | float) -> Obstacles:
+    """Obstacles of a list from a file, in its order.
+
+    Args:
+        items: at least one.
+        density: [] of the water, kg/m^3.
+    """
+    shapes = [_shape(item) for item in items]
+    kind = [k for k, _, _ in shapes]
+    body = [b for _, _, b in shapes]
+    motion = [_MOTION[item.motion.type] for item in items]
+    displaced = density * _array([b.volume_m3 for b in body])
+    given = _array([item.mass_kg or 0.0 for item in items])
+    mass = jnp.where(given > 0.0, given, displaced)
+    attitude = [_quaternion(item.rpy_deg) for item in items]
+    return Obstacles(
+        kind=jnp.array(kind, jnp.int32),
+        size_m=_array([size for _, size, _ in shapes]),
+        motion=jnp.array(motion, jnp.int32),
+        path=_array([_path(item) for item in items]),
+        p0=_array([item.position_m for item in items]),
+        q0=_array(attitude),
+        nu0=_array([_start(item, q) for item, q in zip(items, attitude, strict=True)]),
+        mass_kg=mass,
+        inertia_kgm2=mass[:, None] * _array([b.inertia_m2 for b in body]),
+        volume_m3=_array([b.volume_m3 for b in body]),
+        M_A=density * _array([b.added for b in body]),
+        D_l=jnp.zeros((len(items), 6)),
+        D_q=0.5 * density * _array([b.drag for b in body]),
+        exists=jnp.ones(len(items), bool),
+        kinds=tuple(sorted(set(kind))),
+        motions=tuple(sorted(set(motion))),
+    )
+
+
+def _array(values: Sequence[object]) -> jax.Array:
+    return jnp.asarray(np.array(values, float), float)
+
+
+def _shape(item: ExplicitConfig) -> tuple[int, Vector, bodies.Body]:
+    """Kind, size as `Obstacles.size_m` has it, and geometry."""
+    match item:
+        case SphereConfig():
+            return SPHERE, (item.radius_m, 0.0, 0.0), bodies.sphere(item.radius_m)
+        case BoxConfig():
+            x, y, z = item.size_m
+            half = (0.5 * x, 0.5 * y, 0.5 * z)
+            return BOX, half, bodies.box(half)
+        case CapsuleConfig():
+            half_length = 0.5 * item.length_m
+            size = (item.radius_m, half_length, 0.0)
+            return CAPSULE, size, bodies.capsule(item.radius_m, half_length)
+
+
+def _path(item: ExplicitConfig) -> bodies.Floats:
+    """The columns of `Obstacles.path`."""
+    row = np.zeros(8)
+    match item.motion:
+        case StraightMotion() as motion:
+            row[:3] = motion.velocity_mps
+        case SineMotion() as motion:
+            row[:3] = motion.amplitude_m
+            row[3:5] = 2.0 * math.pi / motion.period_s, math.radians(motion.phase_deg)
+        case CircleMotion() as motion:
+            axis = np.array(motion.axis) / math.hypot(*motion.axis)
+            axis = -axis if motion.clockwise else axis
+            zero = np.eye(3)[1 if abs(axis[0]) > 0.9 else 0]
+            arm = zero - (zero @ axis) * axis
+            row[:3] = motion.radius_m * arm / np.linalg.norm(arm)
+            row[3:5] = 2.0 * math.pi / motion.period_s, math.radians(motion.phase_deg)
+            row[5:8] = axis
+        case _:
+            pass
+    return row
+
+
+def _start(item: ExplicitConfig, q: bodies.Floats) -> bodies.Floats:
+    """Velocity [6] at the start relative to the water, body frame."""
+    nu = np.zeros(6)
+    if isinstance(item.motion, DriftMotion):
+        v, w, u = np.array(item.motion.relative_velocity_mps), q[0], -q[1:]
+        turn = 2.0 * np.cross(u, v)
+        nu[:3] = v + w * turn + np.cross(u, turn)
+    return nu
+
+
+def _quaternion(rpy_deg: Vector) -> bodies.Floats:
+    """Attitude [4] (wxyz) after turning about the world's x, then y, then z."""
+    roll, pitch, yaw = (0.5 * math.radians(angle) for angle in rpy_deg)
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )

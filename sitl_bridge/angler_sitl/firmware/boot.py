@@ -1,0 +1,219 @@
+"""From a process that was just started to an autopilot that is armed in its mode.
+
+Each autopilot goes through the same steps, all at the same time, a look once in a control period:
+it speaks; it is asked for its streams and all its parameters, and told where the origin is until it
+confirms; its filter finds its position; its mode is set; it is armed. Time limits are by the
+scene's clock, so they hold at any speed. What does not happen in time ends in one message with
+ArduSub's own last words.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from angler_mjx.errors import RunError
+from angler_sitl.firmware.parameters import Source
+from angler_sitl.steering.pilot import STREAMS_HZ, Pilot, mode_name
+
+FIRST_WORD_S = 15.0
+POSITION_S: dict[Source, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
+"""For the filter: with GPS it takes 41 s, else 5 s."""
+PARAMETERS_S = 20.0
+MODE_S = 10.0
+ARMED_S = 20.0
+SPOOL_S = 1.0
+"""After the last one was armed: for 0.4 s its motors are held back, and it would drift."""
+_AGAIN_S = 1.0
+"""After which a request that had no effect is made again."""
+_MOST_AT_ONCE = 20
+"""Parameters asked for one by one in a control period, where the list came with gaps."""
+
+_REFUSALS = {
+    dialect.MAV_RESULT_TEMPORARILY_REJECTED: "not now",
+    dialect.MAV_RESULT_DENIED: "denied",
+    dialect.MAV_RESULT_UNSUPPORTED: "unknown to it",
+    dialect.MAV_RESULT_FAILED: "failed",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where W's origin lies on the globe; the water's surface is at altitude 0."""
+
+    lat_deg: float
+    lon_deg: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ready:
+    """What it took until the last autopilot was ready."""
+
+    sim_s: float
+    wall_s: float
+
+
+def boot(
+    pilots: Sequence[Pilot],
+    advance: Callable[[], float],
+    *,
+    mode: int,
+    source: Source,
+    home: Place,
+) -> Ready:
+    """Bring autopilots up that were just started.
+
+    Args:
+        pilots: all of them.
+        advance: goes on by one control period with all of them, external navigation included, and
+            returns the scene's time.
+        mode: the firmware's number.
+        source: where their filters learn their position.
+        home: of the scene.
+
+    Raises:
+        RunError: one of them does not come up; it says which and why.
+    """
+    began, now = time.perf_counter(), advance()
+    first, clock = now, _Clock(now)
+    rest = [_up(pilot, clock, mode, source, home) for pilot in pilots]
+    while rest:
+        rest = [steps for steps in rest if next(steps, _DONE) is not _DONE]
+        if rest:
+            clock.time_s = advance()
+    end = clock.time_s + SPOOL_S
+    while clock.time_s < end:
+        clock.time_s = advance()
+    return Ready(sim_s=clock.time_s - first, wall_s=time.perf_counter() - began)
+
+
+_DONE = object()
+
+
+@dataclass
+class _Clock:
+    time_s: float
+
+
+def _up(pilot: Pilot, clock: _Clock, mode: int, source: Source, home: Place) -> Iterator[None]:
+    """The steps of one autopilot; it yields whenever time has to go on."""
+    link = pilot.link
+
+    def speaks() -> bool:
+        return "HEARTBEAT" in link.latest
+
+    yield from _until(speaks, pilot, clock, FIRST_WORD_S, "says nothing on MAVLink")
+    for message, rate in STREAMS_HZ.items():
+        link.stream(message, rate)
+    link.request_parameters()
+    origin = _origin(pilot, home)
+
+    def located() -> bool:
+        return pilot.located
+
+    yield from _until(
+        located, pilot, clock, POSITION_S[source], "its EKF finds no position", origin
+    )
+    yield from _until(
+        _complete(pilot),
+        pilot,
+        clock,
+        PARAMETERS_S,
+        "does not give its parameters",
+        _missing(pilot),
+    )
+    yield from _told(pilot, clock, MODE_S, dialect.MAV_CMD_DO_SET_MODE, (1, mode), mode)
+    yield from _told(pilot, clock, ARMED_S, dialect.MAV_CMD_COMPONENT_ARM_DISARM, (1,), mode)
+
+
+def _told(
+    pilot: Pilot,
+    clock: _Clock,
+    limit_s: float,
+    command: int,
+    parameters: tuple[float, ...],
+    mode: int,
+) -> Iterator[None]:
+    """A command until its heartbeat shows that it was followed."""
+    arming = command == dialect.MAV_CMD_COMPONENT_ARM_DISARM
+
+    def followed() -> bool:
+        return pilot.armed if arming else pilot.mode == mode
+
+    def again() -> None:
+        pilot.link.command(command, *parameters)
+
+    what = "refuses to arm" if arming else f"refuses the mode {mode_name(mode)}"
+    yield from _until(followed, pilot, clock, limit_s, what, again, command)
+
+
+def _until(
+    holds: Callable[[], bool],
+    pilot: Pilot,
+    clock: _Clock,
+    limit_s: float,
+    otherwise: str,
+    again: Callable[[], None] | None = None,
+    command: int | None = None,
+) -> Iterator[None]:
+    """Let time go on until something holds, asking for it now and then.
+
+    Raises:
+        RunError: it does not hold in time.
+    """
+    end, due = clock.time_s + limit_s, clock.time_s
+    while not holds():
+        if clock.time_s >= end:
+            raise RunError(_report(pilot, otherwise, limit_s, command))
+        if again is not None and clock.time_s >= due:
+            again()
+            due = clock.time_s + _AGAIN_S
+        yield
+
+
+def _report(pilot: Pilot, otherwise: str, limit_s: float, command: int | None) -> str:
+    """What did not happen, how the autopilot stands, and what it says itself."""
+    message = f"{pilot.name}: {otherwise} within {limit_s:g} s of its own clock"
+    if pilot.link.latest:
+        message += f" ({pilot.note()})"
+    answer = None if command is None else pilot.link.acks.get(command)
+    if answer in _REFUSALS:
+        message += f"; its answer is: {_REFUSALS[answer]}"
+    words = pilot.link.last_words()
+    return f"{message}; ArduSub says: {words}" if words else message
+
+
+def _origin(pilot: Pilot, home: Place) -> Callable[[], None]:
+    """Tells an autopilot where W's origin is, until it confirms."""
+
+    def tell() -> None:
+        if "GPS_GLOBAL_ORIGIN" not in pilot.link.latest:
+            pilot.link.send(
+                dialect.MAVLink_set_gps_global_origin_message(
+                    pilot.sysid, round(home.lat_deg * 1e7), round(home.lon_deg * 1e7), 0
+                )
+            )
+
+    return tell
+
+
+def _complete(pilot: Pilot) -> Callable[[], bool]:
+    """Whether all parameters have come."""
+    link = pilot.link
+    return lambda: 0 < link.parameter_count <= len(link.parameter_indices)
+
+
+def _missing(pilot: Pilot) -> Callable[[], None]:
+    """Asks for parameters whose messages were lost."""
+
+    def ask() -> None:
+        link = pilot.link
+        if not link.parameter_count:
+            link.request_parameters()
+            return
+        gaps = [i for i in range(link.parameter_count) if i not in link.parameter_indices]
+        for index in gaps[:_MOST_AT_ONCE]:
+            link.request_parameter(index)
+
+    return ask

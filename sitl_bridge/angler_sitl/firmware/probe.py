@@ -1,0 +1,206 @@
+"""One autopilot, started for a few seconds in water that does not move it, to be asked questions.
+
+Lock-step is held with the simplest physics there is: at rest, level, at the origin. It runs as
+fast as the autopilot takes it, so a boot of seconds takes a fraction of one.
+"""
+
+import contextlib
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from angler_mjx.errors import RunError
+from angler_sitl.firmware.binary import Binary
+from angler_sitl.firmware.process import Instance, Launch
+from angler_sitl.wire.ports import Ports, allocate
+
+_DT_S = 1 / 400
+_SILENCE_S = 10.0
+"""Wall time without a servo packet after which it hangs: it asks again after 1.1 s, and a
+busy machine takes its time to start a program."""
+_LOOK_S = 0.1
+"""Wall time after which it is looked whether the process still runs."""
+_BOOT_S = 2.0
+"""Clock of the autopilot at which it answers everything; it has set up after 1.75 s."""
+_LIMIT_S = 30.0
+"""Clock of the autopilot until which it must have answered: 1300 parameters take 2."""
+_AT_REST = (
+    '\n{{"timestamp":{:.6f},"imu":{{"gyro":[0,0,0],"accel_body":[0,0,-9.80665]}},'
+    '"position":[0,0,0],"quaternion":[1,0,0,0],"velocity":[0,0,0],"no_time_sync":1}}\n'
+)
+_GCS, _COMPONENT = 255, 190
+_VERSION = 148
+"""AUTOPILOT_VERSION."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What an autopilot said of itself.
+
+    Attributes:
+        version: As in "4.6.0-dev".
+        git: First characters of the commit it was built from.
+        parameters: All of them, by name.
+        sysid: The MAVLink number that it uses.
+    """
+
+    version: str
+    git: str
+    parameters: Mapping[str, float]
+    sysid: int
+
+
+@dataclass
+class Still:
+    """An autopilot that stands still, and what it has sent so far.
+
+    Attributes:
+        instance: The process.
+        ports: Its sockets.
+        time_s: Its clock.
+        pwm: The last servo packet's values.
+        version: AUTOPILOT_VERSION, where it came.
+        parameters: By name, those that came.
+        expected: How many there are; 0 while unknown.
+        sysid: Who sends heartbeats; 0 while unknown.
+    """
+
+    instance: Instance
+    ports: Ports
+    time_s: float = 0.0
+    pwm: tuple[int, ...] = ()
+    version: Any = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    expected: int = 0
+    sysid: int = 0
+
+    def __post_init__(self) -> None:
+        self._mavlink = mavlink.MAVLink(None, srcSystem=_GCS, srcComponent=_COMPONENT)
+        self._mavlink.robust_parsing = True
+        self._peer: tuple[str, int] | None = None
+        self.ports.fdm.settimeout(_LOOK_S)
+        self.ports.mavlink.setblocking(False)
+
+    def until(self, done: Callable[[], bool], limit_s: float) -> bool:
+        """Step until ``done`` or until its clock has gone on by so much; whether it is done.
+
+        Raises:
+            RunError: the process ended or sends nothing.
+        """
+        end = self.time_s + limit_s
+        while not done():
+            if self.time_s >= end:
+                return False
+            self._step()
+            self._receive()
+        return True
+
+    def send(self, message: Any) -> None:
+        """Send a MAVLink message, if the autopilot has said where it is."""
+        if self._peer is not None:
+            data = message.pack(self._mavlink)
+            self._mavlink.seq = (self._mavlink.seq + 1) % 256
+            self.ports.mavlink.sendto(data, self._peer)
+
+    def _step(self) -> None:
+        packet, peer = self._wait()
+        if len(packet) >= 40:
+            self.pwm = struct.unpack_from("<16H", packet, 8)
+        self.time_s += _DT_S
+        self.ports.fdm.sendto(_AT_REST.format(self.time_s).encode(), peer)
+
+    def _wait(self) -> tuple[bytes, tuple[str, int]]:
+        """The next servo packet and where it came from."""
+        for _ in range(round(_SILENCE_S / _LOOK_S)):
+            with contextlib.suppress(TimeoutError):
+                return self.ports.fdm.recvfrom(256)
+            if fault := self.instance.fault():
+                raise RunError(fault)
+        raise RunError(f"no servo packet for {_SILENCE_S:g} s: {self.instance.condition()}")
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                data, self._peer = self.ports.mavlink.recvfrom(65536)
+            except BlockingIOError:
+                return
+            for message in self._mavlink.parse_buffer(data) or ():
+                self._take(message)
+
+    def _take(self, message: Any) -> None:
+        kind = message.get_type()
+        if kind == "HEARTBEAT":
+            self.sysid = message.get_srcSystem()
+        elif kind == "AUTOPILOT_VERSION":
+            self.version = message
+        elif kind == "PARAM_VALUE":
+            self.parameters[message.param_id] = message.param_value
+            self.expected = message.param_count
+
+
+@contextlib.contextmanager
+def standing_still(
+    binary: Binary, folder: Path, parameters: Mapping[str, float]
+) -> Iterator[Still]:
+    """Start an autopilot, step it until it has set up, and end it afterwards.
+
+    Raises:
+        RunError: it does not start, ends, hangs, or sends no heartbeat.
+    """
+    (ports,) = allocate(1)
+    launch = Launch(
+        binary=binary, folder=folder, name="probe", sysid=1, ports=ports, parameters=parameters
+    )
+    try:
+        with Instance(launch) as instance:
+            still = Still(instance, ports)
+            still.until(lambda: still.time_s >= _BOOT_S, _LIMIT_S)
+            if not still.until(lambda: still.sysid > 0, _LIMIT_S):
+                raise RunError(f"no MAVLink heartbeat: {instance.condition()}")
+            yield still
+    finally:
+        ports.close()
+
+
+def ask(still: Still, *, parameters: bool = True) -> Findings:
+    """Ask for the version and, if wanted, all parameters.
+
+    Raises:
+        RunError: it does not answer.
+    """
+    _repeat(still, lambda: still.version is not None, _ask_version, "its version")
+    if parameters:
+        _repeat(still, lambda: 0 < still.expected <= len(still.parameters), _ask_all, "parameters")
+    number = int(still.version.flight_sw_version)
+    parts = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
+    kind = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc", 255: ""}.get(number & 0xFF, "")
+    git = bytes(still.version.flight_custom_version).decode("ascii", "replace").strip("\0")
+    return Findings(
+        version=parts + kind, git=git, parameters=dict(still.parameters), sysid=still.sysid
+    )
+
+
+def _repeat(
+    still: Still, done: Callable[[], bool], again: Callable[[Still], None], what: str
+) -> None:
+    # UDP loses what a full buffer cannot take, so it is asked again, by the autopilot's clock.
+    for _ in range(3):
+        again(still)
+        if still.until(done, _LIMIT_S / 3):
+            return
+    raise RunError(f"no answer to the question for {what}: {still.instance.condition()}")
+
+
+def _ask_version(still: Still) -> None:
+    command = mavlink.MAV_CMD_REQUEST_MESSAGE
+    still.send(
+        mavlink.MAVLink_command_long_message(still.sysid, 1, command, 0, _VERSION, *[0.0] * 6)
+    )
+
+
+def _ask_all(still: Still) -> None:
+    still.send(mavlink.MAVLink_param_request_list_message(still.sysid, 1))

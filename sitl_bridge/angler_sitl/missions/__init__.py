@@ -1,0 +1,1 @@
+"""Whole flights of a scenario on real autopilots."""

@@ -1,0 +1,68 @@
+"""How each robot of a flight stands, in a row of plain facts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.session.interface import Observation
+from angler_sitl.session import SitlSession
+from angler_sitl.steering.pilot import mode_name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Of one robot."""
+
+    name: str
+    mode: str
+    armed: bool
+    located: bool
+    """Whether its autopilot knows its position."""
+    off_m: float
+    """From where it truly is to what it aims at."""
+    clearance_m: float
+    outcome: str
+    remark: str
+    """What there is to say beside that; empty if nothing."""
+
+    def line(self) -> str:
+        """In a line of text."""
+        parts = [
+            f"{self.name}: {self.mode}, {'armed' if self.armed else 'disarmed'}",
+            f"EKF {'good' if self.located else 'bad'}",
+            f"off {self.off_m:.2f} m",
+            f"clear {self.clearance_m:.2f} m",
+            self.outcome,
+        ]
+        return ", ".join([*parts, *([self.remark] if self.remark else [])])
+
+
+def look(session: SitlSession, observation: Observation) -> list[Standing]:
+    """How everybody stands.
+
+    Args:
+        session: after a step.
+        observation: of that step.
+    """
+    squad, known = session.squad, observation.truth or observation.estimate
+    target_m, clearance_m = np.asarray(observation.target_m), np.asarray(observation.clearance_m)
+    off_m = np.linalg.norm(np.asarray(known.p) - target_m, axis=1)
+    rows = []
+    for i, (pilot, status) in enumerate(zip(squad.pilots, observation.status, strict=True)):
+        gone = i in squad.lockstep.lost
+        # The autopilot's own words stand in columns; what the desk says comes before them.
+        note = squad.note(i) if gone else status.note.removesuffix(pilot.note())
+        told = f"refused: {status.refused}" if status.refused and not gone else ""
+        rows.append(
+            Standing(
+                name=session.robots[i].name,
+                mode="lost" if gone else mode_name(pilot.mode),
+                armed=pilot.armed and not gone,
+                located=pilot.located and not gone,
+                off_m=float(off_m[i]),
+                clearance_m=float(clearance_m[i]),
+                outcome=status.outcome.name.lower(),
+                remark=told or note.rstrip("; "),
+            )
+        )
+    return rows

@@ -1,0 +1,1 @@
+"""The simulator's own water and vehicles under real autopilots."""

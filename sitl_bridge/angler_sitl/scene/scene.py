@@ -1,0 +1,169 @@
+"""The simulator's own water and vehicles under real autopilots: one world of a scenario.
+
+Vehicle files, parameter sets as they were drawn, rotors, current, cells and obstacles are those of
+world number `world` of a run of the scenario. What moves the vehicles is the pulse widths of the
+autopilots, 400 times a second; what came of it is judged once a control period.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.state import Outcome, World
+from angler_mjx.simulator.simulator import Simulator
+from angler_sitl.scene import judging, motion
+from angler_sitl.scene.flat import Flat
+from angler_sitl.wire.packets import STATE_NUMBERS
+
+type Floats = NDArray[np.float64]
+
+DT_S = 1 / 400
+"""The rate of ArduSub's own main loop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class States:
+    """All vehicles at one time, as autopilots are told; [N] leads."""
+
+    numbers: Floats
+    """[N, 16] in the order of `packets.STATE_NUMBERS`."""
+
+    @property
+    def gyro(self) -> Floats:
+        """[N, 3] rad/s in FRD."""
+        return self.numbers[:, 0:3]
+
+    @property
+    def accel_body(self) -> Floats:
+        """[N, 3] specific force, m/s^2 in FRD: minus gravity at rest."""
+        return self.numbers[:, 3:6]
+
+    @property
+    def p_ned(self) -> Floats:
+        """[N, 3] m in NED from home, which is W's origin."""
+        return self.numbers[:, 6:9]
+
+    @property
+    def q(self) -> Floats:
+        """[N, 4] FRD to NED."""
+        return self.numbers[:, 9:13]
+
+    @property
+    def v_ned(self) -> Floats:
+        """[N, 3] m/s in NED."""
+        return self.numbers[:, 13:16]
+
+
+class Scene:
+    """Vehicles in the water of one world.
+
+    Attributes:
+        simulator: of the scenario, one world a tile.
+        worlds: the world; [1] leads.
+        state: as it was last judged; [1] leads. Memory of controllers in it is not kept up.
+        judged: the same as few arrays on the device.
+        states: the vehicles now.
+        dt_s: length of a step.
+        period: steps in a control period.
+        moored: whether the vehicles are held at their starts, at rest, with the world's time at 0
+            while the autopilots boot; so after `reset`.
+    """
+
+    def __init__(self, scenario: Scenario, *, world: int = 0, dt_s: float = DT_S) -> None:
+        """Draw the world and compile everything that a step needs.
+
+        Args:
+            scenario: what to simulate.
+            world: which of its worlds.
+            dt_s: length of a step.
+
+        Raises:
+            ConfigError: no whole number of steps makes a control period.
+        """
+        # The closed form is MJX's, to rounding, for one rigid body.
+        one = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
+        self.simulator, self.dt_s, self._index = Simulator(one), dt_s, world
+        self._spec, self._seed = self.simulator.spec, one.seed
+        self.period = round(self._spec.control_dt_s / dt_s)
+        if abs(self.period * dt_s - self._spec.control_dt_s) > 1e-9:
+            raise ConfigError(
+                f"time.control_dt_s = {self._spec.control_dt_s:g}: with real autopilots it must be "
+                f"a whole number of steps of {1e3 * dt_s:g} ms"
+            )
+        self._drawn: int | None = None
+        self._draw(self._seed)
+        self._motion = motion.build(self._spec.water, dt_s, self.worlds, self._start.vehicles)
+        self._judging = judging.build(self._spec, self._motion, self.worlds, self._start)
+        self.reset()
+
+    def reset(self, seed: int | None = None, worlds: World | None = None) -> None:
+        """Begin anew: everybody at its start, moored, all clocks at 0.
+
+        Args:
+            seed: of the world; the scenario's if left out. Nothing is compiled for another one.
+            worlds: instead of what would be drawn; [1] leads, of the same shapes.
+        """
+        if worlds is None:
+            self._draw(self._seed if seed is None else seed)
+        else:
+            self.worlds: World = worlds
+            self._start, self._drawn = self.simulator.reset(worlds), None
+        self._constants = self._motion.constants(self.worlds)
+        self._known = self._judging.constants(self.worlds)
+        self.judged = self._judging.begin(self._start)
+        self._rows = self._motion.begin(self._start.vehicles)
+        self._inputs = np.zeros((self._rows.shape[0], motion.INPUTS), np.int32)
+        self._ticks, self._steps = 0, 0
+        self.state, self.moored = self._start, True
+        # Whoever has failed is held where it is: so everybody's state at rest is known.
+        self._inputs[:, motion.OUTCOME] = Outcome.OUT_OF_BOUNDS
+        held = np.asarray(self._motion.step(self._constants, self._rows, self._inputs))
+        # Not before the result is there: the step may read our array itself, while we go on.
+        self._inputs[:, motion.OUTCOME] = Outcome.RUNNING
+        self.states = States(numbers=held[:, :STATE_NUMBERS])
+
+    @property
+    def layout(self) -> Flat:
+        """Of `judged`."""
+        return self._judging.state
+
+    @property
+    def time_s(self) -> float:
+        """The autopilots' clock, s; it runs while the vehicles are moored too."""
+        return self._ticks * self.dt_s
+
+    def step(self, pwm: NDArray[np.int32]) -> States:
+        """One step of all vehicles.
+
+        Args:
+            pwm: [N, 16] pulse widths, us; outside 900 to 2100 a thruster is off.
+        """
+        self._ticks += 1
+        if self.moored:
+            return self.states
+        self._inputs[:, : motion.PULSES] = pwm
+        self._inputs[:, motion.STEPS] = self._steps
+        self._steps += 1
+        self._rows = self._motion.step(self._constants, self._rows, self._inputs)
+        self.states = States(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
+        return self.states
+
+    def judge(self) -> None:
+        """Close a control period: obstacles move, contact is looked for, accounts are kept.
+
+        A robot that failed stands still from now on, as an obstacle to the others. To be called
+        after every `period` steps, but for those in which the vehicles were moored.
+        """
+        told = self._motion.told(self._rows)
+        self.judged = self._judging.step(self._known, self.judged, told, self._inputs)
+        self.state = self._judging.end(self.judged)
+        self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]
+
+    def _draw(self, seed: int) -> None:
+        if seed != self._drawn:
+            self.worlds = self.simulator.worlds(self._index, seed=seed)
+            self._start = self.simulator.reset(self.worlds)
+            self._drawn = seed

@@ -1,0 +1,139 @@
+"""What a session shows of its scene: the truth, what autopilots believe, and records of both."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.control.allocation import NEUTRAL_US
+from angler_mjx.control.joint_tolerance import Tolerances
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.stack import Memory
+from angler_mjx.session.desk import Desk
+from angler_mjx.session.fleet_facts import Facts
+from angler_mjx.session.interface import Floats, Observation, RobotStatus
+from angler_mjx.session.view import View, Watched, believed, look, shown
+from angler_mjx.sim.state import Belief, Sample, World, WorldState
+from angler_sitl.scene.flat import Arrays, Flat
+from angler_sitl.scene.motion import HIGH_US, LOW_US
+from angler_sitl.scene.scene import Scene
+from angler_sitl.squad import Squad
+from angler_sitl.steering.guidance import Decision, belief_of, trusting
+from angler_sitl.steering.helm import Helm
+
+
+class Sight:
+    """A scene as it was seen last.
+
+    Attributes:
+        view: the truth.
+        seen: the same as the robots' autopilots know it, or the truth where that is trusted.
+        belief: of the robots, for the controllers; [1, R] leads.
+        target_m: [R, 3] place aimed at in the last step, in W.
+        sample: of the state before the last step, with its command; None before the first.
+    """
+
+    def __init__(self, scene: Scene, facts: Facts, allowed: Tolerances, *, truth: bool) -> None:
+        """Nothing is seen yet.
+
+        Args:
+            scene: to look at.
+            facts: of its robots.
+            allowed: tolerances of JointTrajectories, [R] leading.
+            truth: whether robots are told the truth, and not what their autopilots believe.
+        """
+        self._scene, self._facts, self._allowed, self._truth = scene, facts, allowed, truth
+        self._layout: Flat | None = None
+        self.sample: Sample | None = None
+        self.view: View
+        self.seen: View
+        self.belief: Belief
+        self.target_m: Floats
+
+    def begin(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+        """Look for the first time: everybody aims at where it is."""
+        self.look(squad, desk, helm)
+        self.target_m = np.asarray(self.seen.p)
+
+    def look(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+        """Look at what is there now."""
+        scene, watched = self._scene, None
+        if JointTrajectory in desk.board.kinds:
+            before: Any = desk.results
+            watched = Watched(
+                trajectory=desk.board.slot(JointTrajectory), allowed=self._allowed, before=before
+            )
+        given = (scene.worlds, scene.judged, helm.memory, self._signals(squad), watched)
+        if self._layout is None:
+            self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
+        arrays = _look_flat(scene.layout, *given)
+        view: View = self._layout.unpack(tuple(map(np.asarray, arrays)))
+        vehicles = scene.state.vehicles
+        self.belief = trusting(vehicles) if self._truth else belief_of(squad.motion(), vehicles.p)
+        self.view, self.seen = view, believed(view, self.belief)
+
+    def keep(self, before: WorldState, decision: Decision, squad: Squad) -> None:
+        """Keep a record of a step.
+
+        Args:
+            before: the state that it began with.
+            decision: what was decided then.
+            squad: after it.
+        """
+        self.target_m = np.asarray(decision.target_m)[0]
+        self.sample = Sample(
+            p=before.vehicles.p,
+            q=before.vehicles.q,
+            nu=before.vehicles.nu,
+            pwm_us=self._signals(squad),
+            target_m=decision.target_m,
+            current_mps=decision.current_mps,
+            outcome=before.tally.outcome,
+            obstacle_p=before.obstacles.p,
+            obstacle_q=before.obstacles.q,
+            belief=None if self._truth else self.belief,
+        )
+
+    def observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
+        """As sessions show it.
+
+        Args:
+            time_s: of the session.
+            status: of each robot.
+        """
+        return shown(
+            self._facts,
+            self.view,
+            self.seen,
+            time_s=time_s,
+            covariance=None,
+            target_m=self.target_m,
+            status=status,
+        )
+
+    def _signals(self, squad: Squad) -> Any:
+        """[1, R, n_thruster] pulse widths, neutral where there is no pulse."""
+        pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
+        pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
+        return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
+
+
+def _look(
+    layout: Flat,
+    worlds: World,
+    judged: Arrays,
+    memory: Memory,
+    pwm_us: jax.Array,
+    watched: Watched | None,
+) -> View:
+    state: WorldState = replace(layout.unpack(judged), carry=memory)
+    view: View = look(worlds, state, pwm_us, watched)
+    return view
+
+
+@partial(jax.jit, static_argnums=0)
+def _look_flat(layout: Flat, *given: Any) -> Arrays:
+    view = _look(layout, *given)
+    return Flat.of(view).pack(view)

@@ -1,0 +1,1 @@
+"""Our part of the control of real autopilots."""

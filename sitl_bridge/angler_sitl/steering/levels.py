@@ -1,0 +1,167 @@
+"""Where commands enter a real autopilot: at its thrusters, its position targets, or its sticks.
+
+A level is a short stack of our own controllers (`angler_mjx.control.stack`) above the autopilot's:
+what the last stage gives is sent. Everything is in W and F here; `angler_sitl.wire.messages` turns it
+into MAVLink.
+
+| level | our part | what is sent |
+|---|---|---|
+| thrusters | the scenario's controllers, whole | signals, passed through to the outputs |
+| guided | guidance along paths | position with velocity and heading, GUIDED |
+| poshold, althold, manual | none | sticks; a twist is a share of the vehicle's top speeds |
+
+A twist at the level ``guided`` moves the target on evenly, and the target waits for a robot that
+is behind. The firmware has targets of velocity alone too; a vehicle had half of one after 5 s.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.control import stages
+from angler_mjx.control.commands import BodyTwist, Estimate, PoseTarget
+from angler_mjx.control.joint_goal import JointGoal
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.laws.model import wrap
+from angler_mjx.control.laws.targets import TrackingTarget, as_tracking
+from angler_mjx.control.stack import Given, NoGains, Stage
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.session.fleet_facts import Facts
+from angler_mjx.sim.state import SimSpec
+from angler_sitl.firmware.parameters import LEVELS, Level
+
+MODES: dict[Level, int] = {
+    "thrusters": 19,
+    "guided": 4,
+    "poshold": 16,
+    "althold": 2,
+    "manual": 19,
+}
+"""The firmware's number of the mode that each level needs."""
+
+STICK_LEVELS: tuple[Level, ...] = ("poshold", "althold", "manual")
+
+LEASH_M, LEASH_RAD = 0.5, 0.5
+"""How far the target of a twist may be ahead of a robot that does not keep up."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GuidedCarry:
+    """Memory of the level ``guided``."""
+
+    position_m: jax.Array
+    """[3] target of the step before, in W."""
+    yaw_rad: jax.Array
+    """[] its heading."""
+    steered: jax.Array
+    """bool [] a twist moved it."""
+
+
+def spec_of(level: Level, spec: SimSpec) -> SimSpec:
+    """Settings of the simulation with the controllers of a level.
+
+    Args:
+        level: where commands enter.
+        spec: of the scenario.
+
+    Raises:
+        ConfigError: there is no such level.
+    """
+    if level not in LEVELS:
+        raise ConfigError(f"level = {level!r}: there is {', '.join(LEVELS)}")
+    if level == "thrusters":
+        return spec
+    last = _GUIDED if level == "guided" else _STICKS
+    stack = (stages.STAGES["follow"], last)
+    return replace(spec, stages=stack, gains=tuple(stage.gains() for stage in stack))
+
+
+def accepts(level: Level, of_scenario: tuple[type, ...]) -> tuple[type, ...]:
+    """Types of commands that robots take at a level.
+
+    Args:
+        level: where they enter.
+        of_scenario: what the scenario's own controllers take.
+    """
+    if level == "thrusters":
+        return of_scenario
+    if level == "guided":
+        return (Trajectory, JointTrajectory, TrackingTarget, PoseTarget, BodyTwist, JointGoal)
+    return (BodyTwist,)
+
+
+def _reset_guided(estimate: Estimate, yaw_rad: jax.Array) -> GuidedCarry:
+    steered = jnp.zeros(jnp.shape(yaw_rad), bool)
+    return GuidedCarry(position_m=estimate.p, yaw_rad=yaw_rad, steered=steered)
+
+
+def _guided(
+    _: NoGains, carry: GuidedCarry, given: Given, command: PoseTarget | TrackingTarget | BodyTwist
+) -> tuple[GuidedCarry, TrackingTarget]:
+    """The target of one control step."""
+    if isinstance(command, BodyTwist):
+        target = _moved(carry, given.estimate, command, given.dt)
+    else:
+        target = as_tracking(command)
+    after = GuidedCarry(
+        position_m=target.position_m,
+        yaw_rad=target.yaw_rad,
+        steered=jnp.full_like(carry.steered, isinstance(command, BodyTwist)),
+    )
+    return after, target
+
+
+def _moved(carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float) -> TrackingTarget:
+    """The target moved on by a twist, from where the robot is if another command stood before."""
+    yaw = quaternion.yaw(estimate.q)
+    velocity = quaternion.rotate(quaternion.from_yaw(yaw), command.nu[:3])
+    lead = jnp.where(carry.steered, carry.position_m - estimate.p, 0.0)
+    ahead = jnp.where(carry.steered, wrap(carry.yaw_rad - yaw), 0.0)
+    away = jnp.sqrt(jnp.sum(lead**2) + 1e-12)
+    lead = lead * jnp.minimum(1.0, LEASH_M / away) + velocity * dt
+    ahead = jnp.clip(ahead, -LEASH_RAD, LEASH_RAD) + command.nu[5] * dt
+    still = jnp.zeros_like(yaw)
+    return TrackingTarget(
+        position_m=estimate.p + lead,
+        velocity_mps=velocity,
+        acceleration_mps2=jnp.zeros_like(velocity),
+        yaw_rad=wrap(yaw + ahead),
+        yaw_rate_radps=command.nu[5] + still,
+        yaw_acceleration_radps2=still,
+    )
+
+
+def _sticks(
+    _: NoGains, carry: tuple[()], __: Given, command: PoseTarget | BodyTwist
+) -> tuple[tuple[()], BodyTwist]:
+    """Sticks held as a twist; let go where a robot is to stay."""
+    if isinstance(command, BodyTwist):
+        return carry, command
+    still = jnp.zeros_like(command.position_m)
+    return carry, BodyTwist(nu=jnp.concatenate([still, still]))
+
+
+_GUIDED = Stage(
+    name="guided",
+    takes=(PoseTarget, TrackingTarget, BodyTwist),
+    gives=TrackingTarget,
+    step=_guided,
+    reset=_reset_guided,
+)
+_STICKS = Stage(
+    name="sticks",
+    takes=(PoseTarget, BodyTwist),
+    gives=BodyTwist,
+    step=_sticks,
+    reset=lambda _, __: (),
+)
+
+
+def facts_of(level: Level, facts: Facts) -> Facts:
+    """What is known of a scene's robots, with the commands that they take at a level."""
+    robots = tuple(replace(robot, accepts=accepts(level, robot.accepts)) for robot in facts.robots)
+    return replace(facts, robots=robots)

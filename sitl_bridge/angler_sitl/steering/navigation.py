@@ -1,0 +1,97 @@
+"""External navigation: what an autopilot is told of its own motion from outside.
+
+By default the truth; where a scenario's fleet has instruments and filters of its own
+(`angler_mjx.sensing`), what those make of it, with its spread. SITL adds its own noise to
+gyroscopes and accelerometers in either case, but none to this.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
+from angler_mjx.session.interface import Floats
+from angler_mjx.sim import senses
+from angler_mjx.sim.state import Belief, Senses, SimSpec, World
+from angler_sitl.scene.scene import Scene
+from angler_sitl.steering.pilot import Fix
+
+type Memory = tuple[Senses | None, ...]
+
+
+class Navigation:
+    """Navigation systems of all robots of a scene."""
+
+    def __init__(self, scene: Scene, spec: SimSpec) -> None:
+        """Nothing is compiled where robots are told the truth."""
+        self._scene, self._spec = scene, spec
+        self._sense = jax.jit(partial(_sense, spec))
+        self._begin = jax.jit(partial(_begin, spec))
+        self.reset()
+
+    def reset(self) -> None:
+        """Switch the instruments on, at the vehicles' starts."""
+        scene, self._looks = self._scene, 0
+        self._memory: Memory = (
+            self._begin(scene.worlds, scene.state.vehicles) if self._spec.crews else ()
+        )
+
+    def fixes(self) -> list[Fix]:
+        """What each robot is told now; once in a control period."""
+        if not self._spec.crews:
+            states = self._scene.states
+            none = np.zeros_like(states.p_ned)
+            told: tuple[Floats, ...]
+            told = (states.p_ned, states.q, states.v_ned, none, none, none)
+        else:
+            told = self._sensed()
+        return [
+            Fix(
+                p=p,
+                q=q,
+                velocity_mps=velocity,
+                position_std_m=position_std,
+                velocity_std_mps=velocity_std,
+                attitude_std_rad=attitude_std,
+            )
+            for p, q, velocity, position_std, velocity_std, attitude_std in zip(*told, strict=True)
+        ]
+
+    def _sensed(self) -> tuple[Floats, ...]:
+        """What instruments and filters make of the truth, NED and FRD, [R] leading."""
+        scene, number = self._scene, np.int32(self._looks)
+        self._looks += 1
+        self._memory, belief = self._sense(scene.worlds, self._memory, number, scene.state.vehicles)
+        q, nu = np.asarray(belief.q, float), np.asarray(belief.nu, float)
+        spreads = (belief.position_std_m, belief.velocity_std_mps, belief.attitude_std_rad)
+        return (
+            vector_enu_to_ned(np.asarray(belief.p, float)),
+            quaternion_enu_to_ned(q),
+            vector_enu_to_ned(in_world(q, nu)),
+            # A standard deviation has no sign.
+            *(np.abs(vector_enu_to_ned(np.asarray(spread, float))) for spread in spreads),
+        )
+
+
+def in_world(q: Floats, nu: Floats) -> Floats:
+    """Linear velocity [..., 3] in W of nu [..., 6] in F, at an attitude [..., 4]."""
+    w, axis, v = q[..., :1], q[..., 1:], nu[..., :3]
+    once = 2.0 * np.cross(axis, v)
+    turned: Floats = v + w * once + np.cross(axis, once)
+    return turned
+
+
+def _begin(spec: SimSpec, worlds: World, vehicles: Any) -> Memory:
+    world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
+    return senses.reset(spec, world, now)
+
+
+def _sense(
+    spec: SimSpec, worlds: World, memory: Memory, number: jax.Array, vehicles: Any
+) -> tuple[Memory, Belief]:
+    world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
+    flow = jnp.zeros_like(now.p)
+    return senses.step(spec, world, memory, number, now, flow)

@@ -1,0 +1,58 @@
+"""A twist as the sticks of a pilot, with the meaning that each mode of the firmware gives them.
+
+Where a mode takes a stick for a velocity (POSHOLD along all axes and in turning, ALT_HOLD up, down
+and in turning), its dead zone is jumped over and its scale is set by parameters, so that the robot
+moves with that twist. Where a mode takes it for a share of full thrust, a share of the vehicle's
+top speed is that share of the stick: half a stick is then less than half of the thrust that the
+speed needs, or more; it is a pilot's eye that closes the loop.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.session.interface import Floats, RobotInfo
+from angler_sitl.firmware.parameters import Level
+
+_LEVEL_ZONE, _TURN_ZONE = 0.25, 0.1
+"""Dead zones, as shares of the stick: THR_DZ = 100 and RC4_DZ = 40, of 400 us."""
+_UP_ZONE, _DOWNMOST = 0.1925, 0.925
+"""The throttle counts 0 to 1000 from 1130 to 1900 us (RC3_DZ = 30), with its middle at 1500 us and
+THR_DZ = 100 on either side: its lower end is reached before that of the stick."""
+_FULL_TURN_RADPS = np.radians(45.0 * 3.375)
+"""Full stick is 45 degrees, by ACRO_YAW_P a second."""
+
+
+def parameters(level: Level, robot: RobotInfo) -> dict[str, float]:
+    """The firmware's scales: full stick is the vehicle's top speed.
+
+    Beyond the dead zone it counts a level stick from there, but not up to 1.
+    """
+    if level not in ("poshold", "althold"):
+        return {}
+    level_mps, up_mps = float(np.max(robot.max_speed_mps[:2])), float(robot.max_speed_mps[2])
+    return {
+        "PILOT_SPEED": float(round(100.0 * level_mps / (1.0 - _LEVEL_ZONE))),
+        "PILOT_SPEED_UP": float(round(100.0 * up_mps)),
+        "PILOT_SPEED_DN": float(round(100.0 * up_mps)),
+    }
+
+
+def of_twist(level: Level, robot: RobotInfo, nu: Floats) -> Floats:
+    """Sticks [4] forward, left, up and turning left, -1 to 1.
+
+    Args:
+        level: poshold, althold or manual.
+        robot: whose top speeds.
+        nu: [6] in F.
+    """
+    x, y, z = map(float, robot.max_speed_mps)
+    most, zone = np.array([x, y, z, robot.max_turn_radps]), np.zeros(4)
+    if level in ("poshold", "althold"):
+        most[3], zone[2:] = _FULL_TURN_RADPS, (_UP_ZONE, _TURN_ZONE)
+    if level == "poshold":
+        most[:2], zone[:2] = max(x, y), _LEVEL_ZONE
+    share: Any = np.asarray(nu, float)[[0, 1, 2, 5]] / most
+    end = np.where((zone == _UP_ZONE) & (share < 0.0), _DOWNMOST, 1.0)
+    deflection: Floats = np.sign(share) * (zone + (end - zone) * np.abs(share))
+    return deflection

@@ -1,0 +1,1 @@
+"""What goes over sockets: servo packets, state, MAVLink, and the lock-step."""

@@ -1,0 +1,257 @@
+"""The barrier between N autopilots and one scene: a step, all ask and are answered, the next step.
+
+An autopilot sends a servo packet and waits for one reply, whose time is its clock from then on. The
+scene steps when all have asked, so no clock is ever more than a step ahead of another, and after
+each step all agree. The autopilots are told not to pace themselves; where a speed is asked for, the
+pace is kept here, once for all of them.
+
+A pulse's width is known at its end, and a pulse takes most of a step: the scene's step needs the
+pulse widths of the packets before. It is taken while the autopilots work at their next packets, and
+who sends one finds the reply ready.
+
+Wall time is looked at for two things alone: that pace, and an autopilot that no longer asks.
+"""
+
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.errors import RunError
+from angler_sitl.scene.motion import PULSES
+from angler_sitl.scene.scene import Scene
+from angler_sitl.wire import packets
+
+LOOK_S = 0.1
+"""How long a silent autopilot is waited for before it is looked whether it still runs."""
+
+RESEND_S = 1.0
+"""An autopilot that waits sends the same packet again after 1.1 s of wall time."""
+
+_LATE_S = 0.1
+"""Behind the pace by more than this, what was missed is let go: no rush to catch up."""
+
+type Address = tuple[str, int]
+
+_NOWHERE: Address = ("", 0)
+
+
+@dataclass(kw_only=True)
+class Spent:
+    """Where the wall time of the barriers went, s."""
+
+    barriers: int = 0
+    waiting_s: float = 0.0
+    """For servo packets, and reading them: what autopilots took longer than the scene's step."""
+    physics_s: float = 0.0
+    replies_s: float = 0.0
+    """Text, and sending it."""
+    pacing_s: float = 0.0
+
+
+class LockStep:
+    """N autopilots and their scene.
+
+    Attributes:
+        pwm: int32 [N, 16] pulse widths of the last packet of each, us.
+        lost: the autopilots that are gone, and why; only with ``on_crash = "hold"``.
+        speed: simulated over wall time; None for as fast as possible. May be changed.
+        spent: where the time went.
+    """
+
+    def __init__(
+        self,
+        sockets: Sequence[socket.socket],
+        scene: Scene,
+        *,
+        names: Sequence[str],
+        fault: Callable[[int], str | None],
+        condition: Callable[[int], str] | None = None,
+        speed: float | None = None,
+        hang_s: float = 10.0,
+        on_crash: Literal["end", "hold"] = "end",
+    ) -> None:
+        """Take over the sockets.
+
+        Args:
+            sockets: of each autopilot, bound, where its servo packets come in.
+            scene: of as many vehicles.
+            names: of the vehicles.
+            fault: what ended an autopilot, by its index; None while it runs.
+            condition: what one is doing that runs but no longer asks.
+            speed: simulated over wall time; None for as fast as possible.
+            hang_s: wall time after which one that runs but does not ask is taken to hang.
+            on_crash: whether the loss of an autopilot ends the run, or only its vehicle's thrust.
+        """
+        self.pwm: NDArray[np.int32] = np.zeros((len(sockets), PULSES), np.int32)
+        self.lost: dict[int, str] = {}
+        self.speed, self.spent = speed, Spent()
+        self._sockets, self._scene, self._names = list(sockets), scene, list(names)
+        self._fault, self._condition, self._hang_s = fault, condition, hang_s
+        self._on_crash = on_crash
+        self._alive = list(range(len(self._sockets)))
+        self._source: list[Address] = [_NOWHERE] * len(self._sockets)
+        self._frame = [-1] * len(self._sockets)
+        self._text = [b""] * len(self._sockets)
+        self._next = list(self._text)
+        self._buffer = memoryview(bytearray(2 * packets.SERVO_BYTES))
+        # Where each autopilot and we have a core, looking again is quicker than being woken.
+        self._spins = speed is None and len(self._sockets) < len(os.sched_getaffinity(0))
+        self._pace_from_s, self._pace_time_s = time.perf_counter(), scene.time_s
+        # Long ago: packets that gathered before the first answer are repeats of the first.
+        self._answered_s = [-np.inf] * len(self._sockets)
+        for one in self._sockets:
+            # Blocking with the kernel's own time limit: Python's would cost a poll a packet.
+            one.setblocking(True)
+            limit = struct.pack("ll", 0, round(1e6 * LOOK_S))
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+
+    @property
+    def time_s(self) -> float:
+        """Clock of the scene and of all autopilots."""
+        return self._scene.time_s
+
+    def pace(self, speed: float | None) -> None:
+        """From now on so many times real time at most; None for as fast as possible."""
+        self.speed = speed
+        self._pace_from_s, self._pace_time_s = time.perf_counter(), self._scene.time_s
+
+    def advance(self, steps: int) -> None:
+        """So many steps of the scene.
+
+        Raises:
+            RunError: an autopilot ended, hangs or began anew, naming it; or a state is not finite.
+                With ``on_crash = "hold"`` only when none is left.
+        """
+        for _ in range(steps):
+            self._barrier()
+
+    def _barrier(self) -> None:
+        began = time.perf_counter()
+        rows = self._scene.step(self.pwm).numbers.tolist()
+        moved = time.perf_counter()
+        time_s = self._scene.time_s
+        for i in self._alive:
+            self._next[i] = packets.write_state(self._names[i], time_s, rows[i])
+        written = time.perf_counter()
+        self._pace(written)
+        now = paced = time.perf_counter()
+        sending_s = 0.0
+        for i in tuple(self._alive):
+            self._await(i)
+            asked = now = time.perf_counter()
+            if i not in self.lost:
+                self._answer(i, asked)
+                now = time.perf_counter()
+                sending_s += now - asked
+        spent = self.spent
+        spent.barriers += 1
+        spent.physics_s += moved - began
+        spent.pacing_s += paced - written
+        spent.replies_s += written - moved + sending_s
+        spent.waiting_s += now - paced - sending_s
+
+    def _answer(self, i: int, now_s: float) -> None:
+        """The reply to the packet that an autopilot sent last."""
+        if now_s - self._answered_s[i] > RESEND_S:
+            self._forget_repeats(i)
+        self._text[i] = text = self._next[i]
+        self._sockets[i].sendto(text, self._source[i])
+        self._answered_s[i] = now_s
+
+    def _await(self, i: int) -> None:
+        """The next servo packet of an autopilot."""
+        since = time.perf_counter()
+        while i not in self.lost:
+            try:
+                size, source = self._receive(self._sockets[i])
+            except BlockingIOError:
+                self._silent(i, time.perf_counter() - since)
+                continue
+            packet = packets.read_servo(self._buffer[:size])
+            if packet is None:
+                continue
+            frame, pulses = packet
+            if source != self._source[i] != _NOWHERE:
+                self._moved(i, frame, source)
+            elif frame > self._frame[i]:
+                self._source[i], self._frame[i] = source, frame
+                self.pwm[i] = pulses
+                return
+            elif frame == self._frame[i]:
+                # It did not get the reply: the same once more, and its clock stays right.
+                self._sockets[i].sendto(self._text[i], source)
+            else:
+                self._lose(i, self._anew(i))
+
+    def _receive(self, one: socket.socket) -> tuple[int, Address]:
+        """A packet and where it comes from; BlockingIOError if none comes for `LOOK_S`."""
+        if self._spins:
+            until = time.perf_counter() + LOOK_S
+            while time.perf_counter() < until:
+                try:
+                    return one.recvfrom_into(self._buffer, 0, socket.MSG_DONTWAIT)
+                except BlockingIOError:
+                    os.sched_yield()  # whoever else wants this core goes first
+        return one.recvfrom_into(self._buffer)
+
+    def _silent(self, i: int, waited_s: float) -> None:
+        fault = self._fault(i)
+        if fault is not None:
+            self._lose(i, fault)
+        elif waited_s > self._hang_s:
+            doing = "" if self._condition is None else f"; {self._condition(i)}"
+            self._lose(
+                i,
+                f"{self._names[i]}: its autopilot hangs: it runs, but has sent no servo packet for "
+                f"{waited_s:.1f} s{doing}",
+            )
+
+    def _moved(self, i: int, frame: int, source: Address) -> None:
+        """A packet from another address than before."""
+        if frame <= self._frame[i]:
+            self._lose(i, self._anew(i))
+            return
+        raise RunError(
+            f"{self._names[i]}: servo packets come from two programs, ports {self._source[i][1]} "
+            f"and {source[1]}; end the one that is not ours"
+        )
+
+    def _anew(self, i: int) -> str:
+        return (
+            f"{self._names[i]}: its autopilot began anew (a reboot) at {self._scene.time_s:.2f} s; "
+            "it is disarmed and knows nothing of before"
+        )
+
+    def _lose(self, i: int, why: str) -> None:
+        if self._on_crash == "end":
+            raise RunError(why)
+        self.lost[i] = why
+        self.pwm[i] = 0
+        self._alive.remove(i)
+        if not self._alive:
+            raise RunError("no autopilot is left: " + "; ".join(self.lost.values()))
+
+    def _forget_repeats(self, i: int) -> None:
+        """Drop what came again while we were slow: one answer is due, not one for each."""
+        try:
+            while True:
+                self._sockets[i].recv_into(self._buffer, 0, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            pass
+
+    def _pace(self, now_s: float) -> None:
+        """Sleep until the step is due."""
+        if self.speed is None:
+            return
+        early = self._pace_from_s + (self._scene.time_s - self._pace_time_s) / self.speed - now_s
+        if early > 0:
+            time.sleep(early)
+        if not -_LATE_S < early < 1.0:
+            self._pace_from_s, self._pace_time_s = now_s, self._scene.time_s

@@ -1,0 +1,147 @@
+import json
+import math
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.speed import chart
+from angler_mjx.speed import rows as speed
+from angler_mjx.speed.compare import compare, latest
+from angler_mjx.speed.report import around, complete
+from angler_mjx.speed.roofline import DeviceSpeed, bound
+
+from .rows import make_row, write_rows
+
+DEVICE = DeviceSpeed(copy_bytes_per_s=1e9, fma_flops_per_s=1e11, driver=None)
+
+
+def test_what_is_recorded_is_read_again(tmp_path):
+    path = tmp_path / "deep" / "rows.jsonl"
+    row = make_row()
+    speed.record(row, {**around(DEVICE), **complete(row, DEVICE)}, path)
+    (found,) = speed.read(path)
+    assert {name: found[name] for name in asdict(row)} == asdict(row)
+    for name in ("device", "versions", "commit", "driver", "copy_bytes_per_s", "fma_flops_per_s"):
+        assert name in found
+
+
+def test_a_row_that_is_not_a_number_is_not_written(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    with pytest.raises(ValueError):
+        speed.record(make_row(median=math.nan), {}, path)
+    assert path.read_text() == ""
+
+
+def test_rows_of_the_first_version_are_read(rows_file):
+    first = speed.read(rows_file)[0]
+    assert (first["workload"], first["engine"], first["kernels"]) == ("reef_fleet", "mjx", "xla")
+    assert first["flops"] is None
+
+
+def test_the_rows_of_the_repository_are_read():
+    path = Path(__file__).parents[3] / "benchmarks" / "results.jsonl"
+    rows = speed.read(path)
+    assert len(rows) == len(path.read_text().splitlines())
+    assert all(row["engine"] for row in rows if row["unit"] == "vehicle-steps/s")
+
+
+@pytest.mark.parametrize("line", ["{", "[]", '"text"', '{"worlds": 1}', '{"workload": 3}'])
+def test_a_line_that_is_no_row_is_named(tmp_path, line):
+    path = tmp_path / "rows.jsonl"
+    path.write_text(f"\n{line}\n")
+    with pytest.raises(ConfigError, match="line 2"):
+        speed.read(path)
+
+
+def test_the_lower_of_two_limits_is_the_roofline():
+    # 1e11 flops/s over 4,000 each, 1e9 bytes/s over 30 each.
+    assert bound(make_row(), DEVICE) == pytest.approx(1e11 / 4000)
+    assert bound(make_row(flops=None), DEVICE) == pytest.approx(1e9 / 30)
+    assert bound(make_row(devices=4), DEVICE) == pytest.approx(4e11 / 4000)
+    assert bound(make_row(flops=None, least_bytes=None), DEVICE) is None
+    assert complete(make_row(median=5e6), DEVICE)["share_of_bound"] == pytest.approx(0.2)
+
+
+def test_commits_in_one_file_are_compared_size_by_size(rows_file):
+    ratios = {row.worlds: row for row in compare("abc", "def", rows_file)}
+    assert sorted(ratios) == [1, 16]
+    assert ratios[1].ratio == pytest.approx(3.0)
+    assert (ratios[1].low, ratios[1].high) == pytest.approx((5.7e4 / 2.2e4, 6.6e4 / 1.9e4))
+    assert ratios[1].beyond_spread
+    # 3.0e5 to 3.6e5 against 3.04e5 to 3.52e5: the repeats overlap.
+    assert not ratios[16].beyond_spread
+
+
+def test_files_of_two_machines_are_compared(tmp_path, rows_file):
+    a = write_rows(tmp_path / "a.jsonl", [make_row()], device="cpu")
+    b = write_rows(tmp_path / "b.jsonl", [make_row(median=4e6)], device="NVIDIA H200")
+    (row,) = compare(str(a), str(b), rows_file)
+    assert row.ratio == pytest.approx(4.0)
+
+
+def test_a_later_row_takes_the_place_of_an_earlier(tmp_path):
+    path = write_rows(tmp_path / "a.jsonl", [make_row(median=1.0e6), make_row(median=1.05e6)])
+    assert [row["median"] for row in latest(speed.read(path))] == [1.05e6]
+
+
+def test_comparing_with_nothing_says_so(tmp_path, rows_file):
+    with pytest.raises(ConfigError, match="no row of"):
+        compare("abc", "fff", rows_file)
+    other = write_rows(tmp_path / "b.jsonl", [make_row(worlds=7)])
+    with pytest.raises(ConfigError, match="same engine and size"):
+        compare("abc", str(other), rows_file)
+
+
+def test_the_chart_has_a_line_for_each_device_and_engine(rows_file):
+    figure = chart.draw(rows_file)
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert sum("fused/xla, CPU" in label for label in labels) == 1
+    assert sum("fused/xla, H200" in label for label in labels) == 1
+    assert sum("mjx, CPU" in label for label in labels) == 1
+    (axes,) = figure.axes
+    assert {text.get_text() for text in axes.texts} == {
+        "roofline: reef_fleet, CPU",
+        "roofline: reef_fleet, H200",
+    }
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+
+
+def test_a_chart_of_no_simulation_is_refused(tmp_path):
+    path = write_rows(tmp_path / "a.jsonl", [make_row(unit="worlds/s")])
+    with pytest.raises(ConfigError, match="vehicle-steps/s"):
+        chart.draw(path)
+
+
+def test_the_table_takes_its_place_in_a_document(tmp_path, rows_file):
+    document = tmp_path / "doc.md"
+    document.write_text(f"above\n{chart.BEGIN}\nold\n{chart.END}\nbelow\n")
+    chart.write_table(rows_file, document)
+    text = document.read_text()
+    assert text.startswith("above\n")
+    assert text.endswith("\nbelow\n")
+    assert "old" not in text
+    # The later commit's row of 16 worlds; the row without a number is left out.
+    assert "| reef_fleet | fused/xla | CPU | 16 x 4 | 3.3e5 vehicle-steps/s | 18 % |" in text
+    assert "65,536" not in text
+    chart.write_table(rows_file, document)
+    assert document.read_text() == text
+
+
+def test_a_document_without_a_place_is_left_alone(tmp_path, rows_file):
+    document = tmp_path / "doc.md"
+    document.write_text("nothing here\n")
+    with pytest.raises(ConfigError, match="no place"):
+        chart.write_table(rows_file, document)
+    assert document.read_text() == "nothing here\n"
+
+
+def test_lines_are_strict_json(tmp_path):
+    path = tmp_path / "rows.jsonl"
+    speed.record(replace(make_row(), flops=None), {}, path)
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    assert json.loads(path.read_text(), parse_constant=refuse)["flops"] is None
