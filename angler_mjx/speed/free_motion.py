@@ -1,8 +1,8 @@
 """Speed of the equations of motion alone: many vehicles in still water under constant thrust.
 
-No control, no currents, no worlds, no detection: what the physics of `engines.dynamics` can do at most.
-Each vehicle begins at a velocity of its own and is pushed by thrusts of its own; both are drawn on
-the device, outside the timed region. All calls begin at the same state, which is left as it was.
+No control, no currents, no worlds, no detection: what `engines.dynamics` can do at most. Each
+vehicle begins at a velocity of its own and is pushed by thrusts of its own; both are drawn on the
+device, outside the timed region. All calls begin at the same state, which is left as it was.
 """
 
 from functools import partial

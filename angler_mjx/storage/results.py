@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from angler_mjx.runs import intervals
+from angler_mjx.storage import intervals
 from angler_mjx.sim.state import Outcome, Touched
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
@@ -191,7 +191,7 @@ def rates(episodes: pa.Table) -> dict[str, Any]:
 
     Returns:
         By outcome ``count``, ``rate``, ``low``, ``high``, and ``effective``: how many independent
-        robots the rows are worth; see `angler_mjx.runs.intervals`.
+        robots the rows are worth; see `angler_mjx.storage.intervals`.
     """
     names = episodes["outcome"].combine_chunks()
     ended = {

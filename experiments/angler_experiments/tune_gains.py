@@ -2,8 +2,8 @@
 
     python -m angler_experiments.tune_gains
 
-The cost is that of `angler_mjx.engines.gradients.tracking_cost`: how far robots are from where their
-paths want them. Adam works on the logarithms of the gains, which keeps them positive. What is
+The cost is that of `angler_mjx.engines.gradients.tracking_cost`: how far robots are from where
+their paths want them. Adam works on the logarithms of the gains, which keeps them positive. What is
 printed at the end was measured on worlds that the gains were not tuned on.
 """
 

@@ -1,11 +1,11 @@
 """Motion of all vehicles of one world, compiled to one call with as little around it as can be.
 
-The equations are those of the simulator (`angler_mjx.engines.lanes.steps.physics_step`), at the step of
-the lock-step. Around them a call has three arrays: the constants of the world, the vehicles with
-what was last sent of them, and whole numbers from outside. They are whole so that they need no
+The equations are those of the simulator (`angler_mjx.engines.lanes.steps.physics_step`), at the
+step of the lock-step. Around them a call has three arrays: the constants of the world, the vehicles
+with what was last sent of them, and whole numbers from outside. They are whole so that they need no
 conversion, and the time is exact. float64: at 400 steps a second a float32 position 20 m from the
-origin takes steps of 1.9 um, and a constant velocity is rounded the same way at each of them, up
-to 0.4 mm/s beside the velocity that the autopilot is told.
+origin takes steps of 1.9 um, and a constant velocity is rounded the same way at each of them, up to
+0.4 mm/s beside the velocity that the autopilot is told.
 """
 
 import itertools

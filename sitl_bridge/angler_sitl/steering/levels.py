@@ -1,8 +1,8 @@
 """Where commands enter a real autopilot: at its thrusters, its position targets, or its sticks.
 
 A level is a short stack of our own controllers (`angler_mjx.control.stack`) above the autopilot's:
-what the last stage gives is sent. Everything is in W and F here; `angler_sitl.wire.messages` turns it
-into MAVLink.
+what the last stage gives is sent. Everything is in W and F here; `angler_sitl.wire.messages` turns
+it into MAVLink.
 
 | level | our part | what is sent |
 |---|---|---|
