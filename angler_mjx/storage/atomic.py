@@ -18,14 +18,15 @@ def require_free(path: Path, *, flag: str, force: bool = False) -> None:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[Path]:
+def whole(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """A place beside a file in which to write it; it takes the file's name at the end.
 
-    What was written is on the disk before it takes the name. Whatever ends the writing early, an
+    Whatever ends the writing early, an
     interrupt included, leaves nothing behind and an older file as it was.
 
     Args:
         path: the file; its folder is there.
+        durable: have what was written on the disk before it takes the name.
 
     Raises:
         OSError: the disk gave out.
@@ -34,7 +35,8 @@ def whole(path: Path) -> Iterator[Path]:
     writing = path.with_name(f".unfinished.{path.name}")
     try:
         yield writing
-        sync(writing)
+        if durable:
+            sync(writing)
         writing.replace(path)
     finally:
         writing.unlink(missing_ok=True)

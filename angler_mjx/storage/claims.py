@@ -1,5 +1,4 @@
-"""Folders that are built beside their place: the name is taken at the beginning, and one process at
-a time builds there.
+"""Folders that are built beside their place, by one process at a time.
 
 ``NAME`` is made at once, empty, so that nobody else can take it while the work goes on; the work
 goes into the hidden ``.NAME.partial`` beside it, which takes the place of the empty folder at the
@@ -56,20 +55,24 @@ class Claim:
         with suppress(OSError):  # it has its name: nothing is lost any more
             atomic.sync(self.out.parent)
             (self.out / LOCK).unlink()
-        self.release()
+        self._unlock()
 
     def release(self) -> None:
-        """Part from the folder and leave everything as it is, for another to go on with."""
+        """Part from the hidden folder and leave it as it is, for another to go on with."""
         if self.handle is not None:
-            os.close(self.handle)
-            self.handle = None
+            with suppress(OSError):  # what another put there stays
+                self.out.rmdir()
+            self._unlock()
 
     def withdraw(self) -> None:
         """Take the folder and its name away: only while nothing in it is worth keeping."""
         shutil.rmtree(self.building, ignore_errors=True)
-        with suppress(OSError):  # what another put there stays
-            self.out.rmdir()
         self.release()
+
+    def _unlock(self) -> None:
+        if self.handle is not None:
+            os.close(self.handle)
+            self.handle = None
 
 
 def partial_path(out: Path) -> Path:

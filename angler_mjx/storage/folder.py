@@ -240,7 +240,8 @@ def write_episodes(path: Path, episodes: pa.Table) -> None:
 
 def holds_results(building: Path) -> bool:
     """Whether anything was computed into a hidden folder."""
-    return (building / EPISODES).exists() or any((building / PARTS).glob("*.parquet"))
+    parts = building / PARTS
+    return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 
 
 def finish(claimed: Claim, episodes: pa.Table, summary: dict[str, Any]) -> Run:

@@ -162,24 +162,10 @@ def require_unchanged(run: Path, *, flag: str) -> None:
         )
 
 
-def labels(vehicles: Iterable[str]) -> dict[str, str]:
-    """What to call vehicles in tables: the names in their files, unless two files share one.
-
-    Args:
-        vehicles: as a scenario names them.
-
-    Raises:
-        ConfigError: a file cannot be read.
-    """
-    names = {named: library.load(named).name for named in vehicles}
-    shared = {name for name in names.values() if list(names.values()).count(name) > 1}
-    return {named: named if name in shared else name for named, name in names.items()}
-
-
 def vehicle_file(run: Path, label: str) -> str:
     """The vehicle of a row of results, as `library.load` takes it: its copy where there is one."""
     found = copies(run)
-    for named, name in labels(map(str, found.values())).items():
+    for named, name in library.labels(str(path) for path in found.values()).items():
         if name == label:
             return named
     return str(found.get(label, label))

@@ -1,4 +1,4 @@
-"""What lies in ``trajectories.zarr``: names, dimensions, units; one table for writer and readers."""
+"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

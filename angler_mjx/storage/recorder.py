@@ -23,8 +23,8 @@ from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.storage import atomic, layout, shards
 from angler_mjx.storage import environments as store
-from angler_mjx.storage import layout, shards
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.harvest import Arrays
 from angler_mjx.world.environment import Environment
@@ -116,6 +116,21 @@ class Recorder:
             ):
                 return name
         return None
+
+    def sync(self, first_world: int) -> None:
+        """Wait until the files of a tile are on the disk.
+
+        Raises:
+            OSError: the disk gave out.
+        """
+        number = first_world // self._tile
+        places = [
+            _place(self._path / name, number, array.ndim)
+            for name, array in {**self._arrays, **self._around()}.items()
+        ]
+        # Together: one after another, many small files would wait for the disk once each.
+        for done in [self._encoders.submit(atomic.sync, place) for place in places]:
+            done.result()
 
     def _around(self) -> dict[str, Any]:
         """Arrays of the environments that are not empty, by their names in the whole group."""

@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from angler_mjx.storage import intervals
 from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.storage import intervals
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
 """How an episode can end, in the order of every table and figure."""

@@ -50,7 +50,7 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
 
     Args:
         path: of the file; its folder is made if need be.
-        pieces: as they come; the disk begins with each at once.
+        pieces: as they come; the disk begins with each at once, and is not waited for.
 
     Returns:
         Bytes written.
@@ -60,7 +60,7 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written = 0
-    with atomic.whole(path) as writing, writing.open("wb", buffering=0) as file:
+    with atomic.whole(path, durable=False) as writing, writing.open("wb", buffering=0) as file:
         for piece in pieces:
             _write_all(file.fileno(), memoryview(piece))
             start_disk(file.fileno(), written, len(piece))

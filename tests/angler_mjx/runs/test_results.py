@@ -2,7 +2,7 @@
 
 import pytest
 
-from angler_mjx.storage.results import wilson
+from angler_mjx.storage.intervals import wilson
 
 
 def test_wilson_interval_against_published_values():
