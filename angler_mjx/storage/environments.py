@@ -5,7 +5,7 @@ The names of the arrays are those of the fields of `Environment`, with "/" betwe
 stands in the group's attributes, so that a group can be read without the config that made it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -134,18 +134,21 @@ def read(group: zarr.Group, index: int | slice) -> Environment:
         ConfigError: the group is damaged.
     """
     with reading(_place(group)):
-        check(group)
         return _read(group, index)
 
 
-def check(group: zarr.Group) -> None:
+def check(nodes: Mapping[str, Any], where: Path) -> None:
     """Refuse a group whose arrays do not fit together, before anything of them is read.
+
+    Args:
+        nodes: of the group, by their names.
+        where: it lies, for messages.
 
     Raises:
         ConfigError: naming the array.
     """
     sizes: dict[str, int] = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
-    for name, array in group.members(max_depth=None):
+    for name, array in nodes.items():
         if not isinstance(array, zarr.Array):
             continue
         dims = ("world", *_dims(name, array.ndim - 1))
@@ -154,7 +157,7 @@ def check(group: zarr.Group) -> None:
         )
         if not fits or array.nbytes > MOST_BYTES * max(1, array.shape[0]):
             raise ConfigError(
-                f"{_place(group)}/{name}: has the shape {array.shape}, which does not fit the "
+                f"{where}/{name}: has the shape {array.shape}, which does not fit the "
                 "others; copy its zarr.json again, or make the file anew"
             )
 
@@ -267,7 +270,7 @@ def open_file(path: Path) -> zarr.Group:
     if about.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
     with reading(path):
-        check(group)
+        check(dict(group.members(max_depth=None)), path)
     return group
 
 

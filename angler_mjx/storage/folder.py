@@ -23,7 +23,7 @@ import zarr
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.files import parse
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.storage import atomic, claims, inputs, layout, results
+from angler_mjx.storage import atomic, claims, environments, inputs, layout, results
 from angler_mjx.storage.claims import Claim, partial_path
 from angler_mjx.storage.damage import read_table, reading
 
@@ -81,12 +81,18 @@ class Run:
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
         with reading(place):
             group = zarr.open_group(place, mode="r")
+            nodes = dict(group.members(max_depth=None))
             layout.check(
-                group,
+                nodes,
                 str(place),
                 worlds=scenario.worlds,
                 robots=len(scenario.members()),
                 estimated=scenario.senses,
+            )
+            inside = f"{layout.ENVIRONMENT}/"
+            environments.check(
+                {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
+                place / layout.ENVIRONMENT,
             )
         return group
 

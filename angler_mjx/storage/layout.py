@@ -125,11 +125,13 @@ def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     return tuple((WIDTHS | dict(sizes))[dim] for dim in kind.dims)
 
 
-def check(group: Any, where: str, *, worlds: int, robots: int, estimated: bool) -> None:
+def check(
+    nodes: Mapping[str, Any], where: str, *, worlds: int, robots: int, estimated: bool
+) -> None:
     """Refuse trajectories that are not those of a run, before anything of them is read.
 
     Args:
-        group: of Zarr.
+        nodes: of the Zarr group, by their names.
         where: it lies, for messages.
         worlds: of the run.
         robots: of its fleet.
@@ -138,17 +140,17 @@ def check(group: Any, where: str, *, worlds: int, robots: int, estimated: bool) 
     Raises:
         ConfigError: an array is missing, or has another shape or type.
     """
-    time = group[TIME]
+    time = nodes[TIME]
     if time.ndim != 1 or not 1 <= time.size <= MOST or time.dtype.kind != "f":
         raise ConfigError(f"{where}/{TIME}: has the shape {time.shape} of {time.dtype}, not [time]")
     sizes = {"time": time.size, "robot": robots}
     for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
-        sizes[dim] = _size(group, name, -1, where)
-    sizes["obstacle"] = _size(group, "obstacle_p_m", -2, where) if "obstacle_p_m" in group else 0
+        sizes[dim] = _size(nodes, name, -1, where)
+    sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
     for name in names(sizes, estimated=estimated):
-        if name not in group:
+        if name not in nodes:
             raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
-        array, kind = group[name], ARRAYS[name]
+        array, kind = nodes[name], ARRAYS[name]
         wanted = (worlds, *tail(kind, sizes))
         if array.shape != wanted or array.dtype != kind.dtype or array.chunks != (1, *wanted[1:]):
             raise ConfigError(
@@ -158,10 +160,10 @@ def check(group: Any, where: str, *, worlds: int, robots: int, estimated: bool) 
             )
 
 
-def _size(group: Any, name: str, axis: int, where: str) -> int:
-    if name not in group:
+def _size(nodes: Mapping[str, Any], name: str, axis: int, where: str) -> int:
+    if name not in nodes:
         raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
-    shape = group[name].shape
+    shape = nodes[name].shape
     size = int(shape[axis]) if len(shape) >= -axis else -1
     if not 1 <= size <= MOST:
         raise ConfigError(f"{where}/{name}: has the shape {shape}; copy its zarr.json again")

@@ -111,8 +111,9 @@ def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> B
     program, noted = part.with_name(PROGRAM), part.with_name(RECORD)
     # JSON's strings and whole numbers are TOML's.
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in record.model_dump().items()]
-    part.replace(program)
-    atomic.write_text(noted, "".join(lines))
+    with atomic.whole(noted) as fresh:
+        fresh.write_text("".join(lines), encoding="utf-8")
+        part.replace(program)
     return Binary(path=program, version=said.version, sha256=found)
 
 
