@@ -177,8 +177,10 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
             raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
         if "interrupted" in summary:
             raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
-    if not any((place / CONFIG).is_file() for place in (out, partial_path(out))):
+    place = partial_path(out) if partial_path(out).exists() else out
+    if not (place / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
+    read_scenario(place)  # before anything is moved
     claimed = claims.reclaim(out)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")

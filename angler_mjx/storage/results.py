@@ -153,6 +153,8 @@ def checked(table: pa.Table) -> pa.Table:
     if table.schema.names != EPISODE_SCHEMA.names or table.schema.types != EPISODE_SCHEMA.types:
         raise ValueError(f"holds the columns {', '.join(table.schema.names)}")
     table.validate(full=True)
+    if table.num_rows == 0:
+        raise ValueError("holds no rows")
     for at, field in enumerate(EPISODE_SCHEMA):
         column = table[field.name]
         if field.name in MISSING:
