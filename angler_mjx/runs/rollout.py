@@ -4,7 +4,6 @@ A run is built in a hidden folder beside its place and moved there when it is wh
 interrupted with all finished tiles in it. An interrupted run can be taken up again.
 """
 
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -15,19 +14,18 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import sizes, waves
+from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import Alone, Team
 from angler_mjx.runs.progress import Progress, Silent
-from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
+from angler_mjx.runs.provenance import peak_memory_bytes
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.simulator.simulator import CompileTime, Simulator
 from angler_mjx.storage import claims, folder, harvest, results
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile
-from angler_mjx.storage.recorder import Recorder, mend
+from angler_mjx.storage.recorder import Recorder
 from angler_mjx.storage.writer import Writer
-from angler_mjx.vehicles import library
 
 
 @dataclass(kw_only=True)
@@ -82,8 +80,8 @@ def rollout(
         room = sizes.room(simulator, chunk)
         claimed = None
         if team.index == 0:
-            claimed = _begin(simulator, place)
-            stack.enter_context(_held(claimed, new=team.count == 1))
+            claimed = opening.begin(simulator, place)
+            stack.enter_context(opening.held(claimed, new=team.count == 1))
         team.meet("folder")
         return _Rollout(simulator, place, room, progress or Silent(), team, claimed).run()
 
@@ -123,84 +121,20 @@ def resume(
         claimed = None
         if team.index == 0:
             if scenario is not None:
-                _require_same(place, scenario)
+                opening.require_same(place, scenario)
             claimed = folder.reopen(place, told.tell)
-            stack.enter_context(_held(claimed, new=False))
+            stack.enter_context(opening.held(claimed, new=False))
         team.meet("found")
         building = claims.partial_path(place)
         stored = folder.read_scenario(building)
         simulator = simulator or Simulator(stored, devices=devices)
-        if simulator.scenario.model_copy(update=_resolved(simulator)) != stored:
+        if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
         if team.index == 0 and stored.time.record_hz > 0:
-            _mend(simulator, building, told)
+            opening.mend(simulator, building, told)
         team.meet("folder")
         return _Rollout(simulator, place, room, told, team, claimed).run()
-
-
-def _require_same(place: Path, scenario: Scenario) -> None:
-    """Refuse to go on with a run of another scenario than the one that was named.
-
-    What a run may override stands in its folder, and is not compared.
-    """
-    building = claims.partial_path(place)
-    where = building if (building / folder.CONFIG).is_file() else place
-    if not (where / folder.CONFIG).is_file():
-        return  # and `folder.reopen` says that there is no run
-    stored = folder.read_scenario(where)
-    if stored.name != scenario.name:
-        raise ConfigError(
-            f"--resume {place}: is a run of {stored.name!r}, not of {scenario.name!r}; name "
-            "that scenario, or the folder of another run with --out"
-        )
-    now, before = (_fixed(one) for one in (scenario, stored))
-    differing = [key for key in now if now[key] != before[key]]
-    if differing:
-        raise ConfigError(
-            f"--resume {place}: the scenario {scenario.name!r} was edited since the run began "
-            f"({', '.join(differing)}): undo that, or begin a new run"
-        )
-
-
-def _fixed(scenario: Scenario) -> dict[str, Any]:
-    """What no flag of a run changes; a vehicle's copy stands for it."""
-    table = scenario.model_dump(
-        exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
-    )
-    table["time"].pop("record_hz")
-    for entry in table["fleet"]:
-        entry["vehicle"] = library.load(entry["vehicle"]).name
-    return table
-
-
-def _mend(simulator: Simulator, building: Path, told: Progress) -> None:
-    """Put back descriptions of arrays that are missing; their tiles are then found wanting."""
-    fresh = building / ".described"
-    shutil.rmtree(fresh, ignore_errors=True)
-    try:
-        _describe(simulator, fresh)
-        for name in mend(building / folder.TRAJECTORIES, fresh):
-            told.tell(
-                f"{building / folder.TRAJECTORIES / name}: was missing or damaged, made again"
-            )
-    except OSError as error:
-        raise RunError(f"{building}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
-
-
-@contextmanager
-def _held(claimed: Claim, *, new: bool) -> Iterator[None]:
-    """Part from a folder at the end; take it away if it is new and nothing was computed into it."""
-    try:
-        yield
-    except BaseException:
-        if new and claimed.handle is not None and not folder.holds_results(claimed.building):
-            claimed.withdraw()
-        raise
-    finally:
-        claimed.release()
 
 
 @contextmanager
@@ -212,42 +146,6 @@ def _telling(team: Team) -> Iterator[None]:
         team.fail(str(error) or type(error).__name__)
         team.leave()
         raise
-
-
-def _resolved(simulator: Simulator) -> dict[str, Any]:
-    """What the simulator chose where the scenario said nothing."""
-    return {"tile": simulator.tile, "kernels": simulator.kernels}
-
-
-def _begin(simulator: Simulator, place: Path) -> Claim:
-    """Make the folder of a new run, with what is known before the first world."""
-    scenario, shape = simulator.scenario, sizes.shape_of(simulator)
-    resolved = scenario.model_copy(update=_resolved(simulator))
-    if scenario.time.record_hz > 0:
-        folder.require_space(place, scenario.worlds * shape.bytes_per_world())
-    claimed = folder.create(place)
-    try:
-        folder.begin(claimed.building, resolved, describe_environment())
-        if scenario.time.record_hz > 0:
-            _describe(simulator, claimed.building / folder.TRAJECTORIES)
-    except OSError as error:
-        claimed.withdraw()
-        raise RunError(f"--out {place}: cannot be written ({error.strerror or error})") from error
-    except BaseException:
-        claimed.withdraw()
-        raise
-    return claimed
-
-
-def _describe(simulator: Simulator, path: Path) -> None:
-    """Make the group of trajectories, with nothing in it yet."""
-    Recorder.create(
-        path,
-        sizes.shape_of(simulator),
-        simulator.world_shape().environment,
-        tile=simulator.tile,
-        sample_dt_s=1.0 / simulator.scenario.time.record_hz,
-    )
 
 
 class _Rollout:
