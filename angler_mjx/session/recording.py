@@ -228,6 +228,7 @@ class SessionRecording:
             sample_dt_s=1.0 / self._scenario.time.record_hz,
         )
         recorder.write(tile.first, harvest.arrays(tile, shape.samples), environment)
+        recorder.sync(tile.first)
 
     def _summary(self, scenario: Scenario, course: Course) -> dict[str, Any]:
         """As of every run, and how it went."""

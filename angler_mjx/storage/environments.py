@@ -71,6 +71,9 @@ _DIMS = {
 }
 """Dimensions after ``world``; of what is not here they are called after the array."""
 
+_SHARED = {"world", "robot", "obstacle", "axis", "quaternion", "velocity_axis"}
+"""Dimensions of one size in a whole group."""
+
 MOST_BYTES = 2**30
 """Of one world's array: what claims more is damaged."""
 
@@ -147,13 +150,15 @@ def check(nodes: Mapping[str, Any], where: Path) -> None:
     Raises:
         ConfigError: naming the array.
     """
-    sizes: dict[str, int] = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
+    sizes = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
     for name, array in nodes.items():
         if not isinstance(array, zarr.Array):
             continue
         dims = ("world", *_dims(name, array.ndim - 1))
+        # Other dimensions are an array's own.
+        keys = [dim if dim in _SHARED else f"{name} {dim}" for dim in dims]
         fits = len(dims) == array.ndim and all(
-            sizes.setdefault(dim, size) == size for dim, size in zip(dims, array.shape, strict=True)
+            sizes.setdefault(key, size) == size for key, size in zip(keys, array.shape, strict=True)
         )
         if not fits or array.nbytes > MOST_BYTES * max(1, array.shape[0]):
             raise ConfigError(

@@ -202,10 +202,9 @@ def _find(role: str, named: str, path: Path) -> _Found:
 def _keep(place: Path, found: _Found, data: bytes, names: set[str]) -> Input:
     """Write a copy, under a name that no other copy has."""
     stem, end = found.path.stem[:60], found.path.suffix
-    ways = (stem if i == 1 else f"{stem}_{i}" for i in range(1, len(names) + 2))
-    name = next(
-        f"{found.role}s/{one}{end}" for one in ways if f"{found.role}s/{one}{end}" not in names
-    )
+    kind = f"{found.role.rstrip('s')}s"
+    tries = (f"{kind}/{stem}{f'_{i}' if i > 1 else ''}{end}" for i in range(1, len(names) + 2))
+    name = next(one for one in tries if one not in names)
     names.add(name)
     (place / name).parent.mkdir(exist_ok=True)
     with atomic.whole(place / name) as writing:

@@ -107,7 +107,7 @@ def read(run: Run, world: int) -> Scene:
 
 def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
     stored: Any = run.trajectories
-    files = {row["vehicle"]: run.vehicle_file(row["vehicle"]) for row in rows}
+    files = {label: run.vehicle_file(label) for label in {row["vehicle"] for row in rows}}
     environment = store.read(stored["environment"], world)
     last = max(end_time_s(row) for row in rows)
     time = np.asarray(stored["time_s"])
