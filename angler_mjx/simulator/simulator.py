@@ -38,6 +38,7 @@ from angler_mjx.simulator.devices import (
     tree_bytes,
 )
 from angler_mjx.simulator.prepare import preparer
+from angler_mjx.vehicles import library
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
 
@@ -194,6 +195,12 @@ class Simulator:
         """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
         kinds = fleet.variants(self.scenario.members())
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
+
+    def labels(self) -> list[tuple[str, str]]:
+        """As `variants`, for tables: a vehicle is called what its file says, wherever that lies."""
+        variants = self.variants()
+        names = library.labels(vehicle for vehicle, _ in variants)
+        return [(names[vehicle], chosen) for vehicle, chosen in variants]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
         """Worlds first, first + 1 and on: drawn, furnished and planned.

@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, get_args, get_origin, get_type_hints
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from jax import monitoring
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import peak_memory_bytes
+from angler_mjx.storage.damage import reading
 
 MIN_REPEATS = 10
 """Fewer tell little about the spread."""
@@ -201,10 +203,8 @@ def read(path: Path) -> list[dict[str, Any]]:
     Raises:
         ConfigError: the file cannot be read, or a line of it is no row.
     """
-    try:
+    with reading(path, "give a file of angler bench"):
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
     return list(_rows(text, path))
 
 
@@ -217,15 +217,33 @@ def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():
             continue
-        try:
+        with reading(Path(f"{path}, line {number}"), "it is no row of a benchmark: remove it"):
             found = json.loads(line)
             row = absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
             row["worlds"], row["robots"] = int(found["worlds"]), int(found["robots"])
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ConfigError(
-                f"{path}, line {number}: is no row of a benchmark ({error})"
-            ) from error
+            _require_kinds(row)
         yield row
+
+
+def _require_kinds(row: dict[str, Any]) -> None:
+    """Refuse values of another type than a row has; what a version did not write is None."""
+    for name, kind in get_type_hints(Row).items():
+        value = row[name]
+        options = get_args(kind) if get_origin(kind) is UnionType else (kind,)
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = (
+            value is None
+            or (float in options and number and abs(value) < 1e300)
+            or (int in options and isinstance(value, int) and number and abs(value) < 2**63)
+            or (str in options and isinstance(value, str))
+            or (bool in options and isinstance(value, bool))
+            or (get_origin(kind) is dict and isinstance(value, dict))
+        )
+        if not fits:
+            raise TypeError(f"{name} is of another type")
+    for name in ("device", "commit"):
+        if not isinstance(row[name], str | None):
+            raise TypeError(f"{name} is no text")
 
 
 def _renamed(workload: str) -> dict[str, Any]:

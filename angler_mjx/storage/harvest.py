@@ -10,17 +10,12 @@ import numpy as np
 
 from angler_mjx.errors import RunError
 from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.storage.layout import END, ESTIMATE
 from angler_mjx.storage.results import TileResult
 from angler_mjx.world.environment import Environment
 
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
-
-ESTIMATE = "estimate"
-"""Group of what the controllers were told, where that was not the truth."""
-
-END = "end"
-"""Group of the one state of each world that comes after its last sample."""
 
 _SAMPLED = {
     "p_m": "p",
