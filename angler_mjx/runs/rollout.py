@@ -17,8 +17,14 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes, waves
 from angler_mjx.runs.processes import Alone, Team
 from angler_mjx.runs.progress import Progress, Silent
-from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
+from angler_mjx.runs.provenance import (
+    describe_environment,
+    peak_memory_bytes,
+    require_policy,
+    write_policy,
+)
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.simulator import CompileTime, Simulator
 from angler_mjx.storage import folder, harvest, results
 from angler_mjx.storage.harvest import FinishedTile
@@ -46,6 +52,7 @@ def rollout(
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
@@ -58,6 +65,7 @@ def rollout(
         simulator: of the same scenario, to use what it has compiled already.
         devices: devices of this process to run on; all if left out. Changes no byte of the results.
         team: processes that share the run; each calls this with the same arguments.
+        policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -72,7 +80,7 @@ def rollout(
     with _telling(team):
         if team.index == 0 and place.exists():
             raise ConfigError(f"--out {place}: exists; give another folder or remove it")
-        simulator = simulator or Simulator(scenario, devices=devices)
+        simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
@@ -96,15 +104,17 @@ def resume(
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
-    """Go on with an interrupted run; arguments and errors as in `rollout`."""
+    """Go on with an interrupted run, with the policy that it had; otherwise as `rollout`."""
     place, team = Path(out), team or Alone()
     with _telling(team):
         if team.index == 0:
             folder.reopen(place)
         team.meet("folder")
         scenario = folder.read_scenario(folder.partial_path(place))
-        simulator = simulator or Simulator(scenario, devices=devices)
+        simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
+        require_policy(folder.partial_path(place), simulator.policy)
         if simulator.scenario.model_copy(update=_resolved(simulator)) != scenario:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
@@ -137,6 +147,7 @@ def _begin(simulator: Simulator, place: Path) -> None:
     try:
         folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
         folder.write_json(building / folder.ENVIRONMENT, describe_environment())
+        write_policy(building, simulator.policy)
         if scenario.time.record_hz > 0:
             Recorder.create(
                 building / folder.TRAJECTORIES,

@@ -1,6 +1,7 @@
 """The run folder: where it is built, what lies in it, and how it is read back.
 
 ``config.json`` resolved scenario, ``environment.json`` versions and machine, ``summary.json``,
+``policy.json`` where one commanded the robots,
 ``episodes.parquet``, ``trajectories.zarr``, ``figures/``, ``replay.rrd``; ``robots/`` where each
 robot left files of its own. While a run goes on, the
 folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
@@ -22,6 +23,7 @@ from angler_mjx.files import parse
 from angler_mjx.scenario.scenario import Scenario
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
+POLICY = "policy.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
 FIGURES, REPLAY, ROBOTS = "figures", "replay.rrd", "robots"
 

@@ -3,43 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.sim.record import FIELDS, Sample
+from angler_mjx.sim.state import Outcome, Tally, World, WorldState
 from angler_mjx.storage.results import TileResult
 from angler_mjx.world.environment import Environment
 
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
-
-ESTIMATE = "estimate"
-"""Group of what the controllers were told, where that was not the truth."""
-
-_SAMPLED = {
-    "p_m": "p",
-    "q": "q",
-    "nu": "nu",
-    "pwm_us": "pwm_us",
-    "target_m": "target_m",
-    "current_mps": "current_mps",
-    "outcome": "outcome",
-    "obstacle_p_m": "obstacle_p",
-    "obstacle_q": "obstacle_q",
-}
-"""Name on disk and in `Sample`."""
-
-_BELIEVED = {
-    "p_m": "p",
-    "q": "q",
-    "nu": "nu",
-    "position_std_m": "position_std_m",
-    "velocity_std_mps": "velocity_std_mps",
-    "attitude_std_rad": "attitude_std_rad",
-}
-"""Name on disk, in the group ``estimate``, and in `Belief`."""
 
 
 @jax.tree_util.register_dataclass
@@ -138,17 +114,13 @@ def arrays(tile: FinishedTile, samples: int) -> Arrays:
         tile: with its parts.
         samples: in the whole horizon.
     """
-    made: Arrays = {
-        name: partial(_joined, [getattr(part, field) for part in tile.parts], samples)
-        for name, field in _SAMPLED.items()
-    }
-    beliefs = [part.belief for part in tile.parts if part.belief is not None]
-    if beliefs:
-        for name, field in _BELIEVED.items():
-            rows = [getattr(belief, field) for belief in beliefs]
-            made[f"{ESTIMATE}/{name}"] = partial(_joined, rows, samples)
-    made["pwm_us"] = partial(_whole_numbers, made["pwm_us"])
-    made["outcome"] = partial(_bytes, made["outcome"])
+    made: Arrays = {}
+    for field in FIELDS:
+        rows = [values for part in tile.parts if (values := field.of(part)) is not None]
+        if rows:
+            made[field.about.array] = partial(
+                _as_stored, field.stored, partial(_joined, rows, samples)
+            )
     made["plan_time_s"] = lambda worlds: np.asarray(tile.constants.plan_time_s)[worlds]
     made["plan_m"] = lambda worlds: np.asarray(tile.constants.plan_m)[worlds]
     return made
@@ -166,12 +138,14 @@ def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
     return whole
 
 
-def _whole_numbers(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+def _as_stored(
+    dtype: np.dtype[Any], make: Callable[[slice], np.ndarray], worlds: slice
+) -> np.ndarray:
+    """Of the type that is stored, but for floats: these are converted block by block."""
     values = make(worlds)
-    # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
-    np.rint(np.fmax(values, 0.0, out=values), out=values)
-    return values.astype(np.uint16)
-
-
-def _bytes(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
-    return make(worlds).astype(np.uint8)
+    if dtype.kind == "f":
+        return values
+    if values.dtype.kind == "f":
+        # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
+        np.rint(np.fmax(values, 0.0, out=values), out=values)
+    return values.astype(dtype)

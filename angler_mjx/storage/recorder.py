@@ -20,9 +20,10 @@ import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
+from angler_mjx.sim.record import ESTIMATE, FIELDS, Field
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import shards
-from angler_mjx.storage.harvest import ESTIMATE, Arrays
+from angler_mjx.storage.harvest import Arrays
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
@@ -38,36 +39,6 @@ BLOCK_BYTES = 2**22
 _ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
 """As the arrays' metadata say; docs/decisions/0004-many-devices.md has what was measured."""
 
-_ABOUT: dict[str, tuple[str, str]] = {
-    "p_m": ("m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)"),
-    "q": ("1", "attitude, quaternion wxyz, body (forward, left, up) to world"),
-    "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
-    "pwm_us": (
-        "us",
-        "command of each thruster; 1500 in padding columns, 0 where a diverged robot had none",
-    ),
-    "target_m": ("m", "where the controller aims, world frame"),
-    "current_mps": ("m/s", "water velocity at the robot, world frame"),
-    "outcome": (
-        "1",
-        "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-        "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
-    ),
-    "obstacle_p_m": ("m", "centre of each obstacle, world frame"),
-    "obstacle_q": ("1", "attitude of each obstacle, quaternion wxyz, body to world"),
-}
-"""Sampled arrays [world, time, robot or obstacle, ...]: unit and meaning."""
-
-_TOLD: dict[str, tuple[int, str, str]] = {
-    "p_m": (3, "m", "centre of mass as the controllers were told it, world frame"),
-    "q": (4, "1", "attitude as they were told it, quaternion wxyz, body to world"),
-    "nu": (6, "m/s, rad/s", "velocity over ground as they were told it, body frame"),
-    "position_std_m": (3, "m", "standard deviations of the estimate, world frame; 0 for the truth"),
-    "velocity_std_mps": (3, "m/s", "standard deviations of the velocity, world frame"),
-    "attitude_std_rad": (3, "rad", "standard deviations of the attitude, about the world's axes"),
-}
-"""Sampled arrays [world, time, robot, ...] of the group of estimates: width, unit and meaning."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
@@ -82,13 +53,19 @@ class Shape:
     estimated: bool = False
     """Whether any robot's controllers were told something other than the truth."""
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Lengths of the axes that differ from run to run."""
+        return {"robot": self.robots, "thruster": self.thrusters, "obstacle": self.obstacles}
+
+    def fields(self) -> tuple[Field, ...]:
+        """What is recorded."""
+        return tuple(field for field in FIELDS if self.estimated or not field.optional)
+
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
-        floats = self.robots * (3 + 4 + 6 + 3 + 3) + self.obstacles * 7
-        if self.estimated:
-            floats += self.robots * sum(width for width, _, _ in _TOLD.values())
-        small = self.robots * (2 * self.thrusters + 1)
-        return self.samples * (4 * floats + small) + self.robots * self.plan_points * 16
+        sample = sum(field.bytes(self.sizes) for field in self.fields())
+        return self.samples * sample + self.robots * self.plan_points * 16
 
 
 class Recorder:
@@ -140,27 +117,29 @@ class Recorder:
             }
         )
         time = np.arange(shape.samples) * sample_dt_s
-        self._group.create_array("time_s", data=time, attributes={"unit": "s"})
-        per_robot = {"p_m": 3, "q": 4, "nu": 6, "target_m": 3, "current_mps": 3}
-        for name, width in per_robot.items():
-            self._sampled(name, (shape.robots, width), np.float32)
-        self._sampled("pwm_us", (shape.robots, shape.thrusters), np.uint16)
-        self._sampled("outcome", (shape.robots,), np.uint8)
-        self._sampled("obstacle_p_m", (shape.obstacles, 3), np.float32)
-        self._sampled("obstacle_q", (shape.obstacles, 4), np.float32)
-        if shape.estimated:
-            for name, (width, unit, meaning) in _TOLD.items():
-                tail = (shape.samples, shape.robots, width)
-                self._create(f"{ESTIMATE}/{name}", tail, np.float32, unit, meaning)
-        points = (shape.robots, shape.plan_points)
-        self._create("plan_time_s", points, np.float32, "s", "time of each way-point")
-        self._create("plan_m", (*points, 3), np.float32, "m", "way-points, world frame")
+        self._group.create_array(
+            "time_s", data=time, attributes={"unit": "s"}, dimension_names=("time",)
+        )
+        for field in shape.fields():
+            about = field.about
+            tail = (shape.samples, *field.shape(shape.sizes))
+            names = ("time", *about.axes)
+            self._create(about.array, tail, names, field.stored, about.unit, about.text)
+        plan = partial(self._create, dtype=np.float32)
+        points, names = (shape.robots, shape.plan_points), ("robot", "point")
+        plan("plan_time_s", points, names, unit="s", text="time of each way-point")
+        place = (*names, "xyz")
+        plan("plan_m", (*points, 3), place, unit="m", text="way-points, world frame")
 
-    def _sampled(self, name: str, tail: tuple[int, ...], dtype: Any) -> None:
-        unit, meaning = _ABOUT[name]
-        self._create(name, (self._shape.samples, *tail), dtype, unit, meaning)
-
-    def _create(self, name: str, tail: tuple[int, ...], dtype: Any, unit: str, text: str) -> None:
+    def _create(
+        self,
+        name: str,
+        tail: tuple[int, ...],
+        dimensions: tuple[str, ...],
+        dtype: Any,
+        unit: str,
+        text: str,
+    ) -> None:
         if 0 in tail:
             return
         floating = np.issubdtype(dtype, np.floating)
@@ -173,6 +152,7 @@ class Recorder:
             fill_value=np.nan if floating else 0,
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
             attributes={"unit": unit, "description": text},
+            dimension_names=("world", *dimensions),
         )
 
     def _write_environment(self, number: int, kept: int, environment: Environment) -> None:
