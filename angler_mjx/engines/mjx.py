@@ -223,7 +223,7 @@ class MjxEngine:
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
     ) -> WorldState:
         """See `Engine.reset`."""
-        one = partial(start.reset, spec, _multibody(fleet), policy=policy)
+        one = partial(start.reset, spec, _multibody(spec, fleet, worlds), policy=policy)
         state: WorldState = jax.vmap(one)(worlds.body, worlds)
         return state
 
@@ -239,7 +239,7 @@ class MjxEngine:
         """See `Engine.control_step`."""
         one = partial(control_step, spec, policy=policy)
         after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
-            _multibody(fleet), worlds, state, command
+            _multibody(spec, fleet, worlds), worlds, state, command
         )
         return after
 
@@ -260,7 +260,7 @@ class MjxEngine:
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return segment(
                 spec,
-                _multibody(fleet),
+                _multibody(spec, fleet, worlds),
                 world,
                 state,
                 n_sample,
@@ -273,9 +273,14 @@ class MjxEngine:
         return after
 
 
-def _multibody(fleet: Fleet) -> mjx_engine.MjxEngine:
+def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:
     if fleet.engine is None:
         raise UnsupportedError(
             "the fleet was built without multibody models: engine mjx needs them"
         )
-    return fleet.engine
+    if worlds.body.fields.keys() != fleet.body.fields.keys():
+        raise UnsupportedError(
+            "the worlds were drawn of a fleet without the multibody fields of this one: engine mjx "
+            "needs them (`Simulator.adopt` gives them)"
+        )
+    return fleet.engine.under(spec.water.gravity_mps2)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control import stack
+from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import ControlParams, Stages
 from angler_mjx.control.trajectory import Trajectory
@@ -116,7 +116,7 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
     carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
     step = jax.ShapeDtypeStruct((), jnp.int32)
     after, command = jax.eval_shape(policy.act, carry, known, key, step)
-    _check(name, stages, command, known.goal_m.shape[:1])
+    _check(name, stages, command, known)
     if _shapes(carry) != _shapes(after):
         raise ConfigError(
             f"policy {name}: act gives a memory of other shapes or types than reset: "
@@ -126,10 +126,14 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
     return PolicyMemory(carry=carry, command=held if period > 1 else None)
 
 
-def _check(name: str, stages: Stages, command: Any, lead: tuple[int, ...]) -> None:
+def _check(name: str, stages: Stages, command: Any, known: Known) -> None:
+    lead, thrusters = (1, known.goal_m.shape[0]), known.params.vehicle.B.shape[-1]
+    command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
     try:
         for one in command.commands if isinstance(command, Mixed) else [command]:
-            stack.check_command(stages, one, lead)
+            stack.check_command(stages, one, lead, thrusters)
+        if isinstance(command, Mixed):
+            command_checks.check_choice(command, lead)
     except ConfigError as error:
         raise ConfigError(f"policy {name}: {error}") from None
 

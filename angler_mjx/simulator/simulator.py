@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
-from angler_mjx.control import stack
+from angler_kernels.clearance import cell_neighbours
+from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
@@ -24,9 +25,11 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import Outcome, World, WorldState
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
     EACH,
@@ -86,8 +89,6 @@ class Simulator:
         scenario: what is simulated.
         tile: worlds of one device in one call.
         devices: number of devices.
-        fleet: compiled vehicles.
-        spec: settings of the simulation.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
     """
@@ -114,10 +115,10 @@ class Simulator:
         """
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self.spec = scenario.sim_spec()
+        self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
-        self.fleet: fleet.Fleet = jax.device_put(
+        self._fleet: Fleet = jax.device_put(
             fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
             NamedSharding(self._mesh, SAME),
         )
@@ -154,6 +155,13 @@ class Simulator:
         )
         self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
             partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH, *driver
+        )
+        pack = self._spread(jax.vmap(cell_neighbours), EACH)
+        take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
+        self._gate = Gate(
+            self._fleet,
+            take=partial(take, self._fleet),
+            pack=pack if scenario.engine == "fused" else None,
         )
         self._segment: Callable[..., Segment] = self._spread(
             self._run_segment, SAME, EACH, EACH, *driver, donate_argnums=2
@@ -203,6 +211,16 @@ class Simulator:
         )
 
     @property
+    def fleet(self) -> Fleet:
+        """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
+        return self._fleet
+
+    @property
+    def spec(self) -> SimSpec:
+        """Settings of the simulation, which its programs hold."""
+        return self._spec
+
+    @property
     def segment_steps(self) -> int:
         """Control steps in one segment."""
         return self.samples * self.steps_per_sample
@@ -242,7 +260,20 @@ class Simulator:
             (number, np.asarray(firsts, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        return self._prepare(self.fleet, *numbers)
+        return self._gate.own(self._prepare(self.fleet, *numbers))
+
+    def adopt(self, worlds: World) -> World:
+        """Worlds with the parameters that this simulator's fleet gives to their variants.
+
+        For worlds that another simulator drew, or whose ``variant`` was edited.
+
+        Args:
+            worlds: [devices * tile] leading.
+
+        Raises:
+            ConfigError: a robot cannot be its variant.
+        """
+        return self._gate.adopt(worlds)
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
@@ -260,7 +291,7 @@ class Simulator:
         worlds: World = placed(shapes, self._mesh, EACH)
         return worlds
 
-    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
         """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
@@ -278,10 +309,11 @@ class Simulator:
             policy: the simulator's with other numbers in it.
 
         Raises:
-            ConfigError: no stage of the controllers takes what the policy commands, or it is made
-                otherwise than the simulator's.
+            ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
+                as in `step` and `segment`; no stage of the controllers takes what the policy
+                commands, or it is made otherwise than the simulator's.
         """
-        return self._reset(self.fleet, worlds, *self._driven(policy))
+        return self._reset(self.fleet, self._gate.admit(worlds), *self._driven(policy))
 
     def step(
         self,
@@ -305,14 +337,14 @@ class Simulator:
             The next state, and the sample of the state before with its command.
 
         Raises:
-            ConfigError: no stage of the controllers takes the command, or it is not for every
-                robot of every world.
+            ConfigError: no stage of the controllers takes the command, an array of it has another
+                shape than every robot of every world wants, or pulse widths in NumPy's arrays are
+                outside the thrust table; or as `reset`.
         """
         if command is not None:
-            lead = state.tally.outcome.shape
-            for one in command.commands if isinstance(command, Mixed) else [command]:
-                stack.check_command(self.spec.stages, one, lead)
-        return self._step(self.fleet, worlds, state, command, *self._driven(policy))
+            self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        return self._step(self.fleet, admitted, state, command, *self._driven(policy))
 
     def segment(
         self,
@@ -339,8 +371,9 @@ class Simulator:
         if command is None:
             after, sample, _ = self.advance(worlds, state, policy=policy)
             return after, sample
-        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
-        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
+        self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        after, sample, _ = self._commanded(self.fleet, admitted, state, command)
         return after, sample
 
     def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
@@ -348,7 +381,17 @@ class Simulator:
 
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, worlds, state, *self._driven(policy))
+        return self._segment(self.fleet, self._gate.admit(worlds), state, *self._driven(policy))
+
+    def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
+        """Refuse commands that the controllers cannot be given."""
+        lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
+        for one in command.commands if isinstance(command, Mixed) else [command]:
+            stack.check_command(self.spec.stages, one, lead, thrusters)
+        if isinstance(command, Mixed):  # of its commands some hold any numbers
+            command_checks.check_choice(command, lead)
+        else:
+            command_checks.check_pulses(command)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
@@ -399,7 +442,7 @@ class Simulator:
 
     def _run_segment(
         self,
-        kinds: fleet.Fleet,
+        kinds: Fleet,
         worlds: World,
         state: WorldState,
         policy: Policy | None = None,

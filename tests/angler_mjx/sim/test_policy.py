@@ -238,7 +238,10 @@ def joints(robots):
     ("policy", "message"),
     [
         (Gives(what=NO_COMMAND), "policy Gives: command Estimate: no stage of follow, pose"),
-        (Gives(what=BodyWrench(tau=jnp.zeros((3, 6)))), r"policy Gives: .*\(3, 6\)"),
+        (
+            Gives(what=BodyWrench(tau=jnp.zeros((3, 6)))),
+            r"policy Gives: .*tau has the shape \[1, 3, 6\]: must be \[1, 2, 6\]",
+        ),
         (Gives(what=BodyWrench(tau=jnp.zeros((2, 6))), period=0), "period = 0"),
         (Gives(what=BodyWrench(tau=jnp.zeros((2, 6))), after=jnp.zeros(3)), "memory of other"),
     ],
