@@ -138,6 +138,7 @@ def control_step(
     state: WorldState,
     command: Command | None = None,
     policy: Policy | None = None,
+    number: jax.Array | None = None,
 ) -> tuple[WorldState, Sample]:
     """One control step of one world.
 
@@ -148,6 +149,8 @@ def control_step(
         state: of the world.
         command: to the controllers instead of the paths, [R] leading.
         policy: that commands them, if one does.
+        number: ``state.step``, as one number for all worlds of a batch: a policy with a period is
+            then called in its steps alone.
 
     Returns:
         The state one control period later, and the sample of the state before with its command.
@@ -156,7 +159,8 @@ def control_step(
     minds, told = Minds.of(state), Told()
     policy = aboard.asked(policy, command)
     if aboard.tells(spec, policy):
-        minds, told = aboard.tell(spec, policy, world, minds, state.step, state.vehicles)
+        count = state.step if number is None else number
+        minds, told = aboard.tell(spec, policy, world, minds, count, state.vehicles)
     here = OneWorld(
         spec=spec,
         world=world,
@@ -192,6 +196,7 @@ def segment(
     steps_per_sample: int,
     command: Command | None = None,
     policy: Policy | None = None,
+    number: jax.Array | None = None,
 ) -> tuple[WorldState, Sample]:
     """``n_sample * steps_per_sample`` control steps of one world, all with one command.
 
@@ -204,16 +209,18 @@ def segment(
     shapes = jax.eval_shape(fly, state)[1]
     nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
-    def one(carry: tuple[WorldState, Sample], i: jax.Array) -> tuple[Any, None]:
-        state, kept = carry
-        state, sample = fly(state)
+    def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
+        state, number, kept = carry
+        state, sample = fly(state, number=number)
         kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
-        return (state, kept), None
+        return (state, None if number is None else number + 1, kept), None
 
-    def recorded(state: WorldState, _: None) -> tuple[WorldState, Sample]:
-        return jax.lax.scan(one, (state, nothing), jnp.arange(steps_per_sample))[0]
+    def recorded(now: Any, _: None) -> tuple[Any, Sample]:
+        (*now, kept), _ = jax.lax.scan(one, (*now, nothing), jnp.arange(steps_per_sample))
+        return tuple(now), kept
 
-    return jax.lax.scan(recorded, state, length=n_sample)
+    (after, _), samples = jax.lax.scan(recorded, (state, number), length=n_sample)
+    return after, samples
 
 
 class MjxEngine:
@@ -237,7 +244,7 @@ class MjxEngine:
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        one = partial(control_step, spec, policy=policy)
+        one = partial(control_step, spec, policy=policy, number=_number(state, policy))
         after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
         )
@@ -256,21 +263,19 @@ class MjxEngine:
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
+        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
+        fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:
-            return segment(
-                spec,
-                _multibody(spec, fleet, worlds),
-                world,
-                state,
-                n_sample,
-                steps_per_sample,
-                command=command,
-                policy=policy,
-            )
+            return fly(_multibody(spec, fleet, worlds), world, state, command=command)
 
         after: tuple[WorldState, Sample] = jax.vmap(one)(worlds, state, command)
         return after
+
+
+def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:
+    """Control steps that all worlds have taken, where a policy wants to know."""
+    return None if policy is None else state.step[0]
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:
