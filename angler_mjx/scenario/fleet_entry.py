@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
-from angler_mjx.scenario import crews
+from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.vehicles import library
@@ -32,7 +32,7 @@ class FleetEntry(FileModel):
     """Whether the allocation knows thruster_health; if not, it takes all thrusters for sound."""
     rotor_response: RotorResponse | None = None
     """First or third order; what the vehicle file says if left out. The same for a whole fleet."""
-    estimate: crews.Source = "truth"
+    estimate: instrumented.Source = "truth"
     """What the controllers are told: the true state, that with noise, or a navigation filter's."""
     sensors: SensorsConfig | None = None
     """Instruments, and the noise of "noisy"; the defaults if left out."""
@@ -65,7 +65,7 @@ class FleetEntry(FileModel):
     def _weights(self, default: str) -> dict[str, float]:
         return self.parameter_mix or {self.parameter_set or default: 1.0}
 
-    def told(self) -> tuple[crews.Source, SensorsConfig]:
+    def told(self) -> tuple[instrumented.Source, SensorsConfig]:
         """What the controllers are told, and the instruments."""
         return self.estimate, self.sensors or SensorsConfig()
 

@@ -11,7 +11,7 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse, read_toml
 from angler_mjx.physics.step import Water
-from angler_mjx.scenario import crews
+from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.sensing.params import check
 from angler_mjx.sim.fleet import Member
@@ -167,7 +167,7 @@ class Scenario(FileModel):
     @property
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
-        return any(not crews.told_truth(*entry.told()) for entry in self.fleet)
+        return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
@@ -185,7 +185,7 @@ class Scenario(FileModel):
             water=water,
             stages=controllers,
             gains=gains,
-            crews=crews.build(told, self.time.control_dt_s, water.gravity_mps2),
+            instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
         )
 
 

@@ -24,9 +24,12 @@ from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
+from angler_mjx.sim import policy as policies
 from angler_mjx.sim.admission import Gate
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.state import Outcome, Sample, SimSpec, World, WorldState
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
     EACH,
@@ -92,7 +95,12 @@ class Simulator:
     """
 
     def __init__(
-        self, scenario: Scenario, *, tile: int | None = None, devices: int | None = 1
+        self,
+        scenario: Scenario,
+        *,
+        tile: int | None = None,
+        devices: int | None = 1,
+        policy: Policy | None = None,
     ) -> None:
         """Read the vehicles and put the functions together; nothing is compiled yet.
 
@@ -100,6 +108,7 @@ class Simulator:
             scenario: what to simulate.
             tile: worlds in one call; the scenario's, or else the device's default.
             devices: devices to spread tiles over; all of this process if None.
+            policy: that commands the robots in every control step, instead of their paths.
 
         Raises:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
@@ -124,7 +133,7 @@ class Simulator:
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
         generate.check_fleet(resolve(scenario.world), radius)
-        self._prepare_tile = preparer(scenario, self.tile)
+        self._prepare_tile = preparer(scenario, self.tile, policy=policy is not None)
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
@@ -134,16 +143,19 @@ class Simulator:
                 f'{jax.default_backend()} here; use kernels = "xla"'
             )
         self._engine = engines.by_name(scenario.engine, self.kernels)
+        # Arguments of the programs, not numbers in them: others take their place without compiling.
+        self._driver: tuple[Policy, ...] = () if policy is None else (self._on_all(policy),)
+        driver = (SAME,) * len(self._driver)
         self._memory: Memory | None = None
         self._compiled = False
         self._prepare: Callable[..., World] = self._spread(
             self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
         )
         self._reset: Callable[..., WorldState] = self._spread(
-            partial(self._engine.reset, self.spec), SAME, EACH
+            partial(self._engine.reset, self.spec), SAME, EACH, *driver
         )
         self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
-            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
+            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH, *driver
         )
         pack = self._spread(jax.vmap(cell_neighbours), EACH)
         take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
@@ -153,11 +165,39 @@ class Simulator:
             pack=pack if scenario.engine == "fused" else None,
         )
         self._segment: Callable[..., Segment] = self._spread(
-            self._run_segment, SAME, EACH, EACH, donate_argnums=2
+            self._run_segment, SAME, EACH, EACH, *driver, donate_argnums=2
         )
         self._commanded: Callable[..., Segment] = self._spread(
-            self._run_segment, SAME, EACH, EACH, EACH, donate_argnums=2
+            self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2
         )
+
+    def _on_all(self, policy: Policy) -> Policy:
+        """A policy with its numbers, as arrays of JAX's types, on every device."""
+        numbers = jax.tree.map(
+            lambda leaf: (
+                leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jnp.result_type(leaf))
+            ),
+            policy,
+        )
+        placed: Policy = jax.device_put(numbers, NamedSharding(self._mesh, SAME))
+        return placed
+
+    def _driven(self, policy: Policy | None) -> tuple[Policy, ...]:
+        """The last argument of the programs: the simulator's policy, or one with other numbers."""
+        if policy is None:
+            return self._driver
+        if not self._driver:
+            raise ConfigError(
+                f"policy {type(policy).__name__}: the simulator was made without one; "
+                "give it to Simulator(scenario, policy=...)"
+            )
+        policies.require_alike(self._driver[0], policy)
+        return (self._on_all(policy),)
+
+    @property
+    def policy(self) -> Policy | None:
+        """That commands the robots."""
+        return self._driver[0] if self._driver else None
 
     def _spread(self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any) -> Any:
         """A compiled function that runs on each device, on its tiles.
@@ -268,17 +308,27 @@ class Simulator:
             placed(firsts, self._mesh, EACH),
         )
 
-    def reset(self, worlds: World) -> WorldState:
+    def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
         """State of each world at t = 0.
+
+        Args:
+            worlds: from ``worlds``.
+            policy: the simulator's with other numbers in it.
 
         Raises:
             ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
-                as in `step` and `segment`.
+                as in `step` and `segment`; no stage of the controllers takes what the policy
+                commands, or it is made otherwise than the simulator's.
         """
-        return self._reset(self.fleet, self._gate.admit(worlds))
+        return self._reset(self.fleet, self._gate.admit(worlds), *self._driven(policy))
 
     def step(
-        self, worlds: World, state: WorldState, command: Command | Mixed | None = None
+        self,
+        worlds: World,
+        state: WorldState,
+        command: Command | Mixed | None = None,
+        *,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -287,7 +337,8 @@ class Simulator:
             state: from ``reset`` or the step before.
             command: to the controllers of all robots instead of their paths, [world, robot]
                 leading; it enters at the first stage that takes its type. `Mixed` drives each
-                robot by a command of another type.
+                robot by a command of another type. A policy is not asked then.
+            policy: the simulator's with other numbers in it.
 
         Returns:
             The next state, and the sample of the state before with its command.
@@ -299,10 +350,16 @@ class Simulator:
         """
         if command is not None:
             self._check(command, worlds, state)
-        return self._step(self.fleet, self._gate.admit(worlds), state, command)
+        admitted = self._gate.admit(worlds)
+        return self._step(self.fleet, admitted, state, command, *self._driven(policy))
 
     def segment(
-        self, worlds: World, state: WorldState, command: Command | None = None
+        self,
+        worlds: World,
+        state: WorldState,
+        command: Command | None = None,
+        *,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """``segment_steps`` control steps; the given state's memory is used up.
 
@@ -310,6 +367,7 @@ class Simulator:
             worlds: from ``worlds``.
             state: from ``reset`` or the segment before.
             command: as for `step`; the same in all steps.
+            policy: as for `step`.
 
         Returns:
             The state after them, and samples [world, samples, ...].
@@ -318,19 +376,19 @@ class Simulator:
             ConfigError: as `step`.
         """
         if command is None:
-            after, sample, _ = self.advance(worlds, state)
+            after, sample, _ = self.advance(worlds, state, policy=policy)
             return after, sample
         self._check(command, worlds, state)
         admitted = self._gate.admit(worlds)
         after, sample, _ = self._commanded(self.fleet, admitted, state, command)
         return after, sample
 
-    def advance(self, worlds: World, state: WorldState) -> Segment:
+    def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
         """As `segment`, and int32 [world]: how many robots of each are still on their way.
 
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, self._gate.admit(worlds), state)
+        return self._segment(self.fleet, self._gate.admit(worlds), state, *self._driven(policy))
 
     def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
         """Refuse commands that the controllers cannot be given."""
@@ -355,11 +413,12 @@ class Simulator:
             return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
         kinds, number, firsts = self._seed_shapes()
         worlds = self._wave_shape
-        state = placed(jax.eval_shape(self._reset, kinds, worlds), self._mesh, EACH)
+        driver = placed(self._driver, self._mesh, SAME)
+        state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
         try:
             prepare, prepare_s = _compiled(self._prepare, kinds, number, firsts)
-            reset, reset_s = _compiled(self._reset, kinds, worlds)
-            segment, segment_s = _compiled(self._segment, kinds, worlds, state)
+            reset, reset_s = _compiled(self._reset, kinds, worlds, *driver)
+            segment, segment_s = _compiled(self._segment, kinds, worlds, state, *driver)
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
@@ -393,6 +452,7 @@ class Simulator:
         kinds: Fleet,
         worlds: World,
         state: WorldState,
+        policy: Policy | None = None,
         command: Command | None = None,
     ) -> Segment:
         after, sample = self._engine.segment(
@@ -403,9 +463,15 @@ class Simulator:
             n_sample=self.samples,
             steps_per_sample=self.steps_per_sample,
             command=command,
+            policy=policy,
         )
         running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
         return after, sample, running
+
+    def _run_commanded(
+        self, kinds: fleet.Fleet, worlds: World, state: WorldState, command: Command
+    ) -> Segment:
+        return self._run_segment(kinds, worlds, state, None, command)
 
 
 def _divisor(total: int, most: int) -> int:

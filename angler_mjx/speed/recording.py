@@ -23,7 +23,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample
 from angler_mjx.speed import simulation
 from angler_mjx.speed.rows import Row, check_repeats, spread
 from angler_mjx.speed.simulation import Timed

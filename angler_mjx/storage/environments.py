@@ -52,26 +52,26 @@ _CURRENTS: dict[str, type] = {
 """Kinds of current by the names in a group."""
 
 _DIMS = {
-    "start_m": ("robot", "axis"),
-    "goal_m": ("robot", "axis"),
+    "start_m": ("robot", "xyz"),
+    "goal_m": ("robot", "xyz"),
     "start_yaw_rad": ("robot",),
     "path_ratio": ("robot",),
     "line_free": ("robot",),
     "grid/occupied": ("x", "y", "z"),
-    "grid/origin_m": ("axis",),
+    "grid/origin_m": ("xyz",),
     "obstacles/size_m": ("obstacle", "size"),
     "obstacles/path": ("obstacle", "column"),
-    "obstacles/p0": ("obstacle", "axis"),
-    "obstacles/q0": ("obstacle", "quaternion"),
-    "obstacles/nu0": ("obstacle", "velocity_axis"),
-    "obstacles/inertia_kgm2": ("obstacle", "axis"),
-    "obstacles/M_A": ("obstacle", "velocity_axis"),
-    "obstacles/D_l": ("obstacle", "velocity_axis"),
-    "obstacles/D_q": ("obstacle", "velocity_axis"),
+    "obstacles/p0": ("obstacle", "xyz"),
+    "obstacles/q0": ("obstacle", "wxyz"),
+    "obstacles/nu0": ("obstacle", "uvwpqr"),
+    "obstacles/inertia_kgm2": ("obstacle", "xyz"),
+    "obstacles/M_A": ("obstacle", "uvwpqr"),
+    "obstacles/D_l": ("obstacle", "uvwpqr"),
+    "obstacles/D_q": ("obstacle", "uvwpqr"),
 }
 """Dimensions after ``world``; of what is not here they are called after the array."""
 
-_SHARED = {"world", "robot", "obstacle", "axis", "quaternion", "velocity_axis"}
+_SHARED = {"world", "robot", "obstacle", "xyz", "wxyz", "uvwpqr"}
 """Dimensions of one size in a whole group."""
 
 MOST_BYTES = 2**30
@@ -93,7 +93,7 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             "schema_version": SCHEMA_VERSION,
             "world_frame": "x east, y north, z up; metres; water surface at z = 0",
             "cells": "cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]",
-            "quaternion": "wxyz, body to world",
+            "wxyz": "wxyz, body to world",
             "current": [type(component).__name__ for component in environment.current],
             "obstacle_kinds": list(environment.obstacles.kinds),
             "obstacle_motions": list(environment.obstacles.motions),
@@ -150,7 +150,7 @@ def check(nodes: Mapping[str, Any], where: Path) -> None:
     Raises:
         ConfigError: naming the array.
     """
-    sizes = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
+    sizes = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
     for name, array in nodes.items():
         if not isinstance(array, zarr.Array):
             continue

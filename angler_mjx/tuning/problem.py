@@ -62,7 +62,7 @@ def spec_of(scenario: Scenario, controller: str) -> SimSpec:
     names, given = stages.CONTROLLERS[controller], scenario.controller
     same = (given.stages or stages.CONTROLLERS[given.name or "cascade"]) == names
     stack, gains = stages.build(names, given.gains if same else {})
-    spec = replace(scenario.sim_spec(), stages=stack, gains=gains, crews=())
+    spec = replace(scenario.sim_spec(), stages=stack, gains=gains, instrumented=())
     if spec.control_dt_s > 0.1 * LAST_S:
         raise ConfigError(
             f"scenario {scenario.name}: control_dt_s = {spec.control_dt_s:g} is too long to tune at"

@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_mjx.storage import harvest, results
 from angler_mjx.storage.atomic import replacing
 from angler_mjx.storage.damage import reading

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.engines import mjx
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.sim import episode
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import folder, inputs
@@ -248,7 +248,7 @@ def test_a_control_step_is_traced_once_for_all_worlds(simulator):
 
     @chex.assert_max_traces(n=1)
     def control_step(engine, world, state):
-        return episode.control_step(simulator.spec, engine, world, state)
+        return mjx.control_step(simulator.spec, engine, world, state)
 
     step = jax.jit(jax.vmap(control_step, (None, 0, 0)))
     for first in (0, 2):
