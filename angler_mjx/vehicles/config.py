@@ -11,14 +11,15 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Place, Sign
 from angler_mjx.vehicles import checks
 from angler_mjx.vehicles.checks import Matrix
-from angler_mjx.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
+from angler_mjx.vehicles.rotor_config import Number, Positive, Rotor, RotorResponse, Source
 
-type Vector3 = tuple[float, float, float]
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$")]
+type Vector3 = tuple[Place, Place, Place]
+type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=64)]
 type Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -42,7 +43,7 @@ class Hull(FileModel):
 
     height_m: Positive
     """Height over which buoyancy fades from full to none as the hull leaves the water."""
-    capsules: Annotated[tuple[Capsule, ...], Field(min_length=1)]
+    capsules: Annotated[tuple[Capsule, ...], Field(min_length=1, max_length=64)]
     source: Source
 
 
@@ -51,16 +52,16 @@ class Thruster(FileModel):
 
     name: Name
     position_m: Vector3
-    direction: Annotated[Vector3, AfterValidator(checks.unit_vector)]
+    direction: Annotated[tuple[float, float, float], AfterValidator(checks.unit_vector)]
     """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
-    spin: Literal[-1, 1]
+    spin: Sign
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
 
 
 class Thrusters(FileModel):
     """Where the thrusters are and where they push."""
 
-    layout: Annotated[tuple[Thruster, ...], Field(min_length=1)]
+    layout: Annotated[tuple[Thruster, ...], Field(min_length=1, max_length=64)]
     source: Source
 
     @field_validator("layout")
@@ -106,7 +107,7 @@ type Shape = Annotated[Box | Cylinder | Sphere, Field(discriminator="shape")]
 class Visual(FileModel):
     """What a viewer shows; nothing of it enters the physics."""
 
-    shapes: tuple[Shape, ...]
+    shapes: Annotated[tuple[Shape, ...], Field(max_length=256)]
     source: Source
 
     @field_validator("shapes")
@@ -203,7 +204,8 @@ class VehicleConfig(FileModel):
     def _default_exists(self) -> Self:
         if self.default_set not in self.parameter_sets:
             raise ValueError(
-                f"default_set = {self.default_set!r} is none of {', '.join(self.parameter_sets)}"
+                f"default_set = {shown(self.default_set)} is none of "
+                + ", ".join(self.parameter_sets)
             )
         return self
 
@@ -216,7 +218,7 @@ class VehicleConfig(FileModel):
         chosen = self.default_set if name is None else name
         if chosen not in self.parameter_sets:
             raise ConfigError(
-                f"vehicle {self.name!r} has no parameter set {chosen!r}; "
+                f"vehicle {self.name!r} has no parameter set {shown(chosen)}; "
                 f"it has {', '.join(self.parameter_sets)}"
             )
         return self.parameter_sets[chosen]
@@ -248,7 +250,8 @@ class VehicleConfig(FileModel):
         for name, share in health.items():
             if name not in names:
                 raise ConfigError(
-                    f"vehicle {self.name!r} has no thruster {name!r}; it has {', '.join(names)}"
+                    f"vehicle {self.name!r} has no thruster {shown(name)}; it has "
+                    + ", ".join(names)
                 )
             if not 0.0 <= share <= 1.0:
                 raise ConfigError(
@@ -265,21 +268,26 @@ class ThrusterTable(FileModel):
     description: str
     source: Source
     voltage_v: Annotated[tuple[Positive, ...], Field(min_length=2)]
-    pwm_us: Annotated[tuple[int, ...], Field(min_length=2)]
-    thrust_n: Matrix
+    pwm_us: Annotated[tuple[Annotated[int, Field(ge=0, le=10_000)], ...], Field(min_length=2)]
+    thrust_n: tuple[tuple[Number, ...], ...]
     """One row per PWM value, one column per voltage."""
-    power_w: Matrix
+    power_w: tuple[tuple[Number, ...], ...]
     """As ``thrust_n``; electrical power, never negative."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         shape = (len(self.pwm_us), len(self.voltage_v))
         for key in ("thrust_n", "power_w"):
-            rows: Matrix = getattr(self, key)
+            rows: tuple[tuple[float, ...], ...] = getattr(self, key)
             if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
                 raise ValueError(f"{key} needs {shape[0]} rows of {shape[1]} values")
         if np.any(np.diff(self.voltage_v) <= 0) or np.any(np.diff(self.pwm_us) <= 0):
             raise ValueError("voltage_v and pwm_us must increase")
+        if self.pwm_us[0] > checks.PWM_LOW_US or self.pwm_us[-1] < checks.PWM_HIGH_US:
+            raise ValueError(
+                f"pwm_us runs from {self.pwm_us[0]} to {self.pwm_us[-1]}; it must cover "
+                f"{checks.PWM_LOW_US} to {checks.PWM_HIGH_US}"
+            )
         if np.any(np.diff(np.asarray(self.thrust_n), axis=0) < 0):
             raise ValueError("thrust_n must not fall as PWM rises")
         if np.any(np.asarray(self.power_w) < 0):

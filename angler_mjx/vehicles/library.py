@@ -1,8 +1,11 @@
 """Finding and reading vehicle files and thruster files: those shipped here, and the user's own."""
 
+from functools import lru_cache
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError
+import numpy as np
+
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, parse, read_toml
 from angler_mjx.vehicles.config import ThrusterTable, VehicleConfig
 
@@ -25,6 +28,11 @@ def load(name_or_path: str) -> VehicleConfig:
         ConfigError: there is no such vehicle, or its file has faults (all are listed).
     """
     path = _locate(name_or_path, _VEHICLES, "vehicle")
+    return _load(path, _stamp(path))
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, _: tuple[int, ...]) -> VehicleConfig:
     config = _read(VehicleConfig, path)
     if not config.rotor.model.endswith(".toml"):
         return config
@@ -42,7 +50,32 @@ def load_thruster(name_or_path: str) -> ThrusterTable:
     Raises:
         ConfigError: there is no such thruster, or its file has faults (all are listed).
     """
-    return _read(ThrusterTable, _locate(name_or_path, _THRUSTERS, "thruster"))
+    path = _locate(name_or_path, _THRUSTERS, "thruster")
+    return _load_thruster(path, _stamp(path))
+
+
+@lru_cache(maxsize=64)
+def _load_thruster(path: Path, _: tuple[int, ...]) -> ThrusterTable:
+    return _read(ThrusterTable, path)
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """What changes when a file does: a scenario asks for the same file many times."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return ()  # reading says why
+    return about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns
+
+
+def reach_m(config: VehicleConfig) -> float:
+    """Radius of the smallest sphere about the centre of mass that holds the hull, m."""
+    center = np.asarray(config.base.center_of_mass_m)
+    return max(
+        float(np.linalg.norm(np.asarray(end) - center)) + capsule.radius_m
+        for capsule in config.hull.capsules
+        for end in (capsule.from_m, capsule.to_m)
+    )
 
 
 def _names(folder: Path) -> list[str]:
@@ -54,7 +87,7 @@ def _locate(name_or_path: str, folder: Path, kind: str) -> Path:
         return Path(name_or_path)
     if name_or_path not in _names(folder):
         raise ConfigError(
-            f"unknown {kind} {name_or_path!r}; there is {', '.join(_names(folder))}, "
+            f"unknown {kind} {shown(name_or_path)}; there is {', '.join(_names(folder))}, "
             "or give the path of a .toml file"
         )
     return folder / f"{name_or_path}.toml"

@@ -36,8 +36,8 @@ class WallsRule(FileModel):
     """Walls one cell thick across the grid, at right angles to x, each with one square gate."""
 
     type: Literal["walls"] = "walls"
-    count: int = Field(default=3, ge=1)
-    gate_cells: int = Field(default=3, ge=1)
+    count: int = Field(default=3, ge=1, le=128)
+    gate_cells: int = Field(default=3, ge=1, le=128)
 
     def check(self, shape: Shape) -> None:
         """Raise a ConfigError if the walls do not fit between the start and goal cells."""
