@@ -4,11 +4,15 @@ Inside traced code nothing raises: a robot that diverges carries an outcome. Eve
 raised on the host, before or after a device call, and says what was wrong, where, and what to do.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 SHOWN = 60
 """Characters of a value that a message repeats."""
+
+_ENDLESS = re.compile(r"\S{400,}")
+"""A name or value that a message repeats and that nobody would read."""
 
 _LEVELS = 3
 """Of tables and lists within one another that a message repeats."""
@@ -18,8 +22,8 @@ class AnglerError(Exception):
     """Base of every error that angler raises on purpose; the CLI prints it and exits with 2."""
 
     def __str__(self) -> str:
-        """The message; control characters of names and values in it are escaped."""
-        return escaped(super().__str__())
+        """The message; control characters in it are escaped, and what has no end is cut."""
+        return _ENDLESS.sub(lambda word: word[0][:SHOWN] + "...", escaped(super().__str__()))
 
 
 class ConfigError(AnglerError, ValueError):
@@ -57,7 +61,7 @@ def _pieces(value: Any, most: int, levels: int) -> Iterator[str]:
     match value:
         case str():
             yield repr(value[: most + 1])
-        case int() if value.bit_length() > 64:
+        case int() if value.bit_length() > 190:
             yield f"(an integer of {value.bit_length()} bits)"
         case Mapping() | list() | tuple() if levels == 0:
             yield "{...}" if isinstance(value, Mapping) else "[...]"

@@ -106,7 +106,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(
             f"{named(path)}: a key has {_PARTS} parts or more; write shorter keys, in tables"
         )
-    table: dict[str, Any] = _understood(path, "TOML", lambda: tomllib.loads(text))
+    table: dict[str, Any] = _understood(named(path), "TOML", lambda: tomllib.loads(text))
     return table
 
 
@@ -116,25 +116,33 @@ def read_json(path: Path) -> Any:
     Raises:
         ConfigError: the file is missing, unreadable or not JSON.
     """
-    text = read_text(path, JSON_BYTES)
-    return _understood(path, "JSON", lambda: json.loads(text, object_pairs_hook=_once))
+    return json_of(read_text(path, JSON_BYTES), named(path))
 
 
-def _understood(path: Path, kind: str, read: Callable[[], Any]) -> Any:
+def json_of(text: str, source: str) -> Any:
+    """What a text in JSON holds; a key that stands twice in an object is refused.
+
+    Raises:
+        ConfigError: it is not JSON; ``source`` is what the message calls it.
+    """
+    return _understood(source, "JSON", lambda: json.loads(text, object_pairs_hook=_once))
+
+
+def _understood(source: str, kind: str, read: Callable[[], Any]) -> Any:
     try:
         return read()
     except _TwiceError as error:
         raise ConfigError(
-            f"{named(path)}: key {error} is there twice in one object; give it once"
+            f"{source}: key {error} is there twice in one object; give it once"
         ) from error
     except RecursionError as error:
         raise ConfigError(
-            f"{named(path)}: not valid {kind}: nested too deep; {_DEEPEST} levels can be read"
+            f"{source}: not valid {kind}: nested too deep; {_DEEPEST} levels can be read"
         ) from error
     except ValueError as error:
         # Beside faults of the language: numbers with more digits than Python converts.
         reason = str(error).partition(";")[0] if "digits" in str(error) else str(error)
-        raise ConfigError(f"{named(path)}: not valid {kind}: {reason}") from error
+        raise ConfigError(f"{source}: not valid {kind}: {reason}") from error
 
 
 class _TwiceError(Exception):

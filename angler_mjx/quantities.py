@@ -15,7 +15,8 @@ type Length = Annotated[float, Field(ge=0, le=FARTHEST_M)]
 type PositiveLength = Annotated[float, Field(gt=0, le=FARTHEST_M)]
 
 
-def _no_faster(value: float) -> float:
+def no_faster(value: float) -> float:
+    """Check a speed, of either sign."""
     if abs(value) > FASTEST_MPS:
         raise ValueError(
             f"faster than {FASTEST_MPS:g} m/s; the fastest tidal stream on Earth makes 10 m/s"
@@ -23,7 +24,7 @@ def _no_faster(value: float) -> float:
     return value
 
 
-type Speed = Annotated[float, AfterValidator(_no_faster)]
+type Speed = Annotated[float, AfterValidator(no_faster)]
 
 
 def _number(value: Any) -> Any:

@@ -123,5 +123,6 @@ class PlannerConfig(FileModel):
     """The planner that gives each robot its path."""
 
     name: Literal["grid"] = "grid"
+    """The only one: search over cells, in space and time."""
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""

@@ -24,6 +24,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
     EACH,
@@ -103,6 +104,7 @@ class Simulator:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
                 there are fewer devices.
         """
+        cache.switch_on()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self.spec = scenario.sim_spec()

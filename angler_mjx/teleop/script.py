@@ -132,7 +132,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         raise ValueError(f"{shown(text)} is not a time in seconds") from None
     if not 0.0 <= value <= LATEST_S:
-        raise ValueError(f"{shown(text)} is not a time from 0 s to {LATEST_S:g} s")
+        raise ValueError(f"{text} is not a time from 0 s on, {LATEST_S:g} s at most")
     return value
 
 

@@ -19,8 +19,9 @@ SLOW_SHARE = 0.1
 
 _WAYS = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
 """Rows of the wrench matrix."""
-_ALONE = 1e-6
-"""Share of a push along one way that may remain along the others: rounding of directions."""
+_ALONE = 1e-2
+"""Share of a push along one way that may go along the others, and of the largest singular value
+below which one is a small offset of the geometry (as in `angler_mjx.control.allocation`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,8 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, parse, read_toml
-from angler_mjx.vehicles.config import ThrusterTable, VehicleConfig
+from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.thruster_config import ThrusterTable
 
 _VEHICLES = Path(__file__).parent / "data"
 _THRUSTERS = _VEHICLES / "thrusters"

@@ -18,6 +18,7 @@ class Lag(FileModel):
     """First-order lag of the rotors."""
 
     time_constant_s: Positive
+    """Of the thrust."""
     source: Source
 
 
@@ -50,6 +51,7 @@ class ReactionTorque(FileModel):
     """Torque about the rotor's axis per newton of thrust."""
 
     coefficient_m: Annotated[float, Field(ge=0, le=100)]
+    """Newton metres for each newton."""
     source: Source
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.vehicles.checks import PWM_HIGH_US, PWM_LOW_US
-from angler_mjx.vehicles.config import ThrusterTable
+from angler_mjx.vehicles.thruster_config import ThrusterTable
 
 PWM_STEP_US = 4
 PWM_GRID_US = np.arange(PWM_LOW_US, PWM_HIGH_US + PWM_STEP_US, PWM_STEP_US)

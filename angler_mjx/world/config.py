@@ -27,6 +27,8 @@ class WorldConfig(FileModel):
     """The world of a scenario: a preset and what differs from it; the rest is the preset's."""
 
     preset: str = "reef"
+    """Name of a world that ships: angler2024, sparse, reef, dense, corridor, open,
+    angler_nine_boxes."""
     density: Share | None = None
     """Share of cells that are occupied, on average over worlds."""
     fill: Share | None = None
@@ -40,18 +42,23 @@ class WorldConfig(FileModel):
     floor_depth_m: PositiveLength | None = None
     """Depth of the sea floor; the bottom of the grid if neither file nor preset says more."""
     rule: Rule | None = None
+    """How the cells of rock come about."""
     min_obstacles: Annotated[int, Field(ge=0, le=128**3)] | None = None
     """Worlds with fewer occupied cells are drawn again."""
     redraw_limit: Annotated[int, Field(ge=0, le=1_000_000)] = 100
     """A world that has been drawn again this often and still cannot hold the fleet is given up."""
     placement: Placement | None = None
+    """Where robots start and go: each from another corner, side by side, anywhere, or as given."""
     clearance_m: Length = 0.3
     """Free water between two robots at their starts, and at their goals."""
     start_m: tuple[Vector, ...] = ()
     """Starts of the robots, for placement = "given"."""
     goal_m: tuple[Vector, ...] = ()
+    """Their goals."""
     currents: tuple[CurrentConfig, ...] = ()
+    """Components of the current, which add up."""
     obstacles: ObstaclesConfig | None = None
+    """Obstacles beside the cells of rock."""
 
     @field_validator("preset")
     @classmethod

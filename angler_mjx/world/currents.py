@@ -139,7 +139,9 @@ class GaussMarkovConfig(FileModel):
     """Standard deviation per horizontal axis before clipping; max_speed_mps / 2.5 if left out, so
     that about one knot in twenty is clipped."""
     mean_mps: Vector = (0.0, 0.0, 0.0)
+    """East, north, up."""
     time_constant_s: float = Field(default=60.0, gt=0, le=1e6)
+    """Of the process's memory."""
     vertical_share: float = Field(default=0.1, ge=0, le=1)
     """Standard deviation of the vertical velocity over the horizontal one's."""
     knot_dt_s: float = Field(default=5.0, ge=0.01, le=86400)
@@ -175,6 +177,7 @@ class VorticesConfig(FileModel):
 
     type: Literal["vortices"] = "vortices"
     count: int = Field(ge=1, le=1000)
+    """Number of vortices."""
     peak_speed_mps: SpeedSpan
     """Lowest and highest greatest speed of a vortex; drawn uniformly."""
     core_radius_m: Span = (1.0, 3.0)

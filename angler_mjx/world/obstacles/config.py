@@ -41,6 +41,7 @@ class StraightMotion(FileModel):
 
     type: Literal["straight"] = "straight"
     velocity_mps: Velocity
+    """At the start; east, north, up."""
 
 
 class SineMotion(FileModel):
@@ -48,8 +49,11 @@ class SineMotion(FileModel):
 
     type: Literal["sine"] = "sine"
     amplitude_m: Vector
+    """East, north, up."""
     period_s: Period
+    """Of a whole swing."""
     phase_deg: Angle = 0.0
+    """At t = 0; 0 in the middle."""
 
 
 class CircleMotion(FileModel):
@@ -57,11 +61,15 @@ class CircleMotion(FileModel):
 
     type: Literal["circle"] = "circle"
     radius_m: PositiveLength
+    """Of the circle."""
     period_s: Period
+    """Of a whole turn."""
     clockwise: bool = False
+    """The other way round."""
     phase_deg: Angle = 0.0
     """Angle at t = 0, from east (from north where the axis is nearly east)."""
     axis: Axis = (0.0, 0.0, 1.0)
+    """About which it goes, in W; of any length."""
 
     @model_validator(mode="after")
     def _axis_has_direction(self) -> Self:
@@ -82,6 +90,7 @@ class _Placed(FileModel):
     rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw: turned about x, then y, then z of the world."""
     motion: Motion = StaticMotion()
+    """How it moves."""
     mass_kg: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """As heavy as the water it displaces if left out; matters for drifting ones only."""
 
@@ -91,6 +100,7 @@ class SphereConfig(_Placed):
 
     type: Literal["sphere"] = "sphere"
     radius_m: PositiveLength
+    """Of the sphere."""
 
 
 class BoxConfig(_Placed):
@@ -98,6 +108,7 @@ class BoxConfig(_Placed):
 
     type: Literal["box"] = "box"
     size_m: tuple[PositiveLength, PositiveLength, PositiveLength]
+    """Full edges."""
 
 
 class CapsuleConfig(_Placed):
@@ -105,7 +116,9 @@ class CapsuleConfig(_Placed):
 
     type: Literal["capsule"] = "capsule"
     radius_m: PositiveLength
+    """Of the caps."""
     length_m: PositiveLength
+    """Of the axis."""
 
 
 type ExplicitConfig = Annotated[
@@ -117,6 +130,7 @@ class DynamicConfig(FileModel):
     """Drifting spheres and cubes, drawn anew for each world."""
 
     count: int = Field(default=0, ge=0, le=4096)
+    """Number in each world."""
     radius_m: Span = (0.4, 0.75)
     """Lowest and highest radius, of the sphere or of the sphere around the cube."""
     cube_share: Share = 0.5
@@ -147,4 +161,6 @@ class ObstaclesConfig(FileModel):
     """The obstacles of a scenario beside the cells of its grid."""
 
     dynamic: DynamicConfig = DynamicConfig()
+    """Those that are drawn."""
     explicit: tuple[ExplicitConfig, ...] = ()
+    """Those that stand where the file says."""
