@@ -101,12 +101,20 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: the file is missing, unreadable or not TOML.
     """
-    text = read_text(path, TOML_BYTES)
+    return toml_of(read_text(path, TOML_BYTES), named(path))
+
+
+def toml_of(text: str, source: str) -> dict[str, Any]:
+    """What a text in TOML holds.
+
+    Raises:
+        ConfigError: it is not TOML; ``source`` is what the message calls it.
+    """
     if _DOTTED.search(text):
         raise ConfigError(
-            f"{named(path)}: a key has {_PARTS} parts or more; write shorter keys, in tables"
+            f"{source}: a key has {_PARTS} parts or more; write shorter keys, in tables"
         )
-    table: dict[str, Any] = _understood(named(path), "TOML", lambda: tomllib.loads(text))
+    table: dict[str, Any] = _understood(source, "TOML", lambda: tomllib.loads(text))
     return table
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.files import TOML_BYTES, named, parse, read_text, toml_of
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.thruster_config import ThrusterTable
 
@@ -29,12 +29,13 @@ def load(name_or_path: str) -> VehicleConfig:
         ConfigError: there is no such vehicle, or its file has faults (all are listed).
     """
     path = _locate(name_or_path, _VEHICLES, "vehicle")
-    return _load(path, _stamp(path))
+    return _load(path, read_text(path, TOML_BYTES))
 
 
 @lru_cache(maxsize=64)
-def _load(path: Path, _: tuple[int, ...]) -> VehicleConfig:
-    config = _read(VehicleConfig, path)
+def _load(path: Path, text: str) -> VehicleConfig:
+    """Of a file with this text: a scenario asks for the same one many times."""
+    config = parse(VehicleConfig, toml_of(text, named(path)), source=str(path))
     if not config.rotor.model.endswith(".toml"):
         return config
     # A path in a vehicle file means a file beside it, wherever the program was started.
@@ -52,21 +53,12 @@ def load_thruster(name_or_path: str) -> ThrusterTable:
         ConfigError: there is no such thruster, or its file has faults (all are listed).
     """
     path = _locate(name_or_path, _THRUSTERS, "thruster")
-    return _load_thruster(path, _stamp(path))
+    return _load_thruster(path, read_text(path, TOML_BYTES))
 
 
 @lru_cache(maxsize=64)
-def _load_thruster(path: Path, _: tuple[int, ...]) -> ThrusterTable:
-    return _read(ThrusterTable, path)
-
-
-def _stamp(path: Path) -> tuple[int, ...]:
-    """What changes when a file does: a scenario asks for the same file many times."""
-    try:
-        about = path.stat()
-    except (OSError, ValueError):
-        return ()  # reading says why
-    return about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns
+def _load_thruster(path: Path, text: str) -> ThrusterTable:
+    return parse(ThrusterTable, toml_of(text, named(path)), source=str(path))
 
 
 def reach_m(config: VehicleConfig) -> float:
@@ -93,6 +85,3 @@ def _locate(name_or_path: str, folder: Path, kind: str) -> Path:
         )
     return folder / f"{name_or_path}.toml"
 
-
-def _read[M: FileModel](model: type[M], path: Path) -> M:
-    return parse(model, read_toml(path), source=str(path))
