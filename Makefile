@@ -15,7 +15,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint types imports format clean
+.PHONY: help venv demo test fuzz lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -36,6 +36,11 @@ test: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+fuzz: COUNT ?= 100000
+fuzz: SEED ?= 0
+fuzz: $(STAMP)  ## feed COUNT=100000 wrong inputs (SEED=0) to all that reads files and packets
+	JAX_PLATFORMS=cpu $(BIN)/python -m tests.fuzz.run --count $(COUNT) --seed $(SEED) $(FUZZ_ARGS)
 
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)

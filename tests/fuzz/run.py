@@ -16,9 +16,10 @@ import time
 import traceback
 import warnings
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
-from tests.fuzz.mutations import wrong
+from .mutations import wrong
 
 MOST_S, MOST_BYTES = 1.0, 200 * 2**20
 CHUNK = 2000
@@ -36,7 +37,7 @@ def _peak_bytes():
 
 def _chunk(name, seed, first, count, out):
     """Inputs ``first`` and after: how many failed, the slowest, and the most memory of one."""
-    from tests.fuzz.readers import READERS, try_one
+    from .readers import READERS, try_one
 
     warnings.simplefilter("ignore")
     reader, failed, slowest, largest = READERS[name], 0, (0.0, -1), (0, -1)
@@ -67,7 +68,7 @@ def _chunk(name, seed, first, count, out):
 
 def main():
     """Feed all readers, and say what came of it."""
-    from tests.fuzz.readers import READERS
+    from .readers import READERS
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=100_000, help="inputs of all readers together")
@@ -85,7 +86,8 @@ def main():
         for name in names
     ]
     totals = {name: [0, 0, (0.0, -1), (0, -1)] for name in names}
-    with ProcessPoolExecutor(given.workers) as pool:
+    # Forked, workers would share the threads of what is imported by now.
+    with ProcessPoolExecutor(given.workers, get_context("spawn")) as pool:
         for job, found in zip(jobs, pool.map(_chunk, *zip(*jobs, strict=True)), strict=True):
             name, failed, slowest, largest = found
             total = totals[name]
