@@ -28,7 +28,7 @@ CHUNK = 2000
 def input_of(reader, seed, number):
     """The input of that number."""
     rng = random.Random(f"{seed}/{reader.name}/{number}")
-    return wrong(rng, rng.choice(reader.inputs), reader.inputs)
+    return wrong(rng, rng.choice(reader.inputs), reader.inputs, reader.end)
 
 
 def _peak_bytes():
