@@ -84,4 +84,3 @@ def _locate(name_or_path: str, folder: Path, kind: str) -> Path:
             "or give the path of a .toml file"
         )
     return folder / f"{name_or_path}.toml"
-
