@@ -29,7 +29,7 @@ def test_a_vehicle_with_sway_keeps_the_heading_asked_for():
         ([0.5 * np.cos(0.6), 0.5 * np.sin(0.6), 0.2], 0.6),  # within reach: the course itself
         ([0.0, 0.5, 0.0], NOW + model.TURN_RAD),  # to port
         ([0.0, -0.5, 0.0], NOW - model.TURN_RAD),  # to starboard
-        ([-0.5, -0.1, 0.0], NOW - model.TURN_RAD),  # nearly back: the short way round
+        ([-0.5, -0.3, 0.0], NOW - model.TURN_RAD),  # nearly back: the short way round
         ([0.01, 0.01, 0.5], -1.0),  # straight up: as asked
     ],
 )
