@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from angler_mjx.errors import ConfigError, escaped, shown
 
@@ -48,6 +48,12 @@ class FileModel(BaseModel):
         strict=True,
         protected_namespaces=(),
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plain(cls, data: Any) -> Any:
+        """Lists are tuples here, for those who build a model in Python too."""
+        return _tamed(data, 0) if isinstance(data, Mapping) else data
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,8 @@ class VehicleParams:
     """[n_t] share of the table's thrust that each thruster gives: 1 sound, 0 dead."""
     rotor: RotorFilter | None = field(default=None, metadata={"static": True})
     """What thrusts follow their commands by; None for a lag of first order."""
+    steered: bool = field(default=False, metadata={"static": True})
+    """Whether some of these vehicles have no sway, so that controllers must look."""
 
 
 def build(
@@ -97,6 +99,7 @@ def build(
     B = wrench_matrix(config)
     D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
     D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    speed = drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
     start = np.array([capsule.from_m for capsule in capsules]) - center
@@ -120,12 +123,11 @@ def build(
         capsule_b_m=_array(end),
         capsule_r_m=_array(radius),
         radius_m=_array(reach.max()),
-        terminal_speed_mps=_array(
-            drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
-        ),
+        terminal_speed_mps=_array(speed),
         thruster_exists=jnp.asarray(health > 0.0),
         thruster_health=_array(health),
         rotor=_rotor(config, rotor_response),
+        steered=bool(speed[1] == 0),
     )
 
 
@@ -140,7 +142,8 @@ def stack(variants: list[VehicleParams]) -> VehicleParams:
     """
     n_t = max(variant.B.shape[1] for variant in variants)
     n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
-    padded = [_pad(variant, n_t, n_capsule) for variant in variants]
+    steered = any(variant.steered for variant in variants)
+    padded = [replace(_pad(one, n_t, n_capsule), steered=steered) for one in variants]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
 

@@ -93,7 +93,11 @@ def test_toml_that_would_break_its_reader_is_refused(kind, tmp_path):
         read_toml(path)
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, '{"a":1,"a":2}'])
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, '{"a":1,"a":2}'],
+    ids=["lists", "objects", "digits", "twice"],
+)
 def test_json_that_would_break_its_reader_is_refused(text):
     with pytest.raises(ConfigError, match="a file: "):
         json_of(text, "a file")
@@ -126,6 +130,7 @@ def test_a_file_of_another_kind_is_not_told_fault_by_fault():
         ({"a": (1, 2)}, "{'a': [1, 2]}"),
         ("\x07", r"'\x07'"),
     ],
+    ids=["integer", "lists", "table", "bell"],
 )
 def test_how_values_are_shown(value, text):
     assert shown(value) == text

@@ -126,7 +126,7 @@ def step(
     home = gains.position_per_s * (start + length * tangent - estimate.p)
     velocity = jnp.where(arriving, model.bounded(home, jnp.maximum(speed, 0.1)), velocity)
     # Without sway the bow must point home as well.
-    holds = arriving & (vehicle.terminal_speed_mps[1] > 0)
+    holds = arriving & (vehicle.terminal_speed_mps[1] > 0) if vehicle.steered else arriving
     yaw, yaw_rate = _heading(gains, carry.yaw_rad, velocity, holds, dt)
     turn = yaw_rate * quaternion.up(estimate.q) + gains.attitude_per_s * model.attitude_error(
         estimate.q, yaw

@@ -40,7 +40,9 @@ def bounded(vector: jax.Array, limit: jax.Array) -> jax.Array:
 def speed_limit(vehicle: VehicleParams) -> jax.Array:
     """Speed [] m/s up to which a vehicle can be told to go, any way in which it can be driven."""
     speed = vehicle.terminal_speed_mps
-    return SPEED_SHARE * jnp.min(jnp.where(speed > 0, speed, jnp.max(speed)))
+    if vehicle.steered:
+        speed = jnp.where(speed > 0, speed, jnp.max(speed))
+    return SPEED_SHARE * jnp.min(speed)
 
 
 def heading(
@@ -51,6 +53,8 @@ def heading(
     ``yaw`` [] is the one asked for. A vehicle without sway turns its bow to where it must go, by
     `TURN_RAD` at a time; nearly at rest it does as asked.
     """
+    if not vehicle.steered:
+        return yaw
     moves = velocity[0] ** 2 + velocity[1] ** 2 > MOVES_MPS**2
     course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
     now = quaternion.yaw(estimate.q)

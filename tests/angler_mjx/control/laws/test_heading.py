@@ -14,7 +14,7 @@ NOW = 0.4
 
 
 def told(terminal, velocity, asked=-1.0):
-    vehicle = SimpleNamespace(terminal_speed_mps=jnp.array(terminal))
+    vehicle = SimpleNamespace(terminal_speed_mps=jnp.array(terminal), steered=True)
     estimate = SimpleNamespace(q=quaternion.from_yaw(jnp.asarray(NOW)))
     return float(model.heading(vehicle, estimate, jnp.array(velocity), jnp.asarray(asked)))
 
@@ -42,5 +42,5 @@ def test_one_without_turns_its_bow_to_where_it_goes(velocity, heading):
     [([1.5, 1.0, 0.8], 0.72), ([1.5, 0.0, 1.0], 0.9), ([0.0, 0.0, 0.0], 0.0)],
 )
 def test_speed_is_held_to_the_slowest_way_that_is_there(terminal, limit):
-    vehicle = SimpleNamespace(terminal_speed_mps=jnp.array(terminal))
+    vehicle = SimpleNamespace(terminal_speed_mps=jnp.array(terminal), steered=True)
     assert float(model.speed_limit(vehicle)) == pytest.approx(limit)
