@@ -180,11 +180,11 @@ def read_scenario(
     path = find(name_or_path)
     data = read_toml(path)
     whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
-    context = {FOLDER: path.absolute().parent}
+    beside = {FOLDER: path.absolute().parent}
     try:
-        return check(Scenario, whole, context)
+        return check(Scenario, whole, {} if "fleet" in overrides else beside)
     except FaultyError as error:
-        own = _faults(data, context) if overrides else {fault.text for fault in error.faults}
+        own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
         its = [fault.text for fault in error.faults if fault.text in own]
         theirs = [
             _blamed(fault, overrides, blame) for fault in error.faults if fault.text not in own
