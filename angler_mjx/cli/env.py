@@ -70,7 +70,7 @@ def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Pa
     """Draw one environment of a file.
 
     Args:
-        file: Made by `angler env make`.
+        file: Made by `angler env make`, or a run folder that stored trajectories.
         index: Which world.
         out: Picture to write, for example env.png.
     """
@@ -79,11 +79,12 @@ def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Pa
 
     style.require_format(out)
     group = store.open_file(file)
-    count = group["valid"].shape[0]  # type: ignore[union-attr]
+    valid: Any = group["valid"]
+    count = valid.shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
-    about: Any = group.attrs
-    name = about["world_config"]["preset"]
+    config: Any = group.attrs.get("world_config")  # a run's environments carry none
+    name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
     picture = environment.draw(store.read(group, index), title=f"{name}, world {index}")
     style.save(picture, out)
     print(out)

@@ -25,7 +25,7 @@ def export(
         worlds: Indices, as in 0,3; the worst and one good world if left out.
         force: Replace an older bag.
     """
-    chosen = None if worlds is None else _indices(worlds)
+    chosen = None if worlds is None else indices(worlds)
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
@@ -47,7 +47,7 @@ def export(
     print(mcap)
 
 
-def _indices(text: str) -> list[int]:
+def indices(text: str) -> list[int]:
     """Whole numbers with commas between them.
 
     Raises:

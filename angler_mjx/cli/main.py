@@ -22,6 +22,7 @@ from angler_mjx.cli import (
     teleop,
     tune,
     vehicle,
+    verify,
 )
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
@@ -71,6 +72,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "scenarios": _scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
+    "verify": verify.verify,
     "export": export.export,
     "teleop": teleop.teleop,
     "env": _env,

@@ -94,7 +94,11 @@ def rollout(
             "devices": devices,
             "team": team,
         }
-        run = runs.resume(place, **how) if resume else runs.rollout(loaded, out=place, **how)
+        run = (
+            runs.resume(place, scenario=loaded, **how)
+            if resume
+            else runs.rollout(loaded, out=place, **how)
+        )
     team.leave()
     if team.index == 0:
         if figures:
@@ -166,7 +170,7 @@ def _report(run: "Run", *, as_json: bool) -> None:
         "outcome",
         "robots",
         "rate",
-        "95 % interval",
+        "95 % interval, by world",
         title=f"{summary['scenario']}: {summary['worlds_done']} worlds, {summary['robots']} robots",
     )
     for name, row in summary["outcomes"].items():

@@ -70,7 +70,7 @@ class MjxEngine:
 
     def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
         """See `Engine.reset`."""
-        one = partial(episode.reset, spec, _multibody(fleet))
+        one = partial(episode.reset, spec, _multibody(spec, fleet, worlds))
         state: WorldState = jax.vmap(one)(worlds.body, worlds)
         return state
 
@@ -85,7 +85,7 @@ class MjxEngine:
         """See `Engine.control_step`."""
         one = partial(episode.control_step, spec)
         after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
-            _multibody(fleet), worlds, state, command
+            _multibody(spec, fleet, worlds), worlds, state, command
         )
         return after
 
@@ -104,18 +104,23 @@ class MjxEngine:
         one = partial(episode.segment, spec, n_sample=n_sample, steps_per_sample=steps_per_sample)
 
         def told(world: World, state: WorldState, command: Command | None) -> Any:
-            return one(_multibody(fleet), world, state, command=command)
+            return one(_multibody(spec, fleet, worlds), world, state, command=command)
 
         after: tuple[WorldState, Sample] = jax.vmap(told)(worlds, state, command)
         return after
 
 
-def _multibody(fleet: Fleet) -> mjx_engine.MjxEngine:
+def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:
     if fleet.engine is None:
         raise UnsupportedError(
             "the fleet was built without multibody models: engine mjx needs them"
         )
-    return fleet.engine
+    if worlds.body.fields.keys() != fleet.body.fields.keys():
+        raise UnsupportedError(
+            "the worlds were drawn of a fleet without the multibody fields of this one: engine mjx "
+            "needs them (`Simulator.adopt` gives them)"
+        )
+    return fleet.engine.under(spec.water.gravity_mps2)
 
 
 def by_name(name: str, kernels: str) -> Engine:

@@ -83,17 +83,24 @@ class SimSpec:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """What does not change during an episode of one world; [n_robot] leads in fleet and paths."""
+    """What does not change during an episode of one world; [n_robot] leads in fleet and paths.
+
+    Some of it is derived: ``control`` (but for its cruise speeds) and ``body`` from the fleet and
+    ``variant``, ``cell_neighbours`` from the environment's cells. A `Simulator` refuses parameters
+    that were edited here and packs edited cells anew (`angler_mjx.sim.admission`); who calls an
+    engine without one keeps them in step.
+    """
 
     environment: Environment
     variant: jax.Array
     """int32 [n_robot] which variant of the fleet (vehicle and parameter set) each robot is."""
     body: BodyInertia
+    """Empty where the fleet has no multibody models."""
     control: ControlParams
     path: Trajectory
     cell_neighbours: jax.Array | None = None
-    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all
-    segments where the engine looks cells up in it."""
+    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all segments
+    where the engine looks cells up in it. Engines called without it pack for each segment."""
     sensing_key: jax.Array | None = None
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has no crews."""
 

@@ -16,14 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
-from angler_mjx.control import stack
+from angler_kernels.clearance import cell_neighbours
+from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.state import Outcome, Sample, SimSpec, World, WorldState
 from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
@@ -36,6 +39,7 @@ from angler_mjx.simulator.devices import (
     tree_bytes,
 )
 from angler_mjx.simulator.prepare import preparer
+from angler_mjx.vehicles import library
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
 
@@ -84,8 +88,6 @@ class Simulator:
         scenario: what is simulated.
         tile: worlds of one device in one call.
         devices: number of devices.
-        fleet: compiled vehicles.
-        spec: settings of the simulation.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
     """
@@ -107,10 +109,10 @@ class Simulator:
         cache.switch_on()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self.spec = scenario.sim_spec()
+        self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
-        self.fleet: fleet.Fleet = jax.device_put(
+        self._fleet: Fleet = jax.device_put(
             fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
             NamedSharding(self._mesh, SAME),
         )
@@ -145,6 +147,13 @@ class Simulator:
         self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
             partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
         )
+        pack = self._spread(jax.vmap(cell_neighbours), EACH)
+        take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
+        self._gate = Gate(
+            self._fleet,
+            take=partial(take, self._fleet),
+            pack=pack if scenario.engine == "fused" else None,
+        )
         self._segment: Callable[..., Segment] = self._spread(
             self._run_segment, SAME, EACH, EACH, donate_argnums=2
         )
@@ -165,6 +174,16 @@ class Simulator:
         )
 
     @property
+    def fleet(self) -> Fleet:
+        """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
+        return self._fleet
+
+    @property
+    def spec(self) -> SimSpec:
+        """Settings of the simulation, which its programs hold."""
+        return self._spec
+
+    @property
     def segment_steps(self) -> int:
         """Control steps in one segment."""
         return self.samples * self.steps_per_sample
@@ -178,6 +197,12 @@ class Simulator:
         """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
         kinds = fleet.variants(self.scenario.members())
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
+
+    def labels(self) -> list[tuple[str, str]]:
+        """As `variants`, for tables: a vehicle is called what its file says, wherever that lies."""
+        variants = self.variants()
+        names = library.labels(vehicle for vehicle, _ in variants)
+        return [(names[vehicle], chosen) for vehicle, chosen in variants]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
         """Worlds first, first + 1 and on: drawn, furnished and planned.
@@ -204,7 +229,20 @@ class Simulator:
             (number, np.asarray(firsts, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        return self._prepare(self.fleet, *numbers)
+        return self._gate.own(self._prepare(self.fleet, *numbers))
+
+    def adopt(self, worlds: World) -> World:
+        """Worlds with the parameters that this simulator's fleet gives to their variants.
+
+        For worlds that another simulator drew, or whose ``variant`` was edited.
+
+        Args:
+            worlds: [devices * tile] leading.
+
+        Raises:
+            ConfigError: a robot cannot be its variant.
+        """
+        return self._gate.adopt(worlds)
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
@@ -222,7 +260,7 @@ class Simulator:
         worlds: World = placed(shapes, self._mesh, EACH)
         return worlds
 
-    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
         """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
@@ -233,8 +271,13 @@ class Simulator:
         )
 
     def reset(self, worlds: World) -> WorldState:
-        """State of each world at t = 0."""
-        return self._reset(self.fleet, worlds)
+        """State of each world at t = 0.
+
+        Raises:
+            ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
+                as in `step` and `segment`.
+        """
+        return self._reset(self.fleet, self._gate.admit(worlds))
 
     def step(
         self, worlds: World, state: WorldState, command: Command | Mixed | None = None
@@ -252,14 +295,13 @@ class Simulator:
             The next state, and the sample of the state before with its command.
 
         Raises:
-            ConfigError: no stage of the controllers takes the command, or it is not for every
-                robot of every world.
+            ConfigError: no stage of the controllers takes the command, an array of it has another
+                shape than every robot of every world wants, or pulse widths in NumPy's arrays are
+                outside the thrust table; or as `reset`.
         """
         if command is not None:
-            lead = state.tally.outcome.shape
-            for one in command.commands if isinstance(command, Mixed) else [command]:
-                stack.check_command(self.spec.stages, one, lead)
-        return self._step(self.fleet, worlds, state, command)
+            self._check(command, worlds, state)
+        return self._step(self.fleet, self._gate.admit(worlds), state, command)
 
     def segment(
         self, worlds: World, state: WorldState, command: Command | None = None
@@ -280,8 +322,9 @@ class Simulator:
         if command is None:
             after, sample, _ = self.advance(worlds, state)
             return after, sample
-        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
-        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
+        self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        after, sample, _ = self._commanded(self.fleet, admitted, state, command)
         return after, sample
 
     def advance(self, worlds: World, state: WorldState) -> Segment:
@@ -289,7 +332,17 @@ class Simulator:
 
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, worlds, state)
+        return self._segment(self.fleet, self._gate.admit(worlds), state)
+
+    def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
+        """Refuse commands that the controllers cannot be given."""
+        lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
+        for one in command.commands if isinstance(command, Mixed) else [command]:
+            stack.check_command(self.spec.stages, one, lead, thrusters)
+        if isinstance(command, Mixed):  # of its commands some hold any numbers
+            command_checks.check_choice(command, lead)
+        else:
+            command_checks.check_pulses(command)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
@@ -339,7 +392,7 @@ class Simulator:
 
     def _run_segment(
         self,
-        kinds: fleet.Fleet,
+        kinds: Fleet,
         worlds: World,
         state: WorldState,
         command: Command | None = None,

@@ -78,7 +78,7 @@ def run(
         ConfigError: something of the scenario or the settings cannot be used; nothing is left.
         UnsupportedError: the viewer is not there.
         RunError: the session broke off, and the run folder holds what was driven until then; or the
-            disk gave out, and nothing is left.
+            disk gave out, and what there is stays in the hidden folder.
     """
     if not 0 <= settings.world < 2**31:
         raise ConfigError(f"--world {shown(settings.world)}: give an index from 0 to {2**31 - 1}")

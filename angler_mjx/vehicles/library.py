@@ -1,5 +1,6 @@
 """Finding and reading vehicle files and thruster files: those shipped here, and the user's own."""
 
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 
@@ -41,6 +42,30 @@ def _load(path: Path, text: str) -> VehicleConfig:
     # A path in a vehicle file means a file beside it, wherever the program was started.
     model = str((path.parent / config.rotor.model).resolve())
     return config.model_copy(update={"rotor": config.rotor.model_copy(update={"model": model})})
+
+
+def locate(name_or_path: str) -> Path:
+    """File of a vehicle; arguments and errors as in `load`."""
+    return _locate(name_or_path, _VEHICLES, "vehicle")
+
+
+def locate_thruster(name_or_path: str) -> Path:
+    """File of a thruster; arguments and errors as in `load_thruster`."""
+    return _locate(name_or_path, _THRUSTERS, "thruster")
+
+
+def labels(vehicles: Iterable[str]) -> dict[str, str]:
+    """What to call vehicles in tables: the names in their files, unless two files share one.
+
+    Args:
+        vehicles: as a scenario names them.
+
+    Raises:
+        ConfigError: a file cannot be read.
+    """
+    names = {named: load(named).name for named in vehicles}
+    shared = {name for name in names.values() if list(names.values()).count(name) > 1}
+    return {named: named if name in shared else name for named, name in names.items()}
 
 
 def load_thruster(name_or_path: str) -> ThrusterTable:

@@ -14,6 +14,7 @@ from PIL import Image
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.files import named
+from angler_mjx.storage.atomic import whole
 
 INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
 WATER = "#eef5f8"
@@ -138,11 +139,11 @@ def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=160)
-        if palette is not None:
-            with Image.open(path) as drawn:
-                drawn.convert("RGB").quantize(palette).save(path, optimize=True)
+        with whole(path) as writing:
+            figure.savefig(writing, dpi=160)
+            if palette is not None:
+                with Image.open(writing) as drawn:
+                    drawn.convert("RGB").quantize(palette).save(writing, optimize=True)
     except OSError as error:
-        path.unlink(missing_ok=True)
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path

@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.storage.folder import Run
-from angler_mjx.storage.harvest import ESTIMATE
+from angler_mjx.storage.layout import ESTIMATE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -135,6 +135,11 @@ class Scene:
         """The autopilots' clock, s; it runs while the vehicles are moored too."""
         return self._ticks * self.dt_s
 
+    @property
+    def pulses(self) -> NDArray[np.int32]:
+        """[N, 16] us, of the last step: those that the account of a period goes by."""
+        return self._inputs[:, : motion.PULSES].copy()
+
     def step(self, pwm: NDArray[np.int32]) -> States:
         """One step of all vehicles.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.control.joint_tolerance import Tolerances
@@ -65,7 +66,8 @@ class Sight:
             watched = Watched(
                 trajectory=desk.board.slot(JointTrajectory), allowed=self._allowed, before=before
             )
-        given = (scene.worlds, scene.judged, helm.memory, self._signals(squad), watched)
+        signals = self._signals(squad.lockstep.pwm)
+        given = (scene.worlds, scene.judged, helm.memory, signals, watched)
         if self._layout is None:
             self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
         arrays = _look_flat(scene.layout, *given)
@@ -74,20 +76,19 @@ class Sight:
         self.belief = trusting(vehicles) if self._truth else belief_of(squad.motion(), vehicles.p)
         self.view, self.seen = view, believed(view, self.belief)
 
-    def keep(self, before: WorldState, decision: Decision, squad: Squad) -> None:
-        """Keep a record of a step.
+    def keep(self, before: WorldState, decision: Decision) -> None:
+        """Keep a record of a step, with the pulses that its energy was counted by.
 
         Args:
             before: the state that it began with.
             decision: what was decided then.
-            squad: after it.
         """
         self.target_m = np.asarray(decision.target_m)[0]
         self.sample = Sample(
             p=before.vehicles.p,
             q=before.vehicles.q,
             nu=before.vehicles.nu,
-            pwm_us=self._signals(squad),
+            pwm_us=self._signals(self._scene.pulses),
             target_m=decision.target_m,
             current_mps=decision.current_mps,
             outcome=before.tally.outcome,
@@ -113,9 +114,9 @@ class Sight:
             status=status,
         )
 
-    def _signals(self, squad: Squad) -> Any:
-        """[1, R, n_thruster] pulse widths, neutral where there is no pulse."""
-        pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
+    def _signals(self, pulses: NDArray[np.int32]) -> Any:
+        """[1, R, n_thruster] pulse widths of [R, 16], neutral where there is no pulse."""
+        pwm = pulses[None, :, : self._facts.thrusters]
         pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
         return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
 

@@ -101,7 +101,7 @@ class BatchFlyer:
             state,
             samples,
             world=index,
-            variants=simulator.variants(),
+            variants=simulator.labels(),
             seed=simulator.scenario.seed,
             sample_dt_s=sample_dt_s,
         )
@@ -156,7 +156,7 @@ class SitlFlyer:
             inside.state,
             samples,
             world=index,
-            variants=inside.simulator.variants(),
+            variants=inside.simulator.labels(),
             seed=self._scenario.seed,
             sample_dt_s=timing.steps_per_sample * timing.control_dt_s,
         )

@@ -8,12 +8,7 @@ import zarr
 from angler_mjx.sim.state import Sample
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
-from angler_mjx.storage.harvest import (
-    Constants,
-    End,
-    FinishedTile,
-    arrays,
-)
+from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
 from angler_mjx.storage.recorder import Recorder, Shape
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
@@ -62,7 +57,16 @@ def make_tile(environment, first, kept, rng):
         plan_time_s=rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),
         plan_m=rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
     )
-    end = End(tally=None, p=None)
+    last = Last(
+        step=np.full(TILE, 5, np.int32),
+        p=rng.normal(size=(TILE, ROBOTS, 3)).astype(np.float32),
+        q=rng.normal(size=(TILE, ROBOTS, 4)).astype(np.float32),
+        nu=rng.normal(size=(TILE, ROBOTS, 6)).astype(np.float32),
+        outcome=rng.integers(1, 8, (TILE, ROBOTS)).astype(np.int32),
+        obstacle_p=rng.normal(size=(TILE, OBSTACLES, 3)).astype(np.float32),
+        obstacle_q=rng.normal(size=(TILE, OBSTACLES, 4)).astype(np.float32),
+    )
+    end = End(tally=None, p=None, last=last)
     parts = [part(3), part(2)]
     return FinishedTile(first=first, kept=kept, constants=constants, end=end, parts=parts)
 
@@ -98,9 +102,26 @@ def test_zarr_reads_what_was_written(written):
         np.testing.assert_array_equal(group["outcome"][here, :5], outcome)
         np.testing.assert_array_equal(group["outcome"][here, 5], outcome[:, 4])
         pwm = np.concatenate([part.pwm_us[: tile.kept] for part in tile.parts], axis=1)
-        expected = np.where(np.isnan(pwm), 0, np.rint(np.nan_to_num(pwm)))
+        expected = np.where(np.isnan(pwm), 0, pwm)  # to the last bit: half a us is 2 % of its power
         np.testing.assert_array_equal(group["pwm_us"][here, :5], expected)
         np.testing.assert_array_equal(group["plan_m"][here], tile.constants.plan_m[: tile.kept])
+
+
+def test_the_state_after_the_last_sample_is_kept(written):
+    path, tiles, _ = written
+    group = zarr.open_group(path, mode="r")
+    for tile in tiles:
+        here, last = slice(tile.first, tile.first + tile.kept), tile.end.last
+        for name, values in {
+            "step": last.step,
+            "p_m": last.p,
+            "q": last.q,
+            "nu": last.nu,
+            "outcome": last.outcome,
+            "obstacle_p_m": last.obstacle_p,
+            "obstacle_q": last.obstacle_q,
+        }.items():
+            np.testing.assert_array_equal(group[f"end/{name}"][here], values[: tile.kept], name)
 
 
 def test_environments_are_what_the_store_would_have_written(written, environment, tmp_path):

@@ -180,6 +180,12 @@ def engines_by_name():
 
 
 @pytest.fixture(scope="session")
+def members():
+    """The robots of the scenes that name none."""
+    return every_variant()
+
+
+@pytest.fixture(scope="session")
 def double():
     """Worlds with everything, in float64."""
     with jax.enable_x64(True):
