@@ -469,7 +469,7 @@ class Simulator:
         return after, sample, running
 
     def _run_commanded(
-        self, kinds: fleet.Fleet, worlds: World, state: WorldState, command: Command
+        self, kinds: Fleet, worlds: World, state: WorldState, command: Command
     ) -> Segment:
         return self._run_segment(kinds, worlds, state, None, command)
 

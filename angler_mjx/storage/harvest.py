@@ -189,9 +189,7 @@ def _rows(values: np.ndarray, worlds: slice) -> np.ndarray:
 
 
 def _as_stored(field: Field, make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
-    """With what stands for none, and of the type that is stored but for floats: these are
-    converted block by block.
-    """
+    """With what stands for none, and of the stored type; floats are converted block by block."""
     values = make(worlds)
     if field.about.none is not None:
         # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
