@@ -15,7 +15,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test mutants lint types imports format clean
+.PHONY: help venv demo test fuzz mutants lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -36,6 +36,11 @@ test mutants: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_ne
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+
+fuzz: COUNT ?= 100000
+fuzz: SEED ?= 0
+fuzz: $(STAMP)  ## feed COUNT=100000 wrong inputs (SEED=0) to all that reads files and packets
+	JAX_PLATFORMS=cpu $(BIN)/python -m tests.fuzz.run --count $(COUNT) --seed $(SEED) $(FUZZ_ARGS)
 
 # Not a part of what CI runs: 300 mutants take a night. See docs/mutants.md.
 mutants: $(STAMP)  ## put small faults into the code and see whether tests find them

@@ -64,6 +64,11 @@ _HOME = {
 }
 
 
+def __dir__() -> list[str]:
+    """The public names beside what has been loaded."""
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     """Load a public name from where it is defined."""
     if name not in _HOME:

@@ -91,6 +91,8 @@ class Stage:
     """Whether it is to be told the current."""
     wants_realised: bool = False
     """Whether it is to be told what became of the wrench of the step before."""
+    wants_sway: bool = False
+    """Whether it cannot fly a vehicle that has no thrust to the side."""
 
 
 type Stages = tuple[Stage, ...]

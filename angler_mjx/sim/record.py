@@ -243,8 +243,8 @@ class Field:
         """Type on disk."""
         return np.dtype(self.about.stored)
 
-    def of(self, sample: Sample) -> Any:
-        """Its value; None where the sample has none."""
+    def of(self, sample: Any) -> Any:
+        """Its value in a `Sample`, or in what has it by the same name; None where there is none."""
         return reduce(lambda part, name: part and getattr(part, name), self.path, sample)
 
     def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:

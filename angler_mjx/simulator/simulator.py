@@ -30,6 +30,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
+from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
     EACH,
@@ -114,6 +115,7 @@ class Simulator:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
                 there are fewer devices.
         """
+        cache.switch_on()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self._spec = scenario.sim_spec()

@@ -184,12 +184,12 @@ def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
     return whole
 
 
-def _rows(values: np.ndarray, worlds: slice) -> np.ndarray:
+def _rows(values: Any, worlds: slice) -> np.ndarray:
     return np.asarray(values)[worlds]
 
 
 def _as_stored(field: Field, make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
-    """With what stands for none, and of the stored type; floats are converted block by block."""
+    """As it is stored, but for the type of floats: these are converted block by block."""
     values = make(worlds)
     if field.about.none is not None:
         # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
