@@ -166,8 +166,9 @@ class _TwiceError(Exception):
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        seen: set[str] = set()
-        twice = next(name for name, _ in pairs if name in seen or seen.add(name))
+        left = list(table)
+        # The keys of a table stand in the order in which they first came.
+        twice = next(name for i, (name, _) in enumerate(pairs) if i >= len(left) or name != left[i])
         raise _TwiceError(shown(twice))
     return table
 

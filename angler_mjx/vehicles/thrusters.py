@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.vehicles.checks import PWM_HIGH_US, PWM_LOW_US
+from angler_mjx.vehicles import checks
 from angler_mjx.vehicles.thruster_config import ThrusterTable
 
+PWM_LOW_US, PWM_HIGH_US = checks.PWM_LOW_US, checks.PWM_HIGH_US
 PWM_STEP_US = 4
 PWM_GRID_US = np.arange(PWM_LOW_US, PWM_HIGH_US + PWM_STEP_US, PWM_STEP_US)
 """[201] the grid of every thrust and power table; every PWM value of the T200 data lies on it."""

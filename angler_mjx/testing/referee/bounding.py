@@ -28,7 +28,7 @@ def judge(scene: Scene, robot: int) -> list[Finding]:
     # A robot that failed stands where its episode ended: the next sample shows that place.
     held = after if outcome in FAILED and world.step[after] >= step else before
     _numbers(tell, scene, episode, step, before, held)
-    _touch(tell, scene, episode, held, outcome)
+    _touch(tell, scene, episode, held if world.step[held] >= step else None, outcome)
     shown = held if world.step[held] == step or held > before else None
     if outcome == "reached" or shown is not None:
         tell.place(outcome, world.p[held, robot])
@@ -119,7 +119,8 @@ def _numbers(
         tell.between(name, -np.inf if touches else -band, high + band, "no more than in a sample")
 
 
-def _touch(tell: Telling, scene: Scene, episode: Episode, held: int, outcome: str) -> None:
+def _touch(tell: Telling, scene: Scene, episode: Episode, held: int | None, outcome: str) -> None:
+    """With what; ``held`` is the state that shows where a robot ended, if one does."""
     if not outcome.startswith("collision"):
         tell.no_touch("exact")
         return
@@ -129,8 +130,8 @@ def _touch(tell: Telling, scene: Scene, episode: Episode, held: int, outcome: st
     still = kind in ("cell", "floor")
     if kind == "obstacle" and number.isdecimal() and int(number) < len(motion):
         still = bool(motion[int(number)] == STILL)
-    if not still:
-        tell.unchecked("failure_pair", "what moves was elsewhere when the next sample was taken")
+    if held is None or not still:
+        tell.unchecked("failure_pair", "no sample shows both as they were at the touch")
     else:
         near = episode.touching(held, 2.0 * scene.touch_m + 1.0)
         names = [

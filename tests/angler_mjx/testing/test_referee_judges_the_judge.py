@@ -19,7 +19,7 @@ HEAVY, SMALL = {"vehicle": "heavy.toml"}, {"vehicle": "small.toml"}
 HURT = {"vehicle": "heavy.toml", "thruster_health": {"thruster_1": 0.0, "thruster_6": 0.4}}
 
 ROBOTS = {
-    "arrives and goes on": (HEAVY, (-5.0, -5.0, -2.0), (0.5, 0.0, 0.0), (-4.2, -5.0, -2.0)),
+    "arrives and goes on": (HEAVY, (-5.0, -5.0, -2.0), (0.5, 0.0, 0.0), (-4.197, -5.0, -2.0)),
     "hits rock": (SMALL, (-5.0, -2.5, -5.0), (0.7, 0.0, 0.0), FAR),
     "arrives at a ball": (SMALL, (-5.0, 0.0, -8.0), (0.6, 0.0, 0.0), (-3.425, 0.0, -8.0)),
     "leaves at the top": (HEAVY, (4.0, -5.0, -0.6), (0.0, 0.1, 0.8), FAR),
