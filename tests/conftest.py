@@ -9,7 +9,12 @@ LONG = ("sim/test_fused_triton.py", "sim/test_fused.py", "runs/", "speed/")
 """Files that take minutes come first, so that no worker is left alone with one at the end."""
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    if "nightly" not in config.getoption("markexpr"):
+        long = [item for item in items if item.get_closest_marker("nightly")]
+        config.hook.pytest_deselected(items=long)
+        items[:] = [item for item in items if item not in long]
+
     def rank(item):
         found = [i for i, part in enumerate(LONG) if part in item.path.as_posix()]
         return found[0] if found else len(LONG)

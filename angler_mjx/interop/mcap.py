@@ -130,7 +130,7 @@ def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
     time = np.asarray(stored["time_s"])
     ends = (end_time_s(row) for row in rows)
     count = min(time.size, int(np.searchsorted(time, max(ends))) + 1)
-    sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu", "pwm_us")}
+    sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu")}
     moving = "obstacle_p_m" in stored
     plan_time, plan = stored["plan_time_s"][world], stored["plan_m"][world]
     kept = [np.r_[True, np.diff(times) > 0] for times in plan_time]
@@ -138,6 +138,7 @@ def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
         index=world,
         time_s=time[:count],
         environment=store.read(stored["environment"], world),
+        pwm_us=np.rint(stored["pwm_us"][world, :count]).astype(np.uint16),
         plan_time_s=[times[rows] for times, rows in zip(plan_time, kept, strict=True)],
         plan_m=[points[rows] for points, rows in zip(plan, kept, strict=True)],
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),

@@ -9,7 +9,7 @@ from typing import Any
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, mending
@@ -27,6 +27,7 @@ def begin(simulator: Simulator, place: Path) -> Claim:
     claimed = folder.create(place)
     try:
         folder.begin(claimed.building, chosen, describe_environment())
+        write_policy(claimed.building, simulator.policy)
         if scenario.time.record_hz > 0:
             _describe(simulator, claimed.building / folder.TRAJECTORIES)
     except OSError as error:

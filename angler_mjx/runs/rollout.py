@@ -18,8 +18,9 @@ from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import Alone, Team
 from angler_mjx.runs.progress import Progress, Silent
-from angler_mjx.runs.provenance import peak_memory_bytes
+from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.simulator import CompileTime, Simulator
 from angler_mjx.storage import claims, folder, harvest, results
 from angler_mjx.storage.claims import Claim
@@ -48,6 +49,7 @@ def rollout(
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
@@ -60,6 +62,7 @@ def rollout(
         simulator: of the same scenario, to use what it has compiled already.
         devices: devices of this process to run on; all if left out. Changes no byte of the results.
         team: processes that share the run; each calls this with the same arguments.
+        policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -74,7 +77,7 @@ def rollout(
     with _telling(team), ExitStack() as stack:
         if team.index == 0:
             claims.require_none(place)
-        simulator = simulator or Simulator(scenario, devices=devices)
+        simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
@@ -95,6 +98,7 @@ def resume(
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
     """Go on with an interrupted run; arguments and errors as in `rollout`.
 
@@ -109,10 +113,11 @@ def resume(
         simulator: as in `rollout`.
         devices: as in `rollout`.
         team: as in `rollout`.
+        policy: the one that the run was begun with.
 
     Raises:
         ConfigError: there is no interrupted run of that name, another process goes on with it, it
-            is of another scenario, or its vehicle files were edited since.
+            is of another scenario or policy, or its vehicle files were edited since.
         RunError: as in `rollout`.
     """
     place, team = Path(out), team or Alone()
@@ -127,7 +132,8 @@ def resume(
         team.meet("found")
         building = claims.partial_path(place)
         stored = folder.read_scenario(building)
-        simulator = simulator or Simulator(stored, devices=devices)
+        simulator = simulator or Simulator(stored, devices=devices, policy=policy)
+        require_policy(building, simulator.policy)
         if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)

@@ -18,7 +18,7 @@ from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.batch import Inside
 from angler_mjx.session.interface import Floats, Observation
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample, sizes_of
 from angler_mjx.storage import folder, harvest, results
 from angler_mjx.storage import inputs as copies
 from angler_mjx.storage.claims import Claim
@@ -191,7 +191,7 @@ class SessionRecording:
             first=self._world,
             kept=1,
             constants=kept,
-            end=jax.tree.map(np.asarray, harvest.end(inside.state)),
+            end=jax.tree.map(np.asarray, harvest.end(inside.state, recorded=True)),
             parts=[joined],
         )
 
@@ -209,14 +209,15 @@ class SessionRecording:
     def _write_trajectories(self, building: Path, tile: FinishedTile) -> None:
         environment = tile.constants.environment
         first = tile.parts[0]
+        sizes = sizes_of(first, lead=2)
         if environment is None or tile.constants.plan_time_s is None:
             raise RunError("the session keeps no environment to record")
         shape = Shape(
             worlds=self._world + 1,
             samples=len(self._samples),
-            robots=first.p.shape[2],
-            thrusters=first.pwm_us.shape[-1],
-            obstacles=first.obstacle_p.shape[2],
+            robots=sizes["robot"],
+            thrusters=sizes["thruster"],
+            obstacles=sizes["obstacle"],
             plan_points=tile.constants.plan_time_s.shape[-1],
             estimated=first.belief is not None,
         )

@@ -23,7 +23,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample
 from angler_mjx.speed import simulation
 from angler_mjx.speed.rows import Row, check_repeats, spread
 from angler_mjx.speed.simulation import Timed
@@ -156,7 +156,7 @@ def _to_the_horizon(timed: Timed) -> FinishedTile:
         first=0,
         kept=simulator.tile,
         constants=_on_host(harvest.constants(worlds, recorded=True)),
-        end=_on_host(harvest.end(state)),
+        end=_on_host(harvest.end(state, recorded=True)),
         parts=parts,
     )
 

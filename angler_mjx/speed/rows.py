@@ -11,8 +11,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +19,12 @@ import numpy as np
 from jax import monitoring
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import json_of, named, parse, read_text
 from angler_mjx.runs.provenance import peak_memory_bytes
-from angler_mjx.storage.damage import reading
+from angler_mjx.speed.stored import StoredRow
 
+MOST_BYTES = 1 << 26
+"""Of a file of rows."""
 MIN_REPEATS = 10
 """Fewer tell little about the spread."""
 
@@ -203,9 +205,7 @@ def read(path: Path) -> list[dict[str, Any]]:
     Raises:
         ConfigError: the file cannot be read, or a line of it is no row.
     """
-    with reading(path, "give a file of angler bench"):
-        text = path.read_text(encoding="utf-8")
-    return list(_rows(text, path))
+    return list(_rows(read_text(path, MOST_BYTES), path))
 
 
 def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
@@ -217,33 +217,10 @@ def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():
             continue
-        with reading(Path(f"{path}, line {number}"), "it is no row of a benchmark: remove it"):
-            found = json.loads(line)
-            row = absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
-            row["worlds"], row["robots"] = int(found["worlds"]), int(found["robots"])
-            _require_kinds(row)
-        yield row
-
-
-def _require_kinds(row: dict[str, Any]) -> None:
-    """Refuse values of another type than a row has; what a version did not write is None."""
-    for name, kind in get_type_hints(Row).items():
-        value = row[name]
-        options = get_args(kind) if get_origin(kind) is UnionType else (kind,)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        fits = (
-            value is None
-            or (float in options and number and abs(value) < 1e300)
-            or (int in options and isinstance(value, int) and number and abs(value) < 2**63)
-            or (str in options and isinstance(value, str))
-            or (bool in options and isinstance(value, bool))
-            or (get_origin(kind) is dict and isinstance(value, dict))
-        )
-        if not fits:
-            raise TypeError(f"{name} is of another type")
-    for name in ("device", "commit"):
-        if not isinstance(row[name], str | None):
-            raise TypeError(f"{name} is no text")
+        where = f"{named(path)}, line {number}"
+        found = json_of(line, where)
+        parse(StoredRow, found, source=f"{where}: is no row of a benchmark")
+        yield absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
 
 
 def _renamed(workload: str) -> dict[str, Any]:

@@ -8,8 +8,8 @@ end. A file ``lock`` in it is locked while its process lives, however that ends.
 import fcntl
 import json
 import os
+import platform
 import shutil
-import socket
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -216,7 +216,7 @@ def _lock(path: Path, named: str, what: str) -> int:
 def _myself() -> dict[str, Any]:
     return {
         "pid": os.getpid(),
-        "host": socket.gethostname(),
+        "host": platform.node(),
         "since": time.strftime("%Y-%m-%d %H:%M:%S %z"),
         "started": _started(os.getpid()),
     }
@@ -234,7 +234,7 @@ def _lives(owner: dict[str, Any]) -> bool:
     """Whether the process that a lock names goes on; one on another host may."""
     if not owner:
         return False
-    if owner.get("host") != socket.gethostname():
+    if owner.get("host") != platform.node():
         return True
     started = owner.get("started")
     return started is not None and started == _started(owner.get("pid"))

@@ -52,26 +52,26 @@ _CURRENTS: dict[str, type] = {
 """Kinds of current by the names in a group."""
 
 _DIMS = {
-    "start_m": ("robot", "axis"),
-    "goal_m": ("robot", "axis"),
+    "start_m": ("robot", "xyz"),
+    "goal_m": ("robot", "xyz"),
     "start_yaw_rad": ("robot",),
     "path_ratio": ("robot",),
     "line_free": ("robot",),
     "grid/occupied": ("x", "y", "z"),
-    "grid/origin_m": ("axis",),
+    "grid/origin_m": ("xyz",),
     "obstacles/size_m": ("obstacle", "size"),
     "obstacles/path": ("obstacle", "column"),
-    "obstacles/p0": ("obstacle", "axis"),
-    "obstacles/q0": ("obstacle", "quaternion"),
-    "obstacles/nu0": ("obstacle", "velocity_axis"),
-    "obstacles/inertia_kgm2": ("obstacle", "axis"),
-    "obstacles/M_A": ("obstacle", "velocity_axis"),
-    "obstacles/D_l": ("obstacle", "velocity_axis"),
-    "obstacles/D_q": ("obstacle", "velocity_axis"),
+    "obstacles/p0": ("obstacle", "xyz"),
+    "obstacles/q0": ("obstacle", "wxyz"),
+    "obstacles/nu0": ("obstacle", "uvwpqr"),
+    "obstacles/inertia_kgm2": ("obstacle", "xyz"),
+    "obstacles/M_A": ("obstacle", "uvwpqr"),
+    "obstacles/D_l": ("obstacle", "uvwpqr"),
+    "obstacles/D_q": ("obstacle", "uvwpqr"),
 }
 """Dimensions after ``world``; of what is not here they are called after the array."""
 
-_SHARED = {"world", "robot", "obstacle", "axis", "quaternion", "velocity_axis"}
+_SHARED = {"world", "robot", "obstacle", "xyz", "wxyz", "uvwpqr"}
 """Dimensions of one size in a whole group."""
 
 MOST_BYTES = 2**30
@@ -150,7 +150,7 @@ def check(nodes: Mapping[str, Any], where: Path) -> None:
     Raises:
         ConfigError: naming the array.
     """
-    sizes = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
+    sizes = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
     for name, array in nodes.items():
         if not isinstance(array, zarr.Array):
             continue

@@ -1,10 +1,10 @@
 """The run folder: where it is built, what lies in it, and how it is read back.
 
-``config.json`` resolved scenario, ``environment.json`` versions and machine, ``inputs/`` copies of
-the vehicle, thruster and plan files, ``summary.json``, ``episodes.parquet``, ``trajectories.zarr``,
-``run.log``, ``figures/``, ``replay.rrd``; ``robots/`` where each robot left files of its own. While
-a run goes on, the folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the
-finished tiles.
+``config.json`` resolved scenario, ``environment.json`` versions and machine, ``policy.json`` where
+one commanded the robots, ``inputs/`` copies of the vehicle, thruster and plan files,
+``summary.json``, ``episodes.parquet``, ``trajectories.zarr``, ``run.log``, ``figures/``,
+``replay.rrd``; ``robots/`` where each robot left files of its own. While a run goes on, the folder
+is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
 """
 
 import json
@@ -28,6 +28,7 @@ from angler_mjx.storage.claims import Claim, partial_path
 from angler_mjx.storage.damage import read_table, reading
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
+POLICY = "policy.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
 FIGURES, REPLAY, ROBOTS, LOG = "figures", "replay.rrd", "robots", "run.log"
 

@@ -17,6 +17,7 @@ from pydantic import Field
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse
+from angler_mjx.quantities import SchemaVersion
 from angler_mjx.storage import atomic
 from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.vehicles import library
@@ -49,8 +50,8 @@ class Input(FileModel):
 class _Index(FileModel):
     """``inputs.json``."""
 
-    schema_version: Literal[1] = 1
-    files: list[Input]
+    schema_version: SchemaVersion = 1
+    files: tuple[Input, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +97,9 @@ def take(
     for role, path in others:
         found = _find(role, str(path), path)
         kept.append(_keep(place, found, found.data, names))
-    index = _Index(files=kept)
+    index = _Index(files=tuple(kept))
     atomic.write_text(place / INDEX, json.dumps(index.model_dump(), indent=2) + "\n")
-    return tuple(index.files)
+    return index.files
 
 
 def read_inputs(run: Path) -> tuple[Input, ...]:
@@ -111,7 +112,7 @@ def read_inputs(run: Path) -> tuple[Input, ...]:
     if not place.exists():
         return ()
     source = place / INDEX
-    files = tuple(parse(_Index, read_table(source), source=str(source)).files)
+    files = parse(_Index, read_table(source), source=str(source)).files
     for one in files:
         within = PurePosixPath(one.copy_path)
         if within.is_absolute() or ".." in within.parts:

@@ -1,4 +1,7 @@
-"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers."""
+"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers.
+
+What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES
 
-ESTIMATE = "estimate"
-"""Group of what the controllers were told, where that was not the truth."""
+END = "end"
+"""Group of the one state of each world that comes after its last sample."""
 ENVIRONMENT = "environment"
 TIME = "time_s"
 
-WIDTHS = {"axis": 3, "quaternion": 4, "velocity_axis": 6}
-"""Sizes of dimensions that are the same in every run."""
 MOST = 10**7
 """Of a dimension of one world: what claims more is damaged."""
 
@@ -27,83 +29,46 @@ class Kind:
     """After ``world``."""
     unit: str
     text: str
-    dtype: type = np.float32
+    dtype: Any = np.float32
 
 
-def _sampled(unit: str, text: str, *dims: str, dtype: type = np.float32) -> Kind:
-    return Kind(dims=("time", *dims), unit=unit, text=text, dtype=dtype)
-
+_STEP = Kind(
+    dims=(),
+    unit="1",
+    text="control steps until this state, the one after the last sample",
+    dtype=np.int32,
+)
+_PLAN = {
+    "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
+    "plan_m": Kind(dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"),
+}
 
 ARRAYS: dict[str, Kind] = {
-    "p_m": _sampled(
-        "m",
-        "centre of mass, world frame (x east, y north, z up, 0 at the surface)",
-        "robot",
-        "axis",
-    ),
-    "q": _sampled(
-        "1",
-        "attitude, quaternion wxyz, body (forward, left, up) to world",
-        "robot",
-        "quaternion",
-    ),
-    "nu": _sampled(
-        "m/s, rad/s",
-        "velocity over ground [u v w p q r], body frame",
-        "robot",
-        "velocity_axis",
-    ),
-    "target_m": _sampled("m", "where the controller aims, world frame", "robot", "axis"),
-    "current_mps": _sampled("m/s", "water velocity at the robot, world frame", "robot", "axis"),
-    "pwm_us": _sampled(
-        "us",
-        "command of each thruster; 1500 in padding columns, 0 where a diverged robot had none",
-        "robot",
-        "thruster",
-        dtype=np.uint16,
-    ),
-    "outcome": _sampled(
-        "1",
-        "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-        "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
-        "robot",
-        dtype=np.uint8,
-    ),
-    "obstacle_p_m": _sampled("m", "centre of each obstacle, world frame", "obstacle", "axis"),
-    "obstacle_q": _sampled(
-        "1",
-        "attitude of each obstacle, quaternion wxyz, body to world",
-        "obstacle",
-        "quaternion",
-    ),
-    f"{ESTIMATE}/p_m": _sampled(
-        "m", "centre of mass as the controllers were told it, world frame", "robot", "axis"
-    ),
-    f"{ESTIMATE}/q": _sampled(
-        "1", "attitude as they were told it, quaternion wxyz, body to world", "robot", "quaternion"
-    ),
-    f"{ESTIMATE}/nu": _sampled(
-        "m/s, rad/s",
-        "velocity over ground as they were told it, body frame",
-        "robot",
-        "velocity_axis",
-    ),
-    f"{ESTIMATE}/position_std_m": _sampled(
-        "m",
-        "standard deviations of the estimate, world frame; 0 for the truth",
-        "robot",
-        "axis",
-    ),
-    f"{ESTIMATE}/velocity_std_mps": _sampled(
-        "m/s", "standard deviations of the velocity, world frame", "robot", "axis"
-    ),
-    f"{ESTIMATE}/attitude_std_rad": _sampled(
-        "rad", "standard deviations of the attitude, about the world's axes", "robot", "axis"
-    ),
-    "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
-    "plan_m": Kind(dims=("robot", "way_point", "axis"), unit="m", text="way-points, world frame"),
+    **{
+        field.about.array: Kind(
+            dims=("time", *field.about.axes),
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in FIELDS
+    },
+    f"{END}/step": _STEP,
+    **{
+        f"{END}/{field.about.array}": Kind(
+            dims=field.about.axes,
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in STATES
+    },
+    **_PLAN,
 }
 """Arrays [world, ...] by their names in the group, in the order in which they are made."""
+
+EARLIER = {"pwm_us": np.uint16}
+"""Types that runs of version 0.1.0 have; they have no end either."""
 
 
 def names(sizes: Mapping[str, int], *, estimated: bool) -> list[str]:
@@ -122,7 +87,7 @@ def names(sizes: Mapping[str, int], *, estimated: bool) -> list[str]:
 
 def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a kind of array after the worlds."""
-    return tuple((WIDTHS | dict(sizes))[dim] for dim in kind.dims)
+    return tuple({**SIZES, **sizes}[dim] for dim in kind.dims)
 
 
 def check(
@@ -147,12 +112,16 @@ def check(
     for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
         sizes[dim] = _size(nodes, name, -1, where)
     sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
+    ended = any(name.startswith(f"{END}/") for name in nodes)
     for name in names(sizes, estimated=estimated):
+        if name.startswith(f"{END}/") and not ended:
+            continue
         if name not in nodes:
             raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
         array, kind = nodes[name], ARRAYS[name]
         wanted = (worlds, *tail(kind, sizes))
-        if array.shape != wanted or array.dtype != kind.dtype or array.chunks != (1, *wanted[1:]):
+        typed = array.dtype in (kind.dtype, EARLIER.get(name, kind.dtype))
+        if array.shape != wanted or not typed or array.chunks != (1, *wanted[1:]):
             raise ConfigError(
                 f"{where}/{name}: is described as {array.dtype} {array.shape} in chunks of "
                 f"{array.chunks}, and should be {np.dtype(kind.dtype)} {wanted} in chunks of one "

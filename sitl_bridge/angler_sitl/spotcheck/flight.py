@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_mjx.storage import harvest, results
 from angler_mjx.storage.atomic import replacing
 from angler_mjx.storage.damage import reading
@@ -66,7 +67,7 @@ def recorded(run: Run, world: int, robots: int) -> Flight:
         return Flight(
             time_s=np.asarray(stored["time_s"], float)[there],
             p_m=p[there],
-            pwm_us=np.asarray(stored["pwm_us"][world], np.int64)[:, :robots][there],
+            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][there]).astype(np.int64),
             rows=tuple(rows),
         )
 
@@ -96,7 +97,7 @@ def flown(
         first=world,
         kept=1,
         constants=jax.tree.map(np.asarray, harvest.constants(worlds, recorded=False)),
-        end=jax.tree.map(np.asarray, harvest.end(state)),
+        end=jax.tree.map(np.asarray, harvest.end(state, recorded=False)),
         parts=[],
     )
     rows = results.episode_table(harvest.tile_result(tile), variants, seed).to_pylist()

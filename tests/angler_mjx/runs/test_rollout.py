@@ -16,15 +16,16 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.engines import mjx
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.sim import episode
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import folder, inputs
 from angler_mjx.storage.folder import Run, partial_path
 from angler_mjx.storage.results import EPISODE_SCHEMA, OUTCOMES
+from angler_mjx.testing import referee
 from angler_mjx.vehicles import library
 
 
@@ -70,6 +71,29 @@ def test_holds_one_row_per_robot_per_world(run, scenario):
     assert run.scenario == scenario.model_copy(update={"tile": 2, "kernels": "xla"})
     environment = json.loads((run.path / "environment.json").read_text())
     assert environment["versions"]["mujoco"] == environment["versions"]["mujoco-mjx"]
+
+
+def test_the_referee_agrees_as_far_as_two_samples_a_second_say(run):
+    verdict = referee.judge(run.path)
+    assert [one.line() for one in verdict.differences] == []
+    assert verdict.robots == 10
+    assert verdict.counts["outcome"].bounded == 10
+
+
+def test_the_state_after_the_last_sample_is_where_the_rows_say(run, scenario):
+    end = run.trajectories["end"]
+    assert set(end["step"][...]) <= set(range(1, scenario.time.control_steps + 1))
+    failed = 0
+    for row in run.episodes.to_pylist():
+        where = row["world"], row["robot"]
+        outcome = Outcome[row["outcome"].upper()]
+        running = outcome == Outcome.TIMEOUT
+        assert end["outcome"][where] == (Outcome.RUNNING if running else outcome)
+        if outcome != Outcome.REACHED:
+            failed += 1
+            place = [row[f"failure_{axis}_m"] for axis in "xyz"]
+            np.testing.assert_array_equal(end["p_m"][where], np.float32(place))
+    assert failed > 0
 
 
 def test_rows_agree_with_the_trajectories(run):
@@ -224,7 +248,7 @@ def test_a_control_step_is_traced_once_for_all_worlds(simulator):
 
     @chex.assert_max_traces(n=1)
     def control_step(engine, world, state):
-        return episode.control_step(simulator.spec, engine, world, state)
+        return mjx.control_step(simulator.spec, engine, world, state)
 
     step = jax.jit(jax.vmap(control_step, (None, 0, 0)))
     for first in (0, 2):
