@@ -7,6 +7,9 @@ import tyro
 
 from angler_mjx.errors import ConfigError
 
+MOST_DIGITS = 10
+"""Of the index of a world: a run has 1e9 at most."""
+
 
 def export(
     run: Annotated[Path, tyro.conf.Positional],
@@ -48,9 +51,15 @@ def indices(text: str) -> list[int]:
     """Whole numbers with commas between them.
 
     Raises:
-        ConfigError: the text is something else.
+        ConfigError: the text is something else, or beyond any run.
     """
+    from angler_mjx.errors import shown
+
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() for part in parts):
-        raise ConfigError(f"--worlds {text}: give indices with commas between them, as in 0,3")
+        raise ConfigError(
+            f"--worlds {shown(text)}: give indices with commas between them, as in 0,3"
+        )
+    if long := [part for part in parts if len(part) > MOST_DIGITS]:
+        raise ConfigError(f"--worlds {shown(long[0])}: no run holds so many worlds")
     return [int(part) for part in parts]

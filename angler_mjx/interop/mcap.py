@@ -19,7 +19,9 @@ from angler_mjx.interop import ros_messages as ros
 from angler_mjx.interop.bag import Bag
 from angler_mjx.storage import environments as store
 from angler_mjx.storage.atomic import replacing, require_free
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import TRAJECTORIES, Run
+from angler_mjx.storage.results import end_time_s
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
@@ -119,11 +121,14 @@ def _read(run: Run, world: int) -> _World:
             if there
             else f"--worlds {world}: {run.path} holds no finished world"
         )
+    with reading(run.path / TRAJECTORIES):
+        return _stored(run, world, rows)
+
+
+def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
     stored: Any = run.trajectories
     time = np.asarray(stored["time_s"])
-    ends = (
-        row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"] for row in rows
-    )
+    ends = (end_time_s(row) for row in rows)
     count = min(time.size, int(np.searchsorted(time, max(ends))) + 1)
     sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu")}
     moving = "obstacle_p_m" in stored
@@ -140,12 +145,6 @@ def _read(run: Run, world: int) -> _World:
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         **sampled,
     )
-
-
-def _end(row: dict[str, Any]) -> float:
-    """When a robot's episode ended, s."""
-    arrived = row["outcome"] == "reached"
-    return float(row["time_to_goal_s" if arrived else "failure_time_s"])
 
 
 def _begin(bag: Bag, worlds: Sequence[_World]) -> None:

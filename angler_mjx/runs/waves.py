@@ -14,7 +14,8 @@ import jax
 import numpy as np
 
 from angler_mjx.runs.progress import Progress
-from angler_mjx.sim.state import Sample, World
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World
 from angler_mjx.simulator import devices
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import harvest

@@ -16,7 +16,9 @@ from angler_mjx.session.desk import Desk
 from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Floats, Observation, RobotStatus
 from angler_mjx.session.view import View, Watched, believed, look, shown
-from angler_mjx.sim.state import Belief, Sample, World, WorldState
+from angler_mjx.sim import step
+from angler_mjx.sim.record import Belief, Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import HIGH_US, LOW_US
 from angler_sitl.scene.scene import Scene
@@ -84,18 +86,12 @@ class Sight:
             decision: what was decided then.
         """
         self.target_m = np.asarray(decision.target_m)[0]
-        self.sample = Sample(
-            p=before.vehicles.p,
-            q=before.vehicles.q,
-            nu=before.vehicles.nu,
-            pwm_us=self._signals(self._scene.pulses),
-            target_m=decision.target_m,
-            current_mps=decision.current_mps,
-            outcome=before.tally.outcome,
-            obstacle_p=before.obstacles.p,
-            obstacle_q=before.obstacles.q,
-            belief=None if self._truth else self.belief,
-        )
+        record = {
+            **step.record_decided(self._signals(self._scene.pulses), decision.target_m),
+            **step.record_motion(before.vehicles, before.tally.outcome, decision.current_mps),
+            **self._scene.record,
+        }
+        self.sample = Sample(**record, belief=None if self._truth else self.belief)
 
     def observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
         """As sessions show it.

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
 from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
@@ -30,23 +30,15 @@ def make_tile(environment, first, kept, rng):
     """A tile that had ended after five of six samples."""
 
     def part(n):
-        def of(*tail):
-            return rng.normal(size=(TILE, n, *tail)).astype(np.float32)
-
-        robot, obstacle = (ROBOTS,), (OBSTACLES,)
-        pwm = 1500 + 100 * of(*robot, 8)
+        values = {}
+        for field in SHAPE.fields():
+            lead = (TILE, n, *field.shape(SHAPE.sizes))
+            values[field.path[0]] = rng.normal(size=lead).astype(np.float32)
+            if field.about.whole:
+                values[field.path[0]] = rng.integers(0, 8, lead).astype(np.int32)
+        pwm = 1500 + 100 * values["pwm_us"]
         pwm[0, 0, 0, 1] = np.nan
-        return Sample(
-            p=of(*robot, 3),
-            q=of(*robot, 4),
-            nu=of(*robot, 6),
-            pwm_us=pwm,
-            target_m=of(*robot, 3),
-            current_mps=of(*robot, 3),
-            outcome=rng.integers(0, 8, (TILE, n, ROBOTS)).astype(np.int32),
-            obstacle_p=of(*obstacle, 3),
-            obstacle_q=of(*obstacle, 4),
-        )
+        return Sample(**{**values, "pwm_us": pwm})
 
     constants = Constants(
         valid=None,
@@ -122,6 +114,18 @@ def test_the_state_after_the_last_sample_is_kept(written):
             "obstacle_q": last.obstacle_q,
         }.items():
             np.testing.assert_array_equal(group[f"end/{name}"][here], values[: tile.kept], name)
+
+
+def test_arrays_say_what_they_hold(written):
+    path, _, _ = written
+    group = zarr.open_group(path, mode="r")
+    pwm = group["pwm_us"]
+    assert pwm.metadata.dimension_names == ("world", "time", "robot", "thruster")
+    assert (pwm.dtype, pwm.attrs["unit"]) == (np.float32, "us")
+    assert group["obstacle_q"].metadata.dimension_names == ("world", "time", "obstacle", "wxyz")
+    assert group["outcome"].attrs["description"].startswith("0 running, 1 reached")
+    assert group["plan_m"].metadata.dimension_names == ("world", "robot", "way_point", "xyz")
+    assert "estimate" not in group
 
 
 def test_environments_are_what_the_store_would_have_written(written, environment, tmp_path):
