@@ -93,7 +93,7 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             "schema_version": SCHEMA_VERSION,
             "world_frame": "x east, y north, z up; metres; water surface at z = 0",
             "cells": "cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]",
-            "wxyz": "wxyz, body to world",
+            "quaternion": "wxyz, body to world",
             "current": [type(component).__name__ for component in environment.current],
             "obstacle_kinds": list(environment.obstacles.kinds),
             "obstacle_motions": list(environment.obstacles.motions),

@@ -56,13 +56,9 @@ def test_fields_have_the_declared_shapes_in_every_engine(scenes):
                 assert value.dtype == wanted, one.path
 
 
-def test_bytes_of_a_sample_on_disk():
-    sizes = {"robot": 2, "thruster": 8, "obstacle": 3}
-    size = {one.about.array: one.bytes(sizes) for one in record.FIELDS}
-    assert size["p_m"] == 2 * 3 * 4
-    assert size["pwm_us"] == 2 * 8 * 2
-    assert size["outcome"] == 2
-    assert size["obstacle_q"] == 3 * 4 * 4
+def test_what_is_kept_once_more_after_the_last_sample_is_the_state():
+    names = {one.about.array for one in record.STATES}
+    assert names == {"p_m", "q", "nu", "outcome", "obstacle_p_m", "obstacle_q"}
 
 
 def test_a_field_is_found_along_its_path():
