@@ -107,6 +107,10 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
             shutil.rmtree(building, ignore_errors=True)
             raise
     except FileExistsError as error:
+        if not out.parent.is_dir():
+            raise ConfigError(
+                f"{flag} {out}: cannot be written ({out.parent} is no folder)"
+            ) from error
         raise ConfigError(
             f"{flag} {out}: exists since a moment ago; give another folder or remove it"
         ) from error
