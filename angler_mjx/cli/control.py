@@ -32,7 +32,7 @@ def control(
         raise ConfigError("--draws, --draw: give 0 or more")
     choose(device)
     from angler_mjx.control.stages import CONTROLLERS
-    from angler_mjx.trials import kinds
+    from angler_mjx.flights import kinds
 
     names = controller or tuple(CONTROLLERS)
     for name in names:
@@ -54,7 +54,8 @@ def _one(names: Sequence[str], seed: int) -> None:
 def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
     from rich.console import Console
 
-    from angler_mjx.trials import document, figures, kinds, listing, steps, trial
+    from angler_mjx.flights import kinds
+    from angler_mjx.trials import document, figures, listing, steps, trial
     from angler_mjx.viewing import style
 
     vehicles = kinds.shipped()

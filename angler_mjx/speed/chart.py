@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from angler_mjx.errors import ConfigError
 from angler_mjx.speed import rows as speed
 from angler_mjx.speed.compare import latest
-from angler_mjx.viewing import style
+from angler_mjx.viewing import style, tables
 
 BEGIN, END = "<!-- rows: begin -->", "<!-- rows: end -->"
 """What stands between them in a document is replaced by the table."""
@@ -75,15 +75,7 @@ def write_table(path: Path, document: Path) -> None:
     Raises:
         ConfigError: the document cannot be read or written, or has no marks.
     """
-    try:
-        text = document.read_text(encoding="utf-8")
-        before, mark, rest = text.partition(BEGIN)
-        _, end, after = rest.partition(END)
-        if not mark or not end:
-            raise ConfigError(f"--out {document}: has no place for a table ({BEGIN} ... {END})")
-        document.write_text(f"{before}{BEGIN}\n{table(path)}\n{END}{after}", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+    tables.put(document, BEGIN, table(path), END)
 
 
 def _series(row: dict[str, Any]) -> tuple[str, ...]:

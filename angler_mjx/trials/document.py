@@ -5,11 +5,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.trials import draws, eight, kinds, steps, trial
+from angler_mjx.flights import kinds, measures
+from angler_mjx.flights.draws import CURRENT_MPS, STEP_M
+from angler_mjx.trials import draws, eight, steps, trial
 from angler_mjx.trials.eight import Eight
 from angler_mjx.trials.steps import Step
 from angler_mjx.trials.trial import Trial
+from angler_mjx.viewing import tables
+from angler_mjx.viewing.tables import table
 
 BEGIN, END = "<!-- trials: begin -->", "<!-- trials: end -->"
 _STILL, _CURRENT = steps.CURRENTS_MPS
@@ -39,21 +42,7 @@ def write(document: Path, body: str) -> None:
     Raises:
         ConfigError: the document cannot be read or written, or has no marks.
     """
-    try:
-        old = document.read_text(encoding="utf-8")
-        before, mark, rest = old.partition(BEGIN)
-        _, end, after = rest.partition(END)
-        if not mark or not end:
-            raise ConfigError(f"--out {document}: has no place for tables ({BEGIN} ... {END})")
-        document.write_text(f"{before}{BEGIN}\n{body}\n{END}{after}", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown; the first column is text, the others are numbers."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    tables.put(document, BEGIN, body, END)
 
 
 def _summary(trials: Sequence[Trial]) -> str:
@@ -139,10 +128,10 @@ def _draws(trials: Sequence[Trial]) -> str:
         [
             f"{len(trials[0].verdicts):,} draws of each controller: parameter set x battery "
             f"{draws.BATTERY_V[0]:g} to {draws.BATTERY_V[1]:g} V x current to "
-            f"{draws.CURRENT_MPS:g} m/s x every gain {100 * draws.GAIN_SHARE:.0f} % up or down x a "
-            f"step of up to {draws.STEP_M:g} m and half a turn; {draws.FLIGHT_S:g} s each. Failed "
-            f"is what leans more than {math.degrees(draws.TILT_RAD):.0f} degrees, turns faster "
-            f"than {draws.RATE_RADPS:g} rad/s, or still turns faster than {draws.QUIET_RADPS:g} "
+            f"{CURRENT_MPS:g} m/s x every gain {100 * draws.GAIN_SHARE:.0f} % up or down x a "
+            f"step of up to {STEP_M:g} m and half a turn; {draws.FLIGHT_S:g} s each. Failed "
+            f"is what leans more than {math.degrees(measures.TILT_RAD):.0f} degrees, turns faster "
+            f"than {measures.RATE_RADPS:g} rad/s, or still turns faster than {draws.QUIET_RADPS:g} "
             f"rad/s in the last {draws.LAST_S:g} s. On station is within {draws.STATION_M:g} m "
             f"there; outrun is not, in a current above {100 * draws.OUTRUN_SHARE:.0f} % of the "
             "vehicle's slowest level terminal speed; away is not, in a slower one.",

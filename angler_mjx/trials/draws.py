@@ -16,30 +16,25 @@ import numpy as np
 
 from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.control.stack import ControlParams
+from angler_mjx.flights import courses, draws, flying, kinds, tracks
+from angler_mjx.flights.draws import CURRENT_MPS, STEP_M
+from angler_mjx.flights.flying import Orders
+from angler_mjx.flights.kinds import Kind
+from angler_mjx.flights.measures import RATE_RADPS, TILT_RAD
+from angler_mjx.flights.tracks import Track
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.trials import courses, flying, kinds
-from angler_mjx.trials.flying import Orders, Track
-from angler_mjx.trials.kinds import Kind
 from angler_mjx.vehicles.thrusters import FloatArray
 from angler_mjx.world.currents import Uniform
 
 BATTERY_V = (12.0, 18.0)
 BATTERY_STEP_V = 0.1
 """Batteries are drawn in steps: each is a thrust table, interpolated once."""
-CURRENT_MPS = 0.8
-"""Greatest speed of the current."""
 GAIN_SHARE = 0.2
 """Gains are multiplied by 1 - this to 1 + this, each by its own number."""
-STEP_M = 2.0
 FLIGHT_S = 40.0
 LAST_S = 10.0
 CHUNK = 250
 """Draws in one device call: few enough to stay in a processor's cache."""
-TILT_RAD = math.radians(60.0)
-"""Attitude is bounded if the vehicle never leans more than this; level is 0."""
-RATE_RADPS = 10.0
-"""Rates are bounded if they never pass this: about twice the fastest turn that the laws ask for
-(2.5 1/s times an error of 2, the most that their measure of attitude gives)."""
 QUIET_RADPS = 0.5
 """At the end, over ``LAST_S``, the vehicle turns no faster than this."""
 STATION_M = 0.5
@@ -127,12 +122,12 @@ def draw(seed: int) -> Draw:
     volts = BATTERY_V[0] + BATTERY_STEP_V * int(rng.integers(steps + 1))
     speed, course = rng.uniform(0.0, CURRENT_MPS), rng.uniform(-math.pi, math.pi)
     direction = rng.normal(size=3)
-    step = rng.uniform(0.0, STEP_M) * direction / np.linalg.norm(direction)
+    step = rng.uniform(0.0, STEP_M) * draws.unit(direction)
     return Draw(
         seed=seed,
         kind=kind,
         battery_v=round(volts, 6),
-        current_mps=speed * np.array([math.cos(course), math.sin(course), 0.0]),
+        current_mps=draws.level(speed, course),
         step_m=step,
         yaw_rad=rng.uniform(-math.pi, math.pi),
         gain_shares=rng.uniform(1.0 - GAIN_SHARE, 1.0 + GAIN_SHARE, _GAINS),
@@ -180,8 +175,9 @@ def fly(
         # The last chunk is filled up, so that the program is compiled once.
         full = chunk + chunk[:1] * (min(CHUNK, len(seeds)) - len(chunk))
         orders = _orders(spec, kept, full)
-        able = np.asarray(orders.plant.terminal_speed_mps)[:, :2].min(axis=1)
-        track = flying.track(spec, program(orders))
+        gains = gains_of(spec, np.array([one.gain_shares for one in full]))
+        able = draws.able_mps(orders.plant)
+        track = tracks.track(spec, program(orders, gains))
         last = round(LAST_S / spec.control_dt_s)
         for i, one in enumerate(chunk):
             yield _verdict(one, track, i, last, float(able[i]))
@@ -190,20 +186,14 @@ def fly(
 
 def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[Draw]) -> Orders:
     params = kinds.chosen(kept.params, [kept.row[one.kind, one.battery_v] for one in chunk])
-    targets = courses.START_M + np.array([one.step_m for one in chunk])
-    yaws = np.array([one.yaw_rad for one in chunk])
-    command = (
-        courses.pose_commands(targets, yaws)
-        if kinds.holds_poses(spec)
-        else courses.line_commands(targets)
-    )
+    steps, yaws = np.array([one.step_m for one in chunk]), np.array([one.yaw_rad for one in chunk])
     flows = jnp.asarray(np.array([one.current_mps for one in chunk]), float)
     return Orders(
         params=params,
         plant=params.vehicle,
-        gains=gains_of(spec, np.array([one.gain_shares for one in chunk])),
+        start_m=flying.starts(len(chunk)),
         yaw_rad=jnp.zeros(len(chunk)),
-        command=command,
+        command=kinds.command(spec, steps, yaws),
         current=(Uniform(velocity_mps=flows),),
     )
 

@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from angler_mjx.trials import eight, kinds, steps
-from angler_mjx.trials.kinds import Kind
+from angler_mjx.flights import kinds
+from angler_mjx.flights.kinds import Kind
+from angler_mjx.trials import eight, steps
 from angler_mjx.trials.trial import Trial
 from angler_mjx.viewing import style
 

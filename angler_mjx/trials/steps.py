@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.trials import courses, flying, kinds
-from angler_mjx.trials.flying import Orders
-from angler_mjx.trials.kinds import Kind
+from angler_mjx.flights import courses, flying, kinds, tracks
+from angler_mjx.flights.flying import Orders
+from angler_mjx.flights.kinds import Kind
 from angler_mjx.vehicles.rotor_config import RotorResponse
 from angler_mjx.vehicles.thrusters import FloatArray
 from angler_mjx.world.currents import Uniform
@@ -23,10 +23,6 @@ CURRENTS_MPS = (0.0, 0.5)
 FLIGHT_S = 60.0
 LAST_S = 10.0
 """The end of a flight, where it is to be steady."""
-BAND = 0.02
-"""Share of the step within which it has settled."""
-SWING_M, SWING_RAD = 0.02, math.radians(1.0)
-"""Swings below these are rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,14 +39,13 @@ class Step:
     overshoot: float
     """Share of the step."""
     settling_s: float
-    """When it came within ``BAND`` of the target for good; inf if never."""
+    """When it came within ``tracks.BAND`` of the target for good; inf if never."""
     error_m: float
     """Greatest distance from the target over the last ``LAST_S``."""
     error_rad: float
     """Greatest error of heading over the last ``LAST_S``; nan if it was not told one."""
     swings: bool
-    """Oscillates without end: over the last ``LAST_S`` any coordinate swings by more than
-    ``SWING_M`` or ``SWING_RAD``, and by more than half of its swing in the ``LAST_S`` before."""
+    """Oscillates without end over the last ``LAST_S`` (`tracks.swings`)."""
     tilt_rad: float
     """Greatest tilt of the flight."""
 
@@ -84,27 +79,26 @@ def fly(
     goals = np.array([SIZES[axis] * np.eye(4)[axis] for _, axis, _ in cases])
     flows = np.array([[0.0, flow, 0.0] for _, _, flow in cases])
     params = kinds.chosen(kinds.build(vehicles, rotor_response=rotor_response), rows)
-    targets = courses.START_M + goals[:, :3]
     orders = Orders(
         params=params,
         plant=params.vehicle,
-        gains=flying.same_gains(spec, len(cases)),
+        start_m=flying.starts(len(cases)),
         yaw_rad=jnp.zeros(len(cases)),
-        command=courses.pose_commands(targets, goals[:, 3])
-        if holds_poses
-        else courses.line_commands(targets),
+        command=kinds.command(spec, goals[:, :3], goals[:, 3]),
         current=(Uniform(velocity_mps=jnp.asarray(flows, float)),),
     )
     n_step = round(FLIGHT_S / spec.control_dt_s)
-    track = flying.track(spec, flying.program(spec, n_step)(orders))
+    gains = flying.same_gains(spec, len(cases))
+    track = tracks.track(spec, flying.program(spec, n_step)(orders, gains))
     moved = track.position_m - courses.START_M
     pose = np.concatenate([moved, track.yaw_rad[..., None]], axis=-1)
     steps = []
     for i, (row, axis, flow) in enumerate(cases):
         response = pose[i, :, axis] / SIZES[axis]
         last = -round(LAST_S / spec.control_dt_s)
-        off = _off(pose[i, last:], goals[i])
-        rise, settling = rise_of(track.time_s, response), settling_of(track.time_s, response)
+        off = tracks.off(pose[i, last:], goals[i])
+        rise = tracks.rise_of(track.time_s, response)
+        settling = tracks.settling_of(track.time_s, response)
         steps.append(
             Step(
                 kind=vehicles[row],
@@ -116,42 +110,8 @@ def fly(
                 settling_s=settling,
                 error_m=float(np.linalg.norm(off[:, :3], axis=1).max()),
                 error_rad=float(np.abs(off[:, 3]).max()) if holds_poses else math.nan,
-                swings=swings(pose[i], last),
+                swings=tracks.swings(pose[i], last),
                 tilt_rad=float(track.tilt_rad[i].max()),
             )
         )
     return Flown(time_s=track.time_s, steps=tuple(steps))
-
-
-def swings(pose: FloatArray, last: int) -> bool:
-    """Whether a pose [t, 4] oscillates without end (see `Step.swings`).
-
-    Args:
-        pose: x, y, z, m, and heading, rad.
-        last: minus the number of rows of ``LAST_S``.
-    """
-    now, before = np.ptp(pose[last:], axis=0), np.ptp(pose[2 * last : last], axis=0)
-    least = np.array([SWING_M] * 3 + [SWING_RAD])
-    return bool(np.any((now > least) & (now > 0.5 * before)))
-
-
-def _off(pose: FloatArray, goal: FloatArray) -> FloatArray:
-    """Errors of poses [t, 4] from a goal [4]; a full turn is none."""
-    off = pose - goal
-    off[:, 3] = np.mod(off[:, 3] + math.pi, 2 * math.pi) - math.pi
-    return off
-
-
-def rise_of(time_s: FloatArray, response: FloatArray) -> float:
-    """From 10 % to 90 % of a step [t]; nan if it never came there."""
-    if response.max() < 0.9:
-        return math.nan
-    begin, end = (float(time_s[np.argmax(response >= share)]) for share in (0.1, 0.9))
-    return end - begin
-
-
-def settling_of(time_s: FloatArray, response: FloatArray) -> float:
-    """When a step [t] came within ``BAND`` for good; inf if never."""
-    out = np.flatnonzero(np.abs(response - 1.0) > BAND)
-    after = out[-1] + 1 if out.size else 0
-    return float(time_s[after]) if after < len(time_s) else math.inf

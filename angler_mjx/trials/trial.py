@@ -5,10 +5,10 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from angler_mjx.flights.kinds import Kind
 from angler_mjx.trials import draws, eight, steps
 from angler_mjx.trials.draws import Verdict
 from angler_mjx.trials.eight import Eight
-from angler_mjx.trials.kinds import Kind
 from angler_mjx.trials.steps import Flown, Step
 
 STILL_M, STILL_RAD, CURRENT_M = 0.02, math.radians(1.0), 0.05

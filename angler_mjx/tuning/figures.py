@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from angler_mjx.tuning.flights import COURSES
+from angler_mjx.flights.measures import KEPT_S, Measures
+from angler_mjx.tuning.draws import COURSES
 from angler_mjx.tuning.knobs import SPAN
-from angler_mjx.tuning.measures import KEPT_S, Measures
 from angler_mjx.tuning.outcome import Outcome, Part
 from angler_mjx.vehicles.thrusters import FloatArray
 from angler_mjx.viewing import style

@@ -8,15 +8,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.engines import free_flight
+from angler_mjx.flights import flying, kinds, measures
+from angler_mjx.flights.flying import Orders
+from angler_mjx.flights.measures import Measures, Reference
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.trials import kinds
 from angler_mjx.tuning import knobs as turning
-from angler_mjx.tuning import measures
-from angler_mjx.tuning.flights import Flights, Orders
+from angler_mjx.tuning.draws import FLIGHT_S, Flights
 from angler_mjx.tuning.knobs import Knob
-from angler_mjx.tuning.measures import Measures
-from angler_mjx.tuning.told import FLIGHT_S
 from angler_mjx.vehicles.thrusters import FloatArray
 
 CHUNK = {"cpu": 256}
@@ -72,8 +70,8 @@ class Flyer:
         for first in range(0, total, size):
             # The last chunk is filled up, so that the program is compiled once.
             rows = np.minimum(np.arange(first, first + size), total - 1)
-            orders = kinds.chosen(flights.orders, (rows % n).tolist())
-            part = jax.tree.map(np.asarray, program(settings[rows // n], orders))
+            flown = kinds.chosen((flights.orders, flights.reference), (rows % n).tolist())
+            part = jax.tree.map(np.asarray, program(settings[rows // n], *flown))
             kept = min(size, total - first)
             parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
             done(kept)
@@ -84,27 +82,25 @@ class Flyer:
 
 
 def _measure(
-    spec: SimSpec, knobs: tuple[Knob, ...], settings: jax.Array, orders: Orders
+    spec: SimSpec,
+    knobs: tuple[Knob, ...],
+    settings: jax.Array,
+    orders: Orders,
+    reference: Reference,
 ) -> Measures:
     """One flight of one candidate."""
-    flight = free_flight.fly(
-        replace(spec, gains=turning.turned(spec, knobs, settings)),
-        orders.params,
-        orders.start_m,
-        orders.yaw_rad,
-        orders.command,
-        orders.current,
-        control_steps=round(FLIGHT_S / spec.control_dt_s),
-        plant=orders.plant,
-    )
-    return measures.of_flight(flight, orders.reference, orders.plant, spec.control_dt_s)
+    turned = replace(spec, gains=turning.turned(spec, knobs, settings))
+    flight = flying.fly(turned, orders, round(FLIGHT_S / spec.control_dt_s))
+    return measures.of_flight(flight, reference, orders.plant, spec.control_dt_s)
 
 
 def _with_aux(one: Callable[..., Measures]) -> Callable[..., Any]:
     """The measures that have derivatives, and all of them beside."""
 
-    def both(settings: jax.Array, orders: Orders) -> tuple[tuple[jax.Array, ...], Measures]:
-        found = one(settings, orders)
+    def both(
+        settings: jax.Array, orders: Orders, reference: Reference
+    ) -> tuple[tuple[jax.Array, ...], Measures]:
+        found = one(settings, orders, reference)
         return tuple(getattr(found, name) for name in SLOPED), found
 
     return both

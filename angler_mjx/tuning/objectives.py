@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.flights.measures import Measures
 from angler_mjx.tuning.flying import SLOPED
-from angler_mjx.tuning.measures import Measures
 from angler_mjx.vehicles.thrusters import FloatArray
 
 type Objective = Literal["ise", "energy", "robust"]

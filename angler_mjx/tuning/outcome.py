@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.tuning import flights, knobs
-from angler_mjx.tuning.flights import Flights
-from angler_mjx.tuning.measures import Measures
+from angler_mjx.flights.measures import Measures
+from angler_mjx.tuning import draws, knobs
+from angler_mjx.tuning.draws import Flights
 from angler_mjx.tuning.problem import Problem
 from angler_mjx.tuning.search import History
 
@@ -71,7 +71,7 @@ def measure(problem: Problem, history: History, provenance: dict[str, Any]) -> O
     best = history.best()[1] or [0.0] * len(problem.knobs)
     turns = knobs.rounded(problem.knobs, best)
     train = _part(problem, problem.train, turns)
-    held_out = _part(problem, problem.flights(flights.HELD_OUT), turns)
+    held_out = _part(problem, problem.flights(draws.HELD_OUT), turns)
     stiff = problem.fly(np.array(turns) + math.log(STIFFER), held_out.flights)
     return Outcome(
         problem=problem,

@@ -9,14 +9,13 @@ import numpy as np
 
 from angler_mjx.control import stages
 from angler_mjx.errors import ConfigError
+from angler_mjx.flights import kinds
+from angler_mjx.flights.measures import LAST_S, Measures
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.trials import kinds
-from angler_mjx.tuning import flights as drawing
-from angler_mjx.tuning import knobs, objectives
-from angler_mjx.tuning.flights import COURSES, Flights
+from angler_mjx.tuning import draws, knobs, objectives
+from angler_mjx.tuning.draws import COURSES, Flights
 from angler_mjx.tuning.flying import Done, Flyer
-from angler_mjx.tuning.measures import LAST_S, Measures
 from angler_mjx.tuning.objectives import Judge, Objective
 from angler_mjx.tuning.search import Generation
 from angler_mjx.vehicles.thrusters import FloatArray
@@ -89,7 +88,7 @@ class Problem:
         self.settings = settings
         self.spec = spec_of(settings.scenario, settings.controller)
         self.knobs = knobs.of_spec(self.spec)
-        self.robots = drawing.robots(settings.scenario)
+        self.robots = draws.robots(settings.scenario)
         groups = len(self.robots.labels) * len(COURSES)
         if settings.rollouts < groups:
             raise ConfigError(
@@ -105,20 +104,20 @@ class Problem:
 
     def flights(self, part: int) -> Flights:
         """Those of one part, ``TRAIN`` or ``HELD_OUT``."""
-        return drawing.draw(
+        return draws.draw(
             self.robots,
             self.settings.rollouts,
             self.settings.seed,
             part,
             self.spec.control_dt_s,
             timed=kinds.keeps_time(self.spec),
-            thrust_error=drawing.THRUST_ERROR if self.settings.objective == "robust" else 0.0,
+            thrust_error=draws.THRUST_ERROR if self.settings.objective == "robust" else 0.0,
         )
 
     @cached_property
     def train(self) -> Flights:
         """The flights that candidates are judged by."""
-        return self.flights(drawing.TRAIN)
+        return self.flights(draws.TRAIN)
 
     def fly(self, settings: FloatArray, flights: Flights) -> Measures:
         """Measures [n] of one candidate [n_knob]."""

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from angler_mjx.trials.document import table
+from angler_mjx.flights.measures import Measures
 from angler_mjx.tuning import figures, folder, gain_files
-from angler_mjx.tuning.flights import COURSES
-from angler_mjx.tuning.measures import Measures
+from angler_mjx.tuning.draws import COURSES
 from angler_mjx.tuning.outcome import STIFFER, Outcome, Part
 from angler_mjx.viewing.style import save
+from angler_mjx.viewing.tables import table
 
 _SHOWN = 20
 """Seeds of flights that failed, at most."""

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from angler_mjx.trials.document import table
 from angler_mjx.viewing.style import save
+from angler_mjx.viewing.tables import table
 from angler_sitl.spotcheck import figures, folder, gaps
 from angler_sitl.spotcheck.flight import RECORDED
 from angler_sitl.spotcheck.found import Found

@@ -13,8 +13,10 @@ from angler_mjx.cli import main
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.engines import free_flight
 from angler_mjx.errors import ConfigError
-from angler_mjx.trials import courses, document, draws, eight, figures, kinds, listing, steps
-from angler_mjx.trials.kinds import Kind
+from angler_mjx.flights import courses, kinds, tracks
+from angler_mjx.flights import draws as drawing
+from angler_mjx.flights.kinds import Kind
+from angler_mjx.trials import document, draws, eight, figures, listing, steps
 from angler_mjx.trials.trial import Trial, misses_of_eight, misses_of_step
 from angler_mjx.world.currents import Uniform
 
@@ -59,21 +61,22 @@ def test_a_vehicle_without_thrust_sinks_and_drifts_as_its_drag_has_it(drifting):
 
 
 def test_the_figure_of_eight_has_the_derivatives_that_it_says():
-    course = courses.figure_of_eight(0.5, 1500, 0.02)
+    points = courses.figure_of_eight(0.5, 1500, 0.02)
+    position, velocity, acceleration = np.moveaxis(points, 1, 0)
     # Central differences err by h^2 / 6 of the third derivative of each, which is below 20.
-    for lower, upper in (("position", "velocity"), ("velocity", "acceleration")):
-        found = np.gradient(getattr(course, lower), 0.02, axis=0)[5:-5]
-        np.testing.assert_allclose(found, getattr(course, upper)[5:-5], atol=1.4e-3)
-    speed = np.linalg.norm(course.velocity[:, :3], axis=1)
+    for lower, upper in ((position, velocity), (velocity, acceleration)):
+        found = np.gradient(lower, 0.02, axis=0)[5:-5]
+        np.testing.assert_allclose(found, upper[5:-5], atol=1.4e-3)
+    speed = np.linalg.norm(velocity[:, :3], axis=1)
     assert speed[0] == 0.0
     np.testing.assert_allclose(speed[200:], 0.5, rtol=1e-6)
     # The nose points along the path.
-    heading = np.stack([np.cos(course.position[:, 3]), np.sin(course.position[:, 3])], axis=1)
-    np.testing.assert_allclose(heading[200:] * 0.5, course.velocity[200:, :2], atol=1e-6)
+    heading = np.stack([np.cos(position[:, 3]), np.sin(position[:, 3])], axis=1)
+    np.testing.assert_allclose(heading[200:] * 0.5, velocity[200:, :2], atol=1e-6)
 
 
 def test_the_vortices_reach_the_speed_that_is_asked_for():
-    vortices = eight.vortices(np.array([0.0, 0.4]))
+    vortices = drawing.vortices(np.array([0.0, 0.4]))
     a = np.linspace(0, 2 * np.pi, 2000)
     line = jnp.asarray(np.stack([2 * np.sin(a), np.sin(2 * a), 0 * a], axis=1), float)
     for row, most in enumerate((0.0, 0.4)):
@@ -87,10 +90,10 @@ def test_rise_and_settling_of_a_first_order_answer():
     t = 0.001 * np.arange(20_000)
     answer = 1.0 - np.exp(-t)
     # ln 9 and ln 50, to the step of time.
-    assert steps.rise_of(t, answer) == pytest.approx(math.log(9), abs=2e-3)
-    assert steps.settling_of(t, answer) == pytest.approx(math.log(50), abs=2e-3)
-    assert math.isnan(steps.rise_of(t, 0.5 * answer))
-    assert steps.settling_of(t, 0.5 * answer) == math.inf
+    assert tracks.rise_of(t, answer) == pytest.approx(math.log(9), abs=2e-3)
+    assert tracks.settling_of(t, answer) == pytest.approx(math.log(50), abs=2e-3)
+    assert math.isnan(tracks.rise_of(t, 0.5 * answer))
+    assert tracks.settling_of(t, 0.5 * answer) == math.inf
 
 
 @pytest.mark.parametrize(
@@ -101,7 +104,7 @@ def test_only_swings_that_do_not_die_out_are_oscillations(amplitude, decay_s, ex
     t = 0.05 * np.arange(1200)
     pose = np.zeros((1200, 4))
     pose[:, 1] = amplitude * np.exp(-(t - 40.0) / decay_s) * np.sin(2.0 * t)
-    assert steps.swings(pose, -200) is expected
+    assert tracks.swings(pose, -200) is expected
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from angler_mjx.engines.free_flight import Flight
-from angler_mjx.trials import kinds
-from angler_mjx.tuning import measures, objectives
-from angler_mjx.tuning.measures import LEVER_M, Measures, Reference
+from angler_mjx.flights import kinds, measures
+from angler_mjx.flights.measures import LEVER_M, Measures, Reference
+from angler_mjx.tuning import objectives
 
 DT = 0.05
 STEPS = 600

@@ -12,8 +12,8 @@ from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario, shipped
 from angler_mjx.tuning import (
+    draws,
     figures,
-    flights,
     flying,
     folder,
     gain_files,
@@ -82,13 +82,13 @@ def test_gains_that_a_scenario_gives_are_where_the_search_begins():
 
 
 def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
-    robots = flights.robots(load_scenario("heterogeneous"))
+    robots = draws.robots(load_scenario("heterogeneous"))
     assert any("blue_ismc" in label for label in robots.left_out)
     assert not any("blue_ismc" in label for label in robots.labels)
     n = 3 * len(robots.labels)
-    few = flights.draw(robots, n, 4, flights.TRAIN, 0.05, timed=True)
-    more = flights.draw(robots, 2 * n, 4, flights.TRAIN, 0.05, timed=True)
-    other = flights.draw(robots, n, 4, flights.HELD_OUT, 0.05, timed=True)
+    few = draws.draw(robots, n, 4, draws.TRAIN, 0.05, timed=True)
+    more = draws.draw(robots, 2 * n, 4, draws.TRAIN, 0.05, timed=True)
+    other = draws.draw(robots, n, 4, draws.HELD_OUT, 0.05, timed=True)
     assert sorted(few.group) == list(range(n))
     for name in ("start_m", "yaw_rad"):
         a, b = (np.asarray(getattr(x.orders, name)) for x in (few, more))
@@ -99,7 +99,7 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
     assert not np.any(mass[0] == mass[1])
     # A fifth more or less, to float32.
     assert np.all(np.abs(mass[0] - 1.0) <= 0.2 + 1e-6)
-    weak = flights.draw(robots, n, 4, flights.TRAIN, 0.05, timed=True, thrust_error=0.3)
+    weak = draws.draw(robots, n, 4, draws.TRAIN, 0.05, timed=True, thrust_error=0.3)
     thrust = np.asarray(weak.orders.plant.B) / np.where(
         believed := np.asarray(few.orders.params.vehicle.B), believed, np.inf
     )
@@ -107,7 +107,7 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
     assert np.all(np.abs(share - 1.0) <= 0.3 + 1e-6)
     assert np.ptp(share) > 0.3
     np.testing.assert_array_equal(few.orders.plant.B, few.orders.params.vehicle.B)
-    still = np.asarray(few.orders.reference.still) == 1
+    still = np.asarray(few.reference.still) == 1
     speed = np.linalg.norm(np.asarray(few.orders.current[0].velocity_mps), axis=1)
     able = np.asarray(few.orders.params.vehicle.terminal_speed_mps)[:, :2].min(axis=1)
     assert np.all(speed <= np.minimum(0.8, 0.6 * able) + 1e-6)
@@ -116,14 +116,14 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
     np.testing.assert_array_equal(swirl > 0, ~still)
     # Targets of steps are 0.5 to 2 m away; the reference is where the vehicle is to be at the end.
     steps = few.group % 3 == 0
-    away = np.linalg.norm(few.orders.reference.pose[steps, -1, :3] - [0, 0, -10.0], axis=1)
+    away = np.linalg.norm(few.reference.pose[steps, -1, :3] - [0, 0, -10.0], axis=1)
     assert np.all((away >= 0.5) & (away <= 2.0))
 
 
 def test_a_fleet_that_nothing_holds_level_is_refused():
     fleet = [{"vehicle": "bluerov2", "parameter_set": "blue_ismc"}]
     with pytest.raises(ConfigError, match="level"):
-        flights.robots(load_scenario(SCENARIO, fleet=fleet))
+        draws.robots(load_scenario(SCENARIO, fleet=fleet))
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,14 @@ import numpy as np
 from angler_mjx.control import allocation, stages
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.control.stack import ControlParams
+from angler_mjx.control.stack import Command, ControlParams
 from angler_mjx.errors import ConfigError
+from angler_mjx.flights import courses
+from angler_mjx.flights.courses import Times
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles import library, params
 from angler_mjx.vehicles.rotor_config import RotorResponse
+from angler_mjx.vehicles.thrusters import FloatArray
 
 BATTERY_V = 16.0
 """Of four lithium cells, nearly full."""
@@ -116,6 +119,22 @@ def holds_poses(spec: SimSpec) -> bool:
 def keeps_time(spec: SimSpec) -> bool:
     """Whether a stack follows a trajectory in time; those that do not follow its path alone."""
     return any(JointTrajectory in stage.takes for stage in spec.stages)
+
+
+def command(spec: SimSpec, steps_m: FloatArray, yaw_rad: FloatArray) -> Command:
+    """Steps from the start as a stack takes them; [n] leads.
+
+    Args:
+        spec: whose stages are told.
+        steps_m: [n, 3] in W.
+        yaw_rad: [n] headings, for those that hold poses; the others go along straight paths at
+            cruise speed, their nose where they like.
+    """
+    if holds_poses(spec):
+        return courses.pose_commands(courses.START_M + steps_m, yaw_rad)
+    # Both ends of a path are enough.
+    times = Times(flight_s=1.0, point_s=1.0, dt_s=1.0)
+    return courses.command([courses.line(step, CRUISE_MPS, times) for step in steps_m], timed=False)
 
 
 def chosen(tree: Any, rows: Sequence[int]) -> Any:

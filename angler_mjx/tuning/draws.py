@@ -13,33 +13,31 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.control.stack import Command, ControlParams
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
+from angler_mjx.flights import courses, draws, flying, kinds, measures
+from angler_mjx.flights.courses import Course, Times
+from angler_mjx.flights.draws import CURRENT_MPS, MASS_ERROR, VORTEX_MPS
+from angler_mjx.flights.flying import Orders
+from angler_mjx.flights.kinds import Kind
+from angler_mjx.flights.measures import Reference
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
-from angler_mjx.trials import eight, kinds
-from angler_mjx.trials.courses import START_M
-from angler_mjx.trials.kinds import Kind
-from angler_mjx.tuning import told as courses_told
-from angler_mjx.tuning.measures import Reference
-from angler_mjx.tuning.told import Told
-from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.thrusters import FloatArray
-from angler_mjx.world.currents import Current, Uniform, Vortices
+from angler_mjx.world.currents import Uniform, Vortices
 
 COURSES = ("step", "hold", "eight")
 """A step of 0.5 to 2 m anywhere and of heading; standing still; Gerono's figure of eight."""
-CURRENT_MPS, CURRENT_SHARE = 0.8, 0.6
-"""Greatest steady current, and the share of a vehicle's slowest level terminal speed that bounds
-it: whoever is swept away tells nothing of gains."""
-VORTEX_MPS = 0.4
-"""Greatest speed of the vortices about the figure of eight."""
-MASS_ERROR = 0.2
-"""Mass and inertia are up to this share more or less than the controllers believe."""
+FLIGHT_S, POINT_S = 30.0, 0.5
+"""Of a flight, and between the points of its course: a round of the figure of eight at 0.5 m/s,
+from rest, takes 26 s."""
+CURRENT_SHARE = 0.6
+"""Steady currents are also bounded by this share of a vehicle's slowest level terminal speed:
+whoever is swept away tells nothing of gains."""
 THRUST_ERROR = 0.3
 """Where it is asked for, thrusters push up to this share more or less than the controllers believe,
 about what a battery between 12 and 18 V does. All loops gain as much: it is a gain margin."""
-STEP_M = (0.5, 2.0)
+STEP_M = (0.5, draws.STEP_M)
 SPEED_MPS, SPEED_STEP_MPS = 0.5, 0.05
 """Along the figure of eight, at most; vehicles that could not make it against the vortices go
 slower, by whole steps."""
@@ -64,28 +62,12 @@ class Robots:
     """Those that nothing holds level."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Orders:
-    """What each of n vehicles is and is told; [n] leads everywhere."""
-
-    params: ControlParams
-    plant: VehicleParams
-    """The vehicles as they are."""
-    start_m: Any
-    """[3] in W."""
-    yaw_rad: Any
-    """Heading at the start."""
-    command: Command
-    current: Current
-    reference: Reference
-
-
 @dataclass(frozen=True, kw_only=True)
 class Flights:
     """A set of flights, on the host."""
 
     orders: Orders
+    reference: Reference
     group: Any
     """int [n] of each flight: robot * 3 + course."""
 
@@ -113,7 +95,7 @@ def robots(scenario: Scenario) -> Robots:
         raise ConfigError(f"scenario {scenario.name}: nothing holds {'; '.join(left_out)} level")
     on_host = jax.tree.map(np.asarray, built.control)
     params = replace(kinds.chosen(on_host, rows), cruise_speed_mps=cruise[rows])
-    able = _able(params)
+    able = draws.able_mps(params.vehicle)
     speeds = [
         max(_whole(min(SPEED_MPS, cruise[row], 0.9 * most - VORTEX_MPS)), SPEED_STEP_MPS)
         for row, most in zip(rows, able, strict=True)
@@ -128,12 +110,6 @@ def robots(scenario: Scenario) -> Robots:
 
 def _whole(speed_mps: float) -> float:
     return round(math.floor(speed_mps / SPEED_STEP_MPS + 1e-9) * SPEED_STEP_MPS, 6)
-
-
-def _able(params: ControlParams) -> FloatArray:
-    """[n] slowest level terminal speed, m/s."""
-    able: FloatArray = np.asarray(params.vehicle.terminal_speed_mps, float)[:, :2].min(axis=1)
-    return able
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,10 +136,10 @@ def _draw(seed: int, part: int, number: int) -> _Draw:
     direction = rng.normal(size=3)
     course = rng.uniform(-math.pi, math.pi)
     return _Draw(
-        step_m=rng.uniform(*STEP_M) * direction / np.linalg.norm(direction),
-        off_m=-OFF_M * direction / np.linalg.norm(direction),
+        step_m=rng.uniform(*STEP_M) * draws.unit(direction),
+        off_m=-OFF_M * draws.unit(direction),
         yaw_rad=rng.uniform(-math.pi, math.pi),
-        current=rng.uniform(0.0, 1.0) * np.array([math.cos(course), math.sin(course), 0.0]),
+        current=draws.level(rng.uniform(0.0, 1.0), course),
         vortex_mps=rng.uniform(0.0, VORTEX_MPS),
         shift_m=rng.uniform(-SHIFT_M, SHIFT_M, 2),
         turn=float(rng.choice([-1.0, 1.0])),
@@ -200,57 +176,51 @@ def draw(
     drawn = [_draw(seed, part, i) for i in range(n)]
     params = kinds.chosen(flown.params, rows)
     eights = np.array([name == "eight" for name in kind])
-    told = [
-        _told(one, name, flown.eight_mps[row], float(flown.params.cruise_speed_mps[row]), dt, timed)
+    times = Times(flight_s=FLIGHT_S, point_s=POINT_S, dt_s=dt)
+    cruise = np.asarray(flown.params.cruise_speed_mps, float)
+    wanted = [
+        _course(one, name, flown.eight_mps[row], float(cruise[row]), times, timed)
         for one, name, row in zip(drawn, kind, rows, strict=True)
     ]
-    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * _able(params)) * ~eights
+    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * draws.able_mps(params.vehicle)) * ~eights
     current = bound[:, None] * np.array([one.current for one in drawn])
-    heading = np.array([one.pose[0, 3] for one in told])
+    heading = np.array([course.pose[0, 3] for course in wanted])
     return Flights(
         orders=Orders(
             params=params,
-            plant=_as_it_is(params.vehicle, drawn, thrust_error),
-            start_m=START_M + np.array([one.off_m for one in drawn]),
+            plant=draws.as_it_is(
+                params.vehicle,
+                np.array([one.mass for one in drawn]),
+                1.0 + thrust_error * np.array([one.thrust for one in drawn]),
+            ),
+            start_m=flying.starts(n) + np.array([one.off_m for one in drawn]),
             yaw_rad=np.where(eights, heading, 0.0),
-            command=courses_told.command(told, timed=timed),
+            command=courses.command(wanted, timed=timed),
             current=(Uniform(velocity_mps=current), _vortices(drawn, eights)),
-            reference=courses_told.reference(told, heading=timed),
         ),
+        reference=measures.reference(wanted, heading=timed),
         group=np.array(
             [row * len(COURSES) + COURSES.index(x) for row, x in zip(rows, kind, strict=True)]
         ),
     )
 
 
-def _told(
-    one: _Draw, kind: str, eight_mps: float, cruise_mps: float, dt: float, timed: bool
-) -> Told:
+def _course(
+    one: _Draw, kind: str, eight_mps: float, cruise_mps: float, times: Times, timed: bool
+) -> Course:
     """The course of a flight."""
     if kind == "eight":
-        return courses_told.eight(eight_mps, dt)
+        return courses.eight(eight_mps, times)
     step = one.step_m if kind == "step" else np.zeros(3)
     if timed:
-        return courses_told.place(step, one.yaw_rad if kind == "step" else 0.0, dt)
-    return courses_told.line(step, cruise_mps, dt)
-
-
-def _as_it_is(vehicle: VehicleParams, drawn: Sequence[_Draw], thrust_error: float) -> VehicleParams:
-    """Vehicles [n] of other mass, inertia and thrust than is believed; their volume stays."""
-    mass = np.array([one.mass for one in drawn])
-    thrust = 1.0 + thrust_error * np.array([one.thrust for one in drawn])
-    return replace(
-        vehicle,
-        mass_kg=vehicle.mass_kg * mass,
-        inertia_kgm2=vehicle.inertia_kgm2 * mass[:, None, None],
-        B=vehicle.B * thrust[:, None, None],
-    )
+        return courses.place(step, one.yaw_rad if kind == "step" else 0.0, times)
+    return courses.line(step, cruise_mps, times)
 
 
 def _vortices(drawn: Sequence[_Draw], eights: FloatArray) -> Vortices:
     """Those of the trials, of drawn strength and sense, shifted; none but for eights."""
     most = np.array([one.vortex_mps * on for one, on in zip(drawn, eights, strict=True)])
-    there: Vortices = jax.tree.map(np.asarray, eight.vortices(most))
+    there: Vortices = jax.tree.map(np.asarray, draws.vortices(most))
     shift = np.array([one.shift_m for one in drawn])
     turn = np.array([one.turn for one in drawn])
     return replace(

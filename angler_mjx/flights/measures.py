@@ -1,18 +1,26 @@
 """What a flight is judged by: pure functions of one flight, with derivatives."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels import quaternion
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.engines.free_flight import Flight
+from angler_mjx.flights.courses import Course
 from angler_mjx.sim.robot import thrust_and_power
-from angler_mjx.trials.draws import RATE_RADPS, TILT_RAD
 from angler_mjx.vehicles.params import VehicleParams
 
+TILT_RAD = math.radians(60.0)
+"""Attitude is bounded if the vehicle never leans more than this; level is 0."""
+RATE_RADPS = 10.0
+"""Rates are bounded if they never pass this: about twice the fastest turn that the laws ask for
+(2.5 1/s times an error of 2, the most that their measure of attitude gives)."""
 LEVER_M = 0.3
 """A radian of attitude counts as this many metres."""
 LAST_S = 10.0
@@ -57,6 +65,23 @@ class Measures:
     """bool: not a number, leans more than 60 degrees, or turns faster than 10 rad/s."""
     position_m: jax.Array
     """[k, 3] in W, every ``KEPT_S``."""
+
+
+def reference(courses: Sequence[Course], *, heading: bool) -> Reference:
+    """Where n vehicles are to be, on the host; [n] leads.
+
+    Args:
+        courses: of each.
+        heading: whether headings count.
+    """
+    # Arrays of the host stand where those of JAX will.
+    given: dict[str, Any] = {
+        "pose": np.array([course.pose for course in courses]),
+        "still": np.array([course.still for course in courses], float),
+        "heading": np.full(len(courses), float(heading)),
+        "way_m": np.maximum([course.way_m for course in courses], 1.0),
+    }
+    return Reference(**given)
 
 
 def of_flight(

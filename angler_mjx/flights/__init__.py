@@ -1,0 +1,1 @@
+"""Flights of single vehicles in open water: courses, draws, flying, measures."""

@@ -1,0 +1,35 @@
+"""Tables in Markdown, and their place between two marks of a document."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown; the first column is text, the others are numbers."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def put(document: Path, begin: str, body: str, end: str) -> None:
+    """Put a text between two marks of a document.
+
+    Args:
+        document: that has the marks.
+        begin: the mark before.
+        body: what is to stand between the marks.
+        end: the mark behind.
+
+    Raises:
+        ConfigError: the document cannot be read or written, or has no marks.
+    """
+    try:
+        old = document.read_text(encoding="utf-8")
+        before, mark, rest = old.partition(begin)
+        _, last, after = rest.partition(end)
+        if not mark or not last:
+            raise ConfigError(f"--out {document}: has no place for tables ({begin} ... {end})")
+        document.write_text(f"{before}{begin}\n{body}\n{end}{after}", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
