@@ -38,12 +38,12 @@ def control(
     for name in names:
         kinds.spec_of(name)
     if draw is not None:
-        _one(names, draw)
+        _one_draw(names, draw)
     else:
         _all(names, draws, out)
 
 
-def _one(names: Sequence[str], seed: int) -> None:
+def _one_draw(names: Sequence[str], seed: int) -> None:
     from angler_mjx.trials import draws, listing
 
     for name in names:

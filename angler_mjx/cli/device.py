@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
-    from angler_mjx.runs.processes import Team
+    from angler_mjx.runs.processes import Processes
 
 type Device = Literal["cpu", "gpu"]
 
@@ -54,7 +54,7 @@ def join(
     coordinator: str | None,
     processes: int | None,
     process: int | None,
-) -> "Team":
+) -> "Processes":
     """The processes that share a run: this one alone, or all that were started with it.
 
     Args:
@@ -68,10 +68,11 @@ def join(
         ConfigError: flags of a shared run without ``--distributed``, or not enough of them.
         RunError: the others did not come.
     """
-    from angler_mjx.runs import processes as team
+    from angler_mjx.runs.processes import OneProcess
+    from angler_mjx.runs.processes import join as join_others
 
     if distributed:
-        joined = team.join(coordinator, processes, process)
+        joined = join_others(coordinator, processes, process)
         if device == "gpu":
             _require_gpu()
         return joined
@@ -79,7 +80,7 @@ def join(
     for name, value in given.items():
         if value is not None:
             raise ConfigError(f"--{name} {value}: belongs to --distributed; give that as well")
-    return team.Alone()
+    return OneProcess()
 
 
 def _require_gpu() -> None:

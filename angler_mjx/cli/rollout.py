@@ -61,7 +61,7 @@ def rollout(
         json: Print one JSON object instead of the table.
     """
     choose(device, distributed=distributed)
-    team = join(
+    shared = join(
         device,
         distributed=distributed,
         coordinator=coordinator,
@@ -87,20 +87,20 @@ def rollout(
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario, **overrides)
     place = out or Path("runs") / loaded.name
-    with Bar(quiet=json or team.index > 0) as bar:
+    with Bar(quiet=json or shared.index > 0) as bar:
         how: dict[str, Any] = {
             "chunk": chunk,
             "progress": bar,
             "devices": devices,
-            "team": team,
+            "processes": shared,
         }
         run = (
             runs.resume(place, scenario=loaded, **how)
             if resume
             else runs.rollout(loaded, out=place, **how)
         )
-    team.leave()
-    if team.index == 0:
+    shared.leave()
+    if shared.index == 0:
         if figures:
             _draw(run)
         _report(run, as_json=json)

@@ -96,7 +96,7 @@ def step(
             density=density,
             gravity=gravity,
         )
-        carry, below = _one(stage, gains[i], before, given, below, entering)
+        carry, below = _through(stage, gains[i], before, given, below, entering)
         carries.append(_select(used, carry, memory.stages[i]))
         aim = jnp.where(used, _aim(below, aim), aim)
         demanded = jnp.where(used, _wrench(below, demanded), demanded)
@@ -119,7 +119,7 @@ def step(
     )
 
 
-def _one(
+def _through(
     stage: Stage,
     gains: Any,
     carry: Any,

@@ -27,7 +27,7 @@ JOIN_S = 300
 """For all processes to find the coordinator."""
 
 
-class Team(Protocol):
+class Processes(Protocol):
     """The processes of a run."""
 
     index: int
@@ -60,26 +60,26 @@ class Team(Protocol):
         ...
 
 
-class Alone:
-    """A team of one process."""
+class OneProcess:
+    """One process alone; see `Processes`."""
 
     index, count, stopping = 0, 1, False
 
     def check(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
 
     def meet(self, name: str, value: Any = None) -> list[Any]:
-        """See `Team`."""
+        """See `Processes`."""
         return [value]
 
     def stop(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
 
     def fail(self, reason: str) -> None:
-        """See `Team`."""
+        """See `Processes`."""
 
     def leave(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
 
 
 def join(
@@ -88,7 +88,7 @@ def join(
     process: int | None = None,
     *,
     gone_s: float = GONE_S,
-) -> "Processes":
+) -> "ManyProcesses":
     """Join the other processes; before JAX computes anything.
 
     Args:
@@ -120,11 +120,11 @@ def join(
     # Every process waits here until all have told each other their devices; after that, one may
     # fail without another one waiting for it inside JAX.
     jax.local_devices()
-    return Processes(distributed.global_state, gone_s)
+    return ManyProcesses(distributed.global_state, gone_s)
 
 
-class Processes:
-    """A team of several processes."""
+class ManyProcesses:
+    """Several processes; see `Processes`."""
 
     def __init__(self, state: Any, gone_s: float) -> None:
         """Begin to show signs of life; see `join`."""
@@ -137,18 +137,18 @@ class Processes:
         self._trouble: str | None = None
         self._stopping = False
         self._left = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name="angler-team", daemon=True)
+        self._thread = threading.Thread(target=self._watch, name="angler-processes", daemon=True)
         self._thread.start()
         # A thread inside JAX when the interpreter ends would take the process down.
         atexit.register(self._end_watch)
 
     @property
     def stopping(self) -> bool:
-        """See `Team`."""
+        """See `Processes`."""
         return self._stopping
 
     def check(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
         if self._trouble is not None:
             raise RunError(
                 f"{self._trouble}; process {self.index} ends too, finished worlds are kept: go on "
@@ -156,7 +156,7 @@ class Processes:
             )
 
     def meet(self, name: str, value: Any = None) -> list[Any]:
-        """See `Team`."""
+        """See `Processes`."""
         self._client.key_value_set(f"{ROOT}/{name}/{self.index}", json.dumps(value))
         while True:
             there = self._read(name)
@@ -166,15 +166,15 @@ class Processes:
             time.sleep(0.05)
 
     def stop(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
         self._client.key_value_set(f"{ROOT}/stop/{self.index}", "", allow_overwrite=True)
 
     def fail(self, reason: str) -> None:
-        """See `Team`."""
+        """See `Processes`."""
         self._client.key_value_set(f"{ROOT}/failed/{self.index}", reason, allow_overwrite=True)
 
     def leave(self) -> None:
-        """See `Team`."""
+        """See `Processes`."""
         self._client.key_value_set(f"{ROOT}/left/{self.index}", "", allow_overwrite=True)
         if self.index == 0:
             # JAX aborts whoever is still connected when the coordinator ends.

@@ -16,7 +16,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
-from angler_mjx.runs.processes import Alone, Team
+from angler_mjx.runs.processes import OneProcess, Processes
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
@@ -48,7 +48,7 @@ def rollout(
     progress: Progress | None = None,
     simulator: Simulator | None = None,
     devices: int | None = None,
-    team: Team | None = None,
+    processes: Processes | None = None,
     policy: Policy | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
@@ -61,7 +61,7 @@ def rollout(
         progress: what to tell while running.
         simulator: of the same scenario, to use what it has compiled already.
         devices: devices of this process to run on; all if left out. Changes no byte of the results.
-        team: processes that share the run; each calls this with the same arguments.
+        processes: processes that share the run; each calls this with the same arguments.
         policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
 
     Returns:
@@ -71,22 +71,22 @@ def rollout(
     Raises:
         ConfigError: the folder exists or cannot be written, or the scenario cannot be used.
         RunError: the disk or the device's memory is full, a world cannot hold the fleet, or another
-            process of the team failed.
+            process of the run failed.
     """
-    place, team = Path(out), team or Alone()
-    with _telling(team), ExitStack() as stack:
-        if team.index == 0:
+    place, processes = Path(out), processes or OneProcess()
+    with _telling(processes), ExitStack() as stack:
+        if processes.index == 0:
             claims.require_none(place)
         simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
         claimed = None
-        if team.index == 0:
+        if processes.index == 0:
             claimed = opening.begin(simulator, place)
-            stack.enter_context(opening.held(claimed, new=team.count == 1))
-        team.meet("folder")
-        return _Rollout(simulator, place, room, progress or Silent(), team, claimed).run()
+            stack.enter_context(opening.held(claimed, new=processes.count == 1))
+        processes.meet("folder")
+        return _Rollout(simulator, place, room, progress or Silent(), processes, claimed).run()
 
 
 def resume(
@@ -97,7 +97,7 @@ def resume(
     progress: Progress | None = None,
     simulator: Simulator | None = None,
     devices: int | None = None,
-    team: Team | None = None,
+    processes: Processes | None = None,
     policy: Policy | None = None,
 ) -> folder.Run:
     """Go on with an interrupted run; arguments and errors as in `rollout`.
@@ -112,7 +112,7 @@ def resume(
         progress: as in `rollout`.
         simulator: as in `rollout`.
         devices: as in `rollout`.
-        team: as in `rollout`.
+        processes: as in `rollout`.
         policy: the one that the run was begun with.
 
     Raises:
@@ -120,16 +120,16 @@ def resume(
             is of another scenario or policy, or its vehicle files were edited since.
         RunError: as in `rollout`.
     """
-    place, team = Path(out), team or Alone()
+    place, processes = Path(out), processes or OneProcess()
     told = progress or Silent()
-    with _telling(team), ExitStack() as stack:
+    with _telling(processes), ExitStack() as stack:
         claimed = None
-        if team.index == 0:
+        if processes.index == 0:
             if scenario is not None:
                 opening.require_same(place, scenario)
             claimed = folder.reopen(place, told.tell)
             stack.enter_context(opening.held(claimed, new=False))
-        team.meet("found")
+        processes.meet("found")
         building = claims.partial_path(place)
         stored = folder.read_scenario(building)
         simulator = simulator or Simulator(stored, devices=devices, policy=policy)
@@ -137,20 +137,20 @@ def resume(
         if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
-        if team.index == 0 and stored.time.record_hz > 0:
+        if processes.index == 0 and stored.time.record_hz > 0:
             opening.mend(simulator, building, told)
-        team.meet("folder")
-        return _Rollout(simulator, place, room, told, team, claimed).run()
+        processes.meet("folder")
+        return _Rollout(simulator, place, room, told, processes, claimed).run()
 
 
 @contextmanager
-def _telling(team: Team) -> Iterator[None]:
+def _telling(processes: Processes) -> Iterator[None]:
     """Tell the other processes if this one cannot go on, and part from them."""
     try:
         yield
     except BaseException as error:
-        team.fail(str(error) or type(error).__name__)
-        team.leave()
+        processes.fail(str(error) or type(error).__name__)
+        processes.leave()
         raise
 
 
@@ -163,7 +163,7 @@ class _Rollout:
         out: Path,
         room: int,
         progress: Progress,
-        team: Team,
+        processes: Processes,
         claimed: Claim | None,
     ) -> None:
         self._sim = simulator
@@ -173,9 +173,9 @@ class _Rollout:
         self._building = claims.partial_path(out)
         self._out = out
         self._room = room
-        number = f".{team.index}" if team.index else ""
+        number = f".{processes.index}" if processes.index else ""
         self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
-        self._team = team
+        self._processes = processes
         self._shape = sizes.shape_of(simulator)
         self._recorder: Recorder | None = None
         if self._scenario.time.record_hz > 0:
@@ -195,7 +195,7 @@ class _Rollout:
         return run
 
     def _run(self) -> folder.Run:
-        team = self._team
+        processes = self._processes
         tiles, done = self._share()
         total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
         self._progress.start(done + total, done)
@@ -203,7 +203,7 @@ class _Rollout:
         clock = _Clock(compile=self._sim.compile())
         self._progress.compiled(clock.compile)
         # Nobody writes a tile before everybody has looked which ones there are.
-        team.meet("start")
+        processes.meet("start")
         interrupted = self._simulate(tiles, clock)
         figures = {
             "devices": self._sim.devices,
@@ -212,10 +212,10 @@ class _Rollout:
             "disk_wait_s": clock.disk_wait_s,
             "vehicle_steps": clock.vehicle_steps,
         }
-        shares = team.meet("end", figures)
-        if team.index == 0:
+        shares = processes.meet("end", figures)
+        if processes.index == 0:
             self._close(clock, shares)
-        team.meet("closed")
+        processes.meet("closed")
         return folder.Run(self._out)
 
     def _share(self) -> tuple[list[int], int]:
@@ -228,12 +228,12 @@ class _Rollout:
             if not finished.issuperset(worlds) or self._lost(first):
                 left.append(first)
                 finished.difference_update(worlds)
-        return left[self._team.index :: self._team.count], len(finished)
+        return left[self._processes.index :: self._processes.count], len(finished)
 
     def _lost(self, first: int) -> bool:
         """Whether trajectories of a finished tile are not there any more."""
         name = None if self._recorder is None else self._recorder.lacks(first)
-        if name is not None and self._team.index == 0:
+        if name is not None and self._processes.index == 0:
             self._progress.tell(
                 f"{self._building / folder.TRAJECTORIES / name}: worlds {first} and on are missing "
                 "or damaged; they are computed again"
@@ -242,7 +242,7 @@ class _Rollout:
 
     def _simulate(self, tiles: list[int], clock: _Clock) -> bool:
         """Run the tiles and write them; returns whether that was interrupted."""
-        team, interrupted = self._team, False
+        processes, interrupted = self._processes, False
         recorded = self._recorder is not None
         writer = Writer[FinishedTile](self._write, room=self._room)
         begun = time.perf_counter()
@@ -254,13 +254,13 @@ class _Rollout:
                     seconds = float(np.sum(np.asarray(tile.end.tally.end_time_s)[: tile.kept]))
                     clock.vehicle_steps += round(seconds / self._sim.spec.physics_dt_s)
                     writer.put(tile)
-                team.check()
-                if team.stopping:
+                processes.check()
+                if processes.stopping:
                     interrupted = True
                     break
         except KeyboardInterrupt:
             interrupted = True
-            team.stop()
+            processes.stop()
         finally:
             clock.simulate_s = time.perf_counter() - begun
             writer.close()

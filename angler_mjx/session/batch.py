@@ -16,8 +16,8 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.checks import Limits, Place
-from angler_mjx.session.desk import PLAN, Desk
 from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo
+from angler_mjx.session.orders import PLAN, Orders
 from angler_mjx.session.rejoin import Ways
 from angler_mjx.session.view import View, Watched, believed, covariance, look, shown
 from angler_mjx.sim.record import Sample
@@ -86,7 +86,7 @@ class BatchSession:
         self._closed, self._drawn = False, -1
         self.reset()
         self.step()  # everything that a step needs is compiled now
-        paths.compile_joins(self._desk.board, self._view)
+        paths.compile_joins(self._orders.slots, self._view)
         self._ways.compile()
         self.reset()
 
@@ -120,7 +120,7 @@ class BatchSession:
         self._state, self._steps = self._rest, 0
         self._sample: Sample | None = None
         dtype = self._rest.vehicles.p.dtype
-        self._desk = Desk(self._simulator.spec.stages, self._facts, self._limits, dtype)
+        self._orders = Orders(self._simulator.spec.stages, self._facts, self._limits, dtype)
         neutral = np.full((1, len(self.robots), self._facts.thrusters), NEUTRAL_US, dtype)
         self._view = self._seen = self._look(neutral)
         self._target_m: Floats = np.asarray(self._view.p)
@@ -132,20 +132,20 @@ class BatchSession:
         for robot in commands or {}:
             presence.is_there(self.robots, robot)
         # Half a period: times are sums in floating point.
-        for robot, order in {**self._desk.due(self._soon_s), **(commands or {})}.items():
+        for robot, order in {**self._orders.due(self._soon_s), **(commands or {})}.items():
             try:
                 self.check(robot, order)
             except ConfigError as error:
-                self._desk.refuse(robot, str(error), self._seen)
+                self._orders.refuse(robot, str(error), self._seen)
             else:
-                self._desk.tell(robot, order, self._seen, self._soon_s)
-        told = self._desk.board.told()
+                self._orders.tell(robot, order, self._seen, self._soon_s)
+        told = self._orders.slots.commands()
         self._state, self._sample = self._simulator.step(self._worlds, self._state, told)
         self._steps += 1
         self._view = self._look(np.asarray(self._sample.pwm_us))
         self._target_m = np.asarray(self._sample.target_m)[0]
         self._seen = believed(self._view, self._sample.belief)
-        self._desk.report(self._seen)
+        self._orders.report(self._seen)
         return self.observe()
 
     def observe(self) -> Observation:
@@ -158,7 +158,7 @@ class BatchSession:
             time_s=self._time_s,
             covariance=None if self._sample is None else covariance(self._sample.belief),
             target_m=self._target_m,
-            status=self._desk.status(np.asarray(self._view.outcome).tolist()),
+            status=self._orders.status(np.asarray(self._view.outcome).tolist()),
         )
 
     def check(self, robot: int, command: Order) -> None:
@@ -171,7 +171,7 @@ class BatchSession:
     def resume_plan(self, robot: int) -> None:
         """See `Session.resume_plan`; what moves is not looked at on the way back."""
         self._goes_on(robot)
-        name, told = self.robots[robot].name, self._desk[robot]
+        name, told = self.robots[robot].name, self._orders[robot]
         if not self._facts.found[robot]:
             raise ConfigError(f"{name}: has no plan: the planner found no way for it")
         if told.command == PLAN:
@@ -185,7 +185,7 @@ class BatchSession:
                 f"{name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
                 f"{p[2]:.2f}) m; bring it nearer"
             )
-        self._desk.resume(robot, back)
+        self._orders.resume(robot, back)
 
     def close(self) -> None:
         """See `Session.close`."""
@@ -232,12 +232,12 @@ class BatchSession:
         self._ways = Ways(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
 
     def _look(self, pwm_us: Any) -> View:
-        watched, board = None, self._desk.board
-        if JointTrajectory in board.kinds:
+        watched, slots = None, self._orders.slots
+        if JointTrajectory in slots.kinds:
             watched = Watched(
-                trajectory=board.slot(JointTrajectory),
+                trajectory=slots.slot(JointTrajectory),
                 allowed=self._allowed,
-                before=jax.device_put(self._desk.results),
+                before=jax.device_put(self._orders.results),
             )
         view: View = jax.device_get(look(self._worlds, self._state, pwm_us, watched))
         return view

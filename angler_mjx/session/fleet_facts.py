@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from angler_mjx.control.joint_goal import JointGoal
 from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.session.board import kinds_of
 from angler_mjx.session.interface import Floats, RobotInfo
 from angler_mjx.session.rejoin import Plan
+from angler_mjx.session.slots import kinds_of
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.vehicles import library

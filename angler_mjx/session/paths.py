@@ -1,4 +1,4 @@
-"""Orders made ready for a board: JointTrajectories joined to what goes on, paths padded, holds."""
+"""Orders made ready for slots: JointTrajectories joined to what goes on, paths padded, holds."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,10 +22,10 @@ from angler_mjx.control.stack import Stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.session.board import Board
 from angler_mjx.session.checks import Limits
 from angler_mjx.session.interface import Floats, Order
 from angler_mjx.session.rejoin import Plan
+from angler_mjx.session.slots import Slots
 from angler_mjx.session.view import View
 
 SLACK_M = 1e-3
@@ -67,13 +67,13 @@ def start_of(order: Order) -> float:
     return order.stamp_s if isinstance(order, JointGoal) else 0.0
 
 
-def ready(board: Board, view: View, robot: int, order: Order, limits: Limits, now_s: float) -> Any:
-    """A checked order as a board takes it: of fixed shapes, and joined to what goes on now."""
+def ready(slots: Slots, view: View, robot: int, order: Order, limits: Limits, now_s: float) -> Any:
+    """A checked order as slots take it: of fixed shapes, and joined to what goes on now."""
     if isinstance(order, JointGoal):
-        return join(board, view, robot, _without_past(order, now_s))
+        return join(slots, view, robot, _without_past(order, now_s))
     order = jax.device_get(order)
     if isinstance(order, JointTrajectory):
-        return join(board, view, robot, order)
+        return join(slots, view, robot, order)
     if isinstance(order, Trajectory):
         plan = Plan(time_s=np.asarray(order.time_s), position_m=np.asarray(order.position_m))
         return plan.padded(limits.way_points, view.p.dtype)
@@ -85,15 +85,15 @@ def ready(board: Board, view: View, robot: int, order: Order, limits: Limits, no
     return order
 
 
-def join(board: Board, view: View, robot: int, new: JointGoal | JointTrajectory) -> JointTrajectory:
+def join(slots: Slots, view: View, robot: int, new: JointGoal | JointTrajectory) -> JointTrajectory:
     """A JointTrajectory joined to the reference of now."""
-    slot = jax.tree.map(lambda leaf: leaf[robot], board.slot(JointTrajectory))
+    slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     size = slot.time_s.shape[0]
-    if board.kind(robot) is JointTrajectory:
+    if slots.kind(robot) is JointTrajectory:
         old, t = slot, view.clock_s[robot]
         at = np.asarray(_sample(old, t).position, float)
     else:
-        at, rate = _moving(board, view, robot)
+        at, rate = _moving(slots, view, robot)
         old, t = _straight(slot, at, rate), 0.0 * view.clock_s[robot]
     if isinstance(new, JointGoal):
         new = joint_goal.build(new, joints=VEHICLE_JOINTS, position=at.tolist(), size=size)
@@ -102,12 +102,12 @@ def join(board: Board, view: View, robot: int, new: JointGoal | JointTrajectory)
     return joined
 
 
-def compile_joins(board: Board, view: View) -> None:
+def compile_joins(slots: Slots, view: View) -> None:
     """Have compiled now what `join` needs."""
-    if JointTrajectory in board.kinds:
+    if JointTrajectory in slots.kinds:
         nothing = JointGoal(joint_names=("x",), points=(JointPoint(time_s=1.0, positions=(0.0,)),))
-        farthest(board, view, 0)
-        join(board, view, 0, nothing)
+        farthest(slots, view, 0)
+        join(slots, view, 0, nothing)
 
 
 _join = jax.jit(replace_at)
@@ -132,9 +132,9 @@ def along(stages: Stages, plan: Plan, view: View, robot: int) -> float:
     return float(times[np.argmin(away)])
 
 
-def farthest(board: Board, view: View, robot: int) -> str:
+def farthest(slots: Slots, view: View, robot: int) -> str:
     """Which joint is farthest from where its JointTrajectory has it, in words."""
-    slot = jax.tree.map(lambda leaf: leaf[robot], board.slot(JointTrajectory))
+    slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     wanted = np.asarray(_sample(slot, view.clock_s[robot]).position, float)
     off = np.append(view.p[robot], view.yaw_rad[robot]) - wanted
     off[3] = (off[3] + np.pi) % (2 * np.pi) - np.pi
@@ -153,10 +153,10 @@ def _without_past(goal: JointGoal, now_s: float) -> JointGoal:
     return replace(goal, points=tuple(points or [replace(goal.points[-1], time_s=0.0)]))
 
 
-def _moving(board: Board, view: View, robot: int) -> tuple[Floats, Floats]:
+def _moving(slots: Slots, view: View, robot: int) -> tuple[Floats, Floats]:
     """Joints [4] and their rates of what goes on: the path's where there is one, else measured."""
-    if board.kind(robot) is Trajectory:
-        path = jax.tree.map(lambda leaf: leaf[robot], board.slot(Trajectory))
+    if slots.kind(robot) is Trajectory:
+        path = jax.tree.map(lambda leaf: leaf[robot], slots.slot(Trajectory))
         plan, t = Plan(time_s=path.time_s, position_m=path.position_m), view.clock_s[robot]
         here, ahead = plan.at(t), plan.at(t + 1e-3)
         return np.append(here, view.heading_rad[robot]), np.append((ahead - here) / 1e-3, 0.0)

@@ -20,23 +20,23 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.batch import POINTS, START_TOLERANCE, WAY_BACK, Inside
 from angler_mjx.session.checks import Limits, Place
-from angler_mjx.session.desk import PLAN, Desk
 from angler_mjx.session.interface import (
     Observation,
     Order,
     RobotInfo,
     RobotStatus,
 )
+from angler_mjx.session.orders import PLAN, Orders
 from angler_mjx.session.rejoin import Ways
 from angler_mjx.sim.state import World
 from angler_mjx.vehicles import library
+from angler_sitl.autopilots import Autopilots, Settings
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.missions.choosing import scenario_of, speed_of
 from angler_sitl.scene.scene import Scene
 from angler_sitl.scene.sight import Sight
-from angler_sitl.squad import Settings, Squad
 from angler_sitl.steering import levels
 from angler_sitl.steering.helm import Helm
 from angler_sitl.steering.levels import STICK_LEVELS
@@ -107,7 +107,7 @@ class SitlSession:
         self._simulator = self._scene.simulator
         self._spec = levels.spec_of(level, self._simulator.spec)
         self._helm = Helm(level, self._spec)
-        self._squad: Squad | None = None
+        self._autopilots: Autopilots | None = None
         self._drawn: int | None = None
         self.reset()
 
@@ -135,12 +135,12 @@ class SitlSession:
         return self._spec.control_dt_s
 
     @property
-    def squad(self) -> Squad:
+    def autopilots(self) -> Autopilots:
         """The autopilots, for those who look at them closely."""
         self._open()
-        if self._squad is None:
+        if self._autopilots is None:
             raise RunError("the autopilots are down; reset the session")
-        return self._squad
+        return self._autopilots
 
     def inside(self) -> Inside:
         """What lies behind the scene, for recordings; it is to be looked at, not to be changed."""
@@ -168,18 +168,18 @@ class SitlSession:
             self._ways = Ways(jax.tree.map(lambda x: x[0], here.environment))
             self._drawn = number if worlds is None else None
         dtype = self._scene.state.vehicles.p.dtype
-        self._desk = Desk(self._spec.stages, self._facts, self._limits, dtype)
-        self._helm.reset(self._scene, self._desk.board.told())
-        self._squad = Squad(self.settings, self._scene, tuple(self.robots))
+        self._orders = Orders(self._spec.stages, self._facts, self._limits, dtype)
+        self._helm.reset(self._scene, self._orders.slots.commands())
+        self._autopilots = Autopilots(self.settings, self._scene, tuple(self.robots))
         self._scene.moored, self._steps = False, 0
         self._sight = Sight(
             self._scene, self._facts, self._allowed, truth=self._estimate == "truth"
         )
-        self._sight.begin(self._squad, self._desk, self._helm)
+        self._sight.begin(self._autopilots, self._orders, self._helm)
         if self.settings.level in STICK_LEVELS:  # nobody can follow a plan there
             for robot in range(len(self.robots)):
                 here = paths.hold((PoseTarget,), self._sight.seen, robot, self._limits)
-                self._desk.tell(robot, here, self._sight.seen, 0.0)
+                self._orders.tell(robot, here, self._sight.seen, 0.0)
         return self.observe()
 
     def step(self, commands: Mapping[int, Order] | None = None) -> Observation:
@@ -189,20 +189,20 @@ class SitlSession:
             presence.is_there(self.robots, robot)
         # Half a period: times are sums in floating point.
         soon_s = self._time_s + 0.5 * self.dt_s
-        for robot, order in {**self._desk.due(soon_s), **(commands or {})}.items():
+        for robot, order in {**self._orders.due(soon_s), **(commands or {})}.items():
             try:
                 self.check(robot, order)
             except ConfigError as error:
-                self._desk.refuse(robot, str(error), self._sight.seen)
+                self._orders.refuse(robot, str(error), self._sight.seen)
             else:
-                self._desk.tell(robot, order, self._sight.seen, soon_s)
+                self._orders.tell(robot, order, self._sight.seen, soon_s)
         try:
             self._go_on()
         except BaseException:
             self._down()
             raise
-        self._sight.look(self.squad, self._desk, self._helm)
-        self._desk.report(self._sight.seen)
+        self._sight.look(self.autopilots, self._orders, self._helm)
+        self._orders.report(self._sight.seen)
         return self.observe()
 
     def observe(self) -> Observation:
@@ -220,7 +220,7 @@ class SitlSession:
     def resume_plan(self, robot: int) -> None:
         """See `Session.resume_plan`; what moves is not looked at on the way back."""
         self._goes_on(robot)
-        info, told, level = self.robots[robot], self._desk[robot], self.settings.level
+        info, told, level = self.robots[robot], self._orders[robot], self.settings.level
         if level in STICK_LEVELS:
             raise ConfigError(f"{info.name}: at the level {level} robots are driven by hand alone")
         if not self._facts.found[robot]:
@@ -236,7 +236,7 @@ class SitlSession:
                 f"{info.name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
                 f"{p[2]:.2f}) m; bring it nearer"
             )
-        self._desk.resume(robot, back)
+        self._orders.resume(robot, back)
 
     def close(self) -> None:
         """See `Session.close`: no autopilot is left running."""
@@ -255,20 +255,20 @@ class SitlSession:
 
     def _go_on(self) -> None:
         """One control period: decide, send, step, judge."""
-        scene, squad = self._scene, self.squad
+        scene, autopilots = self._scene, self.autopilots
         before = scene.state
         decision = self._helm.steer(
-            scene, squad.pilots, self.robots, self._sight.belief, self._desk.board.told()
+            scene, autopilots.pilots, self.robots, self._sight.belief, self._orders.slots.commands()
         )
-        squad.advance()
+        autopilots.advance()
         scene.judge()
         self._steps += 1
         self._sight.keep(before, decision)
 
     def _status(self) -> tuple[RobotStatus, ...]:
-        """As of the desk, and how each autopilot stands."""
-        told = self._desk.status(np.asarray(self._sight.view.outcome).tolist())
-        stands = [self.squad.note(i) for i in range(len(told))]
+        """As of the orders, and how each autopilot stands."""
+        told = self._orders.status(np.asarray(self._sight.view.outcome).tolist())
+        stands = [self.autopilots.note(i) for i in range(len(told))]
         return tuple(
             replace(status, note="; ".join(part for part in (status.note, note) if part))
             for status, note in zip(told, stands, strict=True)
@@ -281,12 +281,12 @@ class SitlSession:
     def _goes_on(self, robot: int) -> None:
         """Refuse to drive a robot that failed, or whose autopilot is gone."""
         self._open()
-        if why := self.squad.lockstep.lost.get(robot):
+        if why := self.autopilots.lockstep.lost.get(robot):
             raise ConfigError(f"{self.robots[robot].name}: cannot go on: {why}")
         presence.goes_on(self.robots, robot, self._sight.view.outcome)
 
     def _down(self) -> None:
         """End the autopilots, if there are any."""
-        if self._squad is not None:
-            self._squad.close()
-            self._squad = None
+        if self._autopilots is not None:
+            self._autopilots.close()
+            self._autopilots = None

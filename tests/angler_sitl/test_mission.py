@@ -102,7 +102,7 @@ class Board:
 
     @contextmanager
     def __call__(self, session):
-        self.session, self.pids = session, [one.pid for one in session.squad.instances]
+        self.session, self.pids = session, [one.pid for one in session.autopilots.instances]
         yield self
 
     def after(self, observation):

@@ -114,7 +114,7 @@ def guided(ardusub, scenario, tmp_path_factory):
 @pytest.fixture(scope="module")
 def pids(guided):
     """A function: process numbers of its autopilots."""
-    return lambda: [one.pid for one in guided.squad.instances]
+    return lambda: [one.pid for one in guided.autopilots.instances]
 
 
 def test_guided_conforms(guided):
@@ -141,7 +141,7 @@ def test_what_the_autopilots_say_is_shown_and_logged(guided):
     away = np.linalg.norm(np.asarray(seen.estimate.p) - np.asarray(seen.truth.p), axis=1)
     speed = np.linalg.norm(np.asarray(seen.truth.nu)[:, :3], axis=1)
     assert np.all(away < 0.005 + 0.015 * speed)
-    assert guided.squad.differences == {"robot_0": [], "robot_1": []}
+    assert guided.autopilots.differences == {"robot_0": [], "robot_1": []}
     logs = guided.settings.folder
     for name in ("robot_0", "robot_1"):
         assert (logs / name / "mavlink.tlog").stat().st_size > 10_000

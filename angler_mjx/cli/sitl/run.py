@@ -67,7 +67,7 @@ def run(
     choose(device)
     keep_all_programs()
     from angler_mjx.cli.given import scenario_given
-    from angler_mjx.cli.sitl.board import board
+    from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission
     from angler_sitl.missions.choosing import scenario_of
     from angler_sitl.scene import motion
@@ -88,7 +88,7 @@ def run(
         binary=ardusub,
         parameters=parameters,
     )
-    flight, made = mission.run(chosen, settings, partial(print, file=sys.stderr), board)
+    flight, made = mission.run(chosen, settings, partial(print, file=sys.stderr), status_table)
     _report(flight)
     print(made.path)
     if flight.by_signal:

@@ -87,7 +87,7 @@ def fly(
 def _all_ended(
     session: SitlSession, observation: Observation, goals: Mapping[int, JointGoal]
 ) -> bool:
-    lost = session.squad.lockstep.lost
+    lost = session.autopilots.lockstep.lost
     return all(
         i in lost or _ended(status, given=i in goals) for i, status in enumerate(observation.status)
     )

@@ -16,21 +16,21 @@ from angler_mjx.storage import folder
 from angler_mjx.storage.folder import Run
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import breakable, stoppable
-from angler_sitl import squad as squads
+from angler_sitl import autopilots as running
+from angler_sitl.autopilots import Autopilots
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.missions import plans
 from angler_sitl.missions.flight import Flight, fly
 from angler_sitl.session import SitlSession
-from angler_sitl.squad import Squad
 from angler_sitl.steering.levels import STICK_LEVELS
 from angler_sitl.wire.ground_station import GroundStation
 from angler_sitl.wire.ports import MOST_VEHICLES
 
 type Tell = Callable[[str], None]
 """Told in words what is going on."""
-type Board = Callable[[SitlSession], AbstractContextManager[Watcher]]
+type Display = Callable[[SitlSession], AbstractContextManager[Watcher]]
 """Makes what shows how everybody stands."""
 
 
@@ -74,14 +74,14 @@ class Settings:
             )
 
 
-def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tuple[Flight, Run]:
+def run(scenario: Scenario, settings: Settings, tell: Tell, display: Display) -> tuple[Flight, Run]:
     """Fly one world of a scenario.
 
     Args:
         scenario: whose world and robots.
         settings: how.
         tell: told what is going on until the robots move.
-        board: shows how they stand from then on.
+        display: shows how they stand from then on.
 
     Returns:
         How it went, and the run folder.
@@ -110,8 +110,8 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
         session = stack.enter_context(_open(scenario, settings, given, recording.building))
         opened_s = time.perf_counter() - begun
         interrupt.check()
-        squad = session.squad  # which a crash takes away from the session
-        _say_ready(squad, tell)
+        autopilots = session.autopilots  # which a crash takes away from the session
+        _say_ready(autopilots, tell)
         plans.check(session, goals)
         watchers: list[Watcher] = [recording]
         recording.begin(session)
@@ -121,7 +121,7 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
             station.join(session)
             watchers.append(station)
         stop = stack.enter_context(stoppable())
-        with board(session) as shown:
+        with display(session) as shown:
             flight = fly(
                 session,
                 duration_s=settings.duration_s or scenario.time.horizon_s,
@@ -135,8 +135,8 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
             Course(
                 steps=flight.steps,
                 wall_s=flight.wall_s,
-                compile_s=opened_s - squad.ready.wall_s,
-                more={"sitl": _summary(squad, session.settings, settings.plan, flight, goals)},
+                compile_s=opened_s - autopilots.ready.wall_s,
+                more={"sitl": _summary(autopilots, session.settings, settings.plan, flight, goals)},
                 interrupted=flight.broken,
             )
         )
@@ -167,11 +167,11 @@ def _open(
     )
 
 
-def _say_ready(squad: Squad, tell: Tell) -> None:
+def _say_ready(autopilots: Autopilots, tell: Tell) -> None:
     """How long it took, and which parameters the autopilots did not take."""
-    ready = squad.ready
+    ready = autopilots.ready
     tell(f"ready after {ready.sim_s:.1f} s of their clock, {ready.wall_s:.1f} s of ours")
-    for name, found in squad.differences.items():
+    for name, found in autopilots.differences.items():
         for difference in found:
             tell(f"{name}: {difference}")
 
@@ -186,14 +186,14 @@ def _result(flight: Flight, kept: Run | None) -> tuple[Flight, Run]:
 
 
 def _summary(
-    squad: Squad,
-    chosen: squads.Settings,
+    autopilots: Autopilots,
+    chosen: running.Settings,
     plan: Sequence[str],
     flight: Flight,
     goals: dict[int, JointGoal],
 ) -> dict[str, Any]:
     """What only a run on real autopilots has."""
-    names = [pilot.name for pilot in squad.pilots]
+    names = [pilot.name for pilot in autopilots.pilots]
     return {
         "level": chosen.level,
         "source": chosen.source,
@@ -201,10 +201,10 @@ def _summary(
         "plan": list(plan),
         "ardusub": {"version": chosen.binary.version, "sha256": chosen.binary.sha256},
         "parameters": dict(chosen.parameters),
-        "ready": {"sim_s": squad.ready.sim_s, "wall_s": squad.ready.wall_s},
+        "ready": {"sim_s": autopilots.ready.sim_s, "wall_s": autopilots.ready.wall_s},
         "steps": flight.steps,
         "scene_s": flight.scene_s,
         "real_time": flight.real_time,
-        "lost": {names[i]: why for i, why in squad.lockstep.lost.items()},
+        "lost": {names[i]: why for i, why in autopilots.lockstep.lost.items()},
         "trajectories": {names[i]: flight.last.status[i].note for i in goals},
     }

@@ -44,14 +44,14 @@ def look(session: SitlSession, observation: Observation) -> list[Standing]:
         session: after a step.
         observation: of that step.
     """
-    squad, known = session.squad, observation.truth or observation.estimate
+    autopilots, known = session.autopilots, observation.truth or observation.estimate
     target_m, clearance_m = np.asarray(observation.target_m), np.asarray(observation.clearance_m)
     off_m = np.linalg.norm(np.asarray(known.p) - target_m, axis=1)
     rows = []
-    for i, (pilot, status) in enumerate(zip(squad.pilots, observation.status, strict=True)):
-        gone = i in squad.lockstep.lost
-        # The autopilot's own words stand in columns; what the desk says comes before them.
-        note = squad.note(i) if gone else status.note.removesuffix(pilot.note())
+    for i, (pilot, status) in enumerate(zip(autopilots.pilots, observation.status, strict=True)):
+        gone = i in autopilots.lockstep.lost
+        # The autopilot's own words stand in columns; what the orders say comes before them.
+        note = autopilots.note(i) if gone else status.note.removesuffix(pilot.note())
         told = f"refused: {status.refused}" if status.refused and not gone else ""
         rows.append(
             Standing(

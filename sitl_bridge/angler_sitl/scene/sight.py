@@ -12,17 +12,17 @@ from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.stack import Memory
-from angler_mjx.session.desk import Desk
 from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Floats, Observation, RobotStatus
+from angler_mjx.session.orders import Orders
 from angler_mjx.session.view import View, Watched, believed, look, shown
 from angler_mjx.sim import step
 from angler_mjx.sim.record import Belief, Sample
 from angler_mjx.sim.state import World, WorldState
+from angler_sitl.autopilots import Autopilots
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import HIGH_US, LOW_US
 from angler_sitl.scene.scene import Scene
-from angler_sitl.squad import Squad
 from angler_sitl.steering.guidance import Decision, belief_of, trusting
 from angler_sitl.steering.helm import Helm
 
@@ -55,27 +55,29 @@ class Sight:
         self.belief: Belief
         self.target_m: Floats
 
-    def begin(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+    def begin(self, autopilots: Autopilots, orders: Orders, helm: Helm) -> None:
         """Look for the first time: everybody aims at where it is."""
-        self.look(squad, desk, helm)
+        self.look(autopilots, orders, helm)
         self.target_m = np.asarray(self.seen.p)
 
-    def look(self, squad: Squad, desk: Desk, helm: Helm) -> None:
+    def look(self, autopilots: Autopilots, orders: Orders, helm: Helm) -> None:
         """Look at what is there now."""
         scene, watched = self._scene, None
-        if JointTrajectory in desk.board.kinds:
-            before: Any = desk.results
+        if JointTrajectory in orders.slots.kinds:
+            before: Any = orders.results
             watched = Watched(
-                trajectory=desk.board.slot(JointTrajectory), allowed=self._allowed, before=before
+                trajectory=orders.slots.slot(JointTrajectory), allowed=self._allowed, before=before
             )
-        signals = self._signals(squad.lockstep.pwm)
+        signals = self._signals(autopilots.lockstep.pwm)
         given = (scene.worlds, scene.judged, helm.memory, signals, watched)
         if self._layout is None:
             self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
         arrays = _look_flat(scene.layout, *given)
         view: View = self._layout.unpack(tuple(map(np.asarray, arrays)))
         vehicles = scene.state.vehicles
-        self.belief = trusting(vehicles) if self._truth else belief_of(squad.motion(), vehicles.p)
+        self.belief = (
+            trusting(vehicles) if self._truth else belief_of(autopilots.motion(), vehicles.p)
+        )
         self.view, self.seen = view, believed(view, self.belief)
 
     def keep(self, before: WorldState, decision: Decision) -> None:

@@ -66,7 +66,7 @@ class Guidance:
             told: what they are told.
         """
         if not self._signals:
-            # A board has a slot for signals, the last, which this level takes from nobody.
+            # There is a slot for signals, the last, which this level takes from nobody.
             told = Mixed(which=told.which, fresh=told.fresh, commands=told.commands[:-1])
         decision: Decision = self._decide(worlds, state.vehicles.p, state.step, memory, known, told)
         return decision

@@ -73,7 +73,7 @@ class GroundStation:
 
     def join(self, session: SitlSession) -> None:
         """Let it hear the autopilots of a session, as they are since its last reset."""
-        self._pilots = session.squad.pilots
+        self._pilots = session.autopilots.pilots
         for pilot in self._pilots:
             pilot.vision.listeners.append(self._send)
 

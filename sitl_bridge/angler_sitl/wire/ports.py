@@ -64,7 +64,7 @@ def allocate(count: int) -> list[Ports]:
     given: list[Ports] = []
     try:
         for _ in range(count):
-            given.append(_one())
+            given.append(_bind())
     except OSError as error:
         for ports in given:
             ports.close()
@@ -75,7 +75,7 @@ def allocate(count: int) -> list[Ports]:
     return given
 
 
-def _one() -> Ports:
+def _bind() -> Ports:
     bound: list[socket.socket] = []
     try:
         for _ in fields(Ports):

@@ -10,13 +10,13 @@ import sys
 import jax
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs import processes as team
+from angler_mjx.runs import processes
 
 
 def main(port, index, then):
     jax.config.update("jax_platforms", "cpu")
     # Two seconds without a sign of life count as death here, so that the test is short.
-    joined = team.join(f"localhost:{port}", 2, index, gone_s=2.0)
+    joined = processes.join(f"localhost:{port}", 2, index, gone_s=2.0)
     print(joined.meet("one", {"process": index}))
     if index == 1 and then == "die":
         os._exit(3)

@@ -23,7 +23,7 @@ LINES_S = 10.0
 """From one set of lines to the next, in seconds of the scene."""
 
 
-def board(session: SitlSession) -> AbstractContextManager[Watcher]:
+def status_table(session: SitlSession) -> AbstractContextManager[Watcher]:
     """What suits the place that stderr goes to."""
     console = Console(stderr=True)
     return _Table(session, console) if console.is_terminal else _Lines(session, console)

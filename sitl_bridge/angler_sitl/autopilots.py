@@ -63,7 +63,7 @@ class Settings:
     on_crash: Literal["end", "hold"] = "end"
 
 
-class Squad:
+class Autopilots:
     """All autopilots of a scene, in lock-step with it; a context manager.
 
     Attributes:

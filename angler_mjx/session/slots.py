@@ -50,7 +50,7 @@ def kinds_of(stages: Stages) -> tuple[type, ...]:
     return tuple(kind for kind in KINDS if kind in taken)
 
 
-class Board:
+class Slots:
     """What robots are told; [1, R] leads in every array that leaves it.
 
     Attributes:
@@ -65,7 +65,7 @@ class Board:
         self._slots = [jax.tree.map(np.array, blank[kind]) for kind in self.kinds]
         self._which = np.zeros((1, sizes.robots), np.int32)
         self._fresh = np.zeros((1, sizes.robots), np.int32)
-        self._told: Mixed | None = None
+        self._given: Mixed | None = None
 
     def put(self, robot: int, command: Any) -> None:
         """Tell a robot; its arrays have the shapes of the slots.
@@ -83,7 +83,7 @@ class Board:
         leaves = zip(jax.tree.leaves(self._slots[slot]), jax.tree.leaves(command), strict=True)
         for kept, new in leaves:
             kept[0, robot] = new
-        self._told = None
+        self._given = None
 
     def kind(self, robot: int) -> type:
         """Type of what a robot is told."""
@@ -93,18 +93,18 @@ class Board:
         """What is in a slot, [R] leading; those that are told something else hold any numbers."""
         return jax.tree.map(lambda leaf: leaf[0], self._slots[self.kinds.index(kind)])
 
-    def told(self) -> Mixed:
+    def commands(self) -> Mixed:
         """The commands of one step; after it no stage is fresh any more."""
-        if self._told is None:
+        if self._given is None:
             # Copied: a device array may share the memory of the numpy array that it is made of.
             copies = jax.tree.map(np.copy, (self._which, self._fresh, tuple(self._slots)))
             which, fresh, commands = jax.device_put(copies)
-            self._told = Mixed(which=which, fresh=fresh, commands=commands)
-        told = self._told
+            self._given = Mixed(which=which, fresh=fresh, commands=commands)
+        given = self._given
         if self._fresh.any():
             self._fresh[:] = 0
-            self._told = None
-        return told
+            self._given = None
+        return given
 
 
 def _blanks(sizes: Sizes) -> dict[type, Any]:
