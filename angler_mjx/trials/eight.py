@@ -5,7 +5,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.flights import courses, draws, flying, kinds, tracks
@@ -64,7 +63,7 @@ def fly(controller: str, vehicles: Sequence[Kind]) -> tuple[Eight, ...]:
     times = Times(flight_s=FLIGHT_S, point_s=POINT_S, dt_s=spec.control_dt_s)
     flown = [courses.eight(speed, times) for speed in speeds]
     params = kinds.chosen(kinds.build(vehicles), rows)
-    heavier = jnp.asarray([1.0 + error for _, (_, _, error) in cases], float)
+    heavier = np.array([1.0 + error for _, (_, _, error) in cases])
     orders = Orders(
         params=params,
         plant=draws.as_it_is(params.vehicle, heavier),

@@ -111,7 +111,7 @@ def _errors(panel: Axes, part: Part, chosen: FloatArray) -> None:
 
 def _off(part: Part, found: Measures) -> FloatArray:
     """[n, k] distance from where each vehicle should be, m; nan where it failed."""
-    pose = np.asarray(part.flights.orders.reference.pose)
+    pose = np.asarray(part.flights.reference.pose)
     every = round(pose.shape[1] / found.position_m.shape[1])
     off = np.linalg.norm(found.position_m - pose[:, ::every, :3], axis=-1)
     return np.where(np.asarray(found.failed)[:, None], np.nan, off)
@@ -131,7 +131,7 @@ def tracks(found: Outcome) -> Figure:
         for i, (panel, label) in enumerate(zip(grid, labels, strict=True)):
             rows = np.flatnonzero(part.flights.group == i * len(COURSES) + COURSES.index("eight"))
             row = rows[np.argmax(np.nan_to_num(part.before.rms_m[rows]))]
-            wanted = np.asarray(part.flights.orders.reference.pose)[row]
+            wanted = np.asarray(part.flights.reference.pose)[row]
             panel.plot(*wanted[:, :2].T, color=style.FAINT, linewidth=4.0)
             panel.plot(*part.before.position_m[row, :, :2].T, color=BEFORE, linewidth=1.2)
             panel.plot(*part.after.position_m[row, :, :2].T, color=AFTER, linewidth=1.2)

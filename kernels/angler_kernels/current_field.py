@@ -85,7 +85,10 @@ def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
 
 
 def material_derivative(v: jax.Array, v_t: jax.Array, J: jax.Array) -> jax.Array:
-    """Dv/Dt = dv/dt + (v . grad) v [3] of a flow: what a particle of water feels, m/s^2."""
+    """Dv/Dt = dv/dt + (v . grad) v, [3]: what a particle of water feels, m/s^2.
+
+    For v [3], its derivative by time v_t [3], and J [3, 3], that by place.
+    """
     return v_t + jnp.sum(J * v[None, :], axis=1)
 
 

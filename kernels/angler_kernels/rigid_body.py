@@ -22,7 +22,7 @@ from angler_kernels.quaternion import exp_small, multiply, rotate, rotate_invers
 
 
 def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> jax.Array:
-    """C_RB(nu) nu [6] of a body with mass [] and inertia [3, 3] about the origin."""
+    """C_RB(nu) nu, [6], for nu [6] of a body with mass [] and inertia [3, 3] about the origin."""
     v, omega = nu[:3], nu[3:]
     return jnp.concatenate(
         [mass * jnp.cross(omega, v), jnp.cross(omega, matrix_times(inertia, omega))]
@@ -30,7 +30,7 @@ def rigid_body_coriolis(mass: jax.Array, inertia: jax.Array, nu: jax.Array) -> j
 
 
 def added_mass_coriolis(M_A: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """C_A(nu_r) nu_r [6] for the added mass M_A [6, 6], by its momenta (Fossen 2021, eq. 6.43)."""
+    """C_A(nu_r) nu_r, [6], for nu_r [6] and M_A [6, 6], by momenta (Fossen 2021, eq. 6.43)."""
     momentum = matrix_times(M_A, nu_r)
     linear, angular = momentum[:3], momentum[3:]
     v_r, omega = nu_r[:3], nu_r[3:]
@@ -40,22 +40,25 @@ def added_mass_coriolis(M_A: jax.Array, nu_r: jax.Array) -> jax.Array:
 
 
 def damping_wrench(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Wrench [6] of linear and quadratic damping, ``-(D_l + D_q |nu_r|) nu_r``; both [6], >= 0."""
+    """Wrench [6] ``-(D_l + D_q |nu_r|) nu_r``, with D_l [6] and D_q [6], >= 0, for nu_r [6]."""
     return -(D_l + D_q * jnp.abs(nu_r)) * nu_r
 
 
 def damping_slope(D_l: jax.Array, D_q: jax.Array, nu_r: jax.Array) -> jax.Array:
-    """Diagonal [6] of how damping grows with velocity, D_l + 2 D_q |nu_r|; N s/m, N m s/rad."""
+    """Diagonal [6] D_l + 2 D_q |nu_r|, the growth of damping with velocity; N s/m, N m s/rad.
+
+    For D_l [6], D_q [6] and nu_r [6].
+    """
     return D_l + 2.0 * D_q * jnp.abs(nu_r)
 
 
 def submerged_fraction(z: jax.Array, height: jax.Array) -> jax.Array:
-    """Submerged share [] of a hull of ``height`` m, centred ``z`` m above the surface."""
+    """Submerged share [] of a hull of ``height`` [] m, centred ``z`` [] m above the surface."""
     return jnp.clip(0.5 - z / height, 0.0, 1.0)
 
 
 def buoyancy_wrench(q: jax.Array, lift: jax.Array, p_cb: jax.Array) -> jax.Array:
-    """Wrench [6] of an upward force ``lift`` [] N (world) at ``p_cb`` [3] m (body)."""
+    """Wrench [6] of an upward force ``lift`` [] N (world) at ``p_cb`` [3] m (body), for q [4]."""
     force = lift * up(q)
     return jnp.concatenate([force, jnp.cross(p_cb, force)])
 
@@ -110,8 +113,8 @@ def water_wrench(
         nu: [6] velocity of the body.
         v_c: [3] flow at the body, m/s, in W.
         Dv_c: [3] its material derivative, m/s^2, in W.
-        density: of the water, kg/m^3.
-        gravity: m/s^2.
+        density: [] of the water, kg/m^3.
+        gravity: [] m/s^2.
 
     Returns:
         Wrench [6] at the origin, in F.
@@ -171,7 +174,7 @@ def advance_damped_velocity(
         force: [6] f, all smooth forces, damping included.
         force_before: [6] g of the step before; f itself before the first step.
         mean_thrust: [6] b, the mean over the step of forces known in advance.
-        dt: s.
+        dt: [] s.
 
     Returns:
         nu [6] at the end of the step, and g [6] for the next.
@@ -200,7 +203,7 @@ def advance_pose(
         q: [4] attitude.
         nu: [6] velocity at the beginning of the step, in F.
         nu_next: [6] velocity at its end, in F.
-        dt: s.
+        dt: [] s.
 
     Returns:
         Position [3] and unit attitude [4] at the end of the step.
@@ -214,7 +217,7 @@ def advance_pose(
 
 
 def matrix_times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Matrix [m, n] times vector [n] as products and sums.
+    """Product [m] of ``matrix`` [m, n] and ``vector`` [n], as products and sums.
 
     A dot product would be TF32 on some GPUs unless told otherwise, and a call of its own.
     """

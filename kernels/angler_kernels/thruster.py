@@ -9,13 +9,13 @@ from angler_kernels.table import count_below, take
 def lookup(
     table: jax.Array, pwm: jax.Array, first: jax.Array | float, step: jax.Array | float
 ) -> jax.Array:
-    """Linear interpolation of ``table`` [n] at ``pwm`` [], held at both ends.
+    """Linear interpolation [] of ``table`` [n] at ``pwm`` [], held at both ends.
 
     Args:
         table: [n] values at ``first + step * i``.
         pwm: [] us.
-        first: PWM of the first entry, us.
-        step: us between entries.
+        first: [] PWM of the first entry, us.
+        step: [] us between entries.
     """
     x = jnp.clip((pwm - first) / step, 0.0, table.shape[0] - 1.0)
     i = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, table.shape[0] - 2)
@@ -28,7 +28,8 @@ def inverse_lookup(
 ) -> jax.Array:
     """PWM [] at which a non-decreasing ``table`` [n] takes ``value`` [], clipped to its ends.
 
-    Where the table is flat (the dead band) the lower end of the flat stretch is returned.
+    Where the table is flat (the dead band) the lower end of the flat stretch is returned;
+    ``first`` [] and ``step`` [] as in `lookup`.
     """
     n = table.shape[0]
     wanted = jnp.clip(value, table[0], table[-1])

@@ -36,13 +36,13 @@ def segment_point(a: jax.Array, b: jax.Array, p: jax.Array) -> jax.Array:
 
 
 def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) -> jax.Array:
-    """Distance [] of two segments, also where they are parallel, cross or have no length.
+    """Distance [] of two segments, a1 [3] to b1 [3] and a2 [3] to b2 [3], however they lie.
 
-    The squared gap is convex on the unit square of the two parameters: its minimum is the crossing
-    of the two lines' common normal, if that lies in the square, or lies on one of the four edges,
-    each of which is an end point against a segment. The least of the five is taken; every one of
-    them is the gap of two points that exist, so rounding where the lines are nearly parallel can
-    not make the answer too small.
+    They may be parallel, cross, or have no length. The squared gap is convex on the unit square of
+    the two parameters: its minimum is the crossing of the two lines' common normal, if that lies in
+    the square, or lies on one of the four edges, each of which is an end point against a segment.
+    The least of the five is taken; every one of them is the gap of two points that exist, so
+    rounding where the lines are nearly parallel can not make the answer too small.
     """
     d1, d2, gap = b1 - a1, b2 - a2, a1 - a2
     s1, s2 = _crossing(d1, d2, gap)
@@ -144,9 +144,10 @@ class Line(NamedTuple):
 def segment_oriented_box(
     a: jax.Array, b: jax.Array, p: jax.Array, q: jax.Array, half: jax.Array
 ) -> jax.Array:
-    """Distance [] of a segment to a box with centre p [3], attitude q [4] (wxyz), half extents [3].
+    """Distance [] of a segment, a [3] to b [3], to a box with half extents ``half`` [3].
 
-    q rotates vectors of the box's frame to the frame of a, b and p.
+    Its centre is p [3], its attitude q [4] (wxyz), which rotates vectors of the box's frame to the
+    frame of a, b and p.
     """
     return segment_box(rotate_inverse(q, a - p), rotate_inverse(q, b - p), -half, half)
 

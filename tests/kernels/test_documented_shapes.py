@@ -1,0 +1,123 @@
+"""Shapes in the docstrings of kernels, executed: what they take, and what they give.
+
+Every public function of `angler_kernels` that takes arrays alone is read. The letters of its
+shapes get sizes of their own, so that no two axes are alike by chance, and it is traced.
+"""
+
+import importlib
+import inspect
+import pkgutil
+import re
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import angler_kernels
+
+SHAPE = r"(?:(bool|u?int\d*) )?\[([a-z0-9_+, ]*)\]"
+SIZES = (5, 7, 11, 13, 17, 19)
+ARRAYS = ("jax.Array", "jax.Array | float")
+NOT_SAID = {
+    # Of any number of axes.
+    "bit_grid.pack",
+    "bit_grid.population",
+    "current_field.lamb_oseen_circulation",
+    "rigid_body.advance_velocity",
+    "table.take",
+    "thruster.rotor_filter",
+    "thruster.rotor_lag",
+    # They give a tree, `Field`, whose fields say their shapes.
+    "current_field.lamb_oseen",
+    "current_field.smooth_knots",
+}
+"""The only ones whose shapes are not read. A new kernel says its own."""
+
+
+def public():
+    for module in pkgutil.walk_packages(angler_kernels.__path__, "angler_kernels."):
+        found = importlib.import_module(module.name)
+        for name, function in inspect.getmembers(found, inspect.isroutine):
+            if not name.startswith("_") and getattr(function, "__module__", "") == found.__name__:
+                yield f"{module.name.removeprefix('angler_kernels.')}.{name}", function
+
+
+def inputs(function):
+    """Name -> annotation of what it takes, as written."""
+    given = inspect.signature(inspect.unwrap(function)).parameters.values()
+    return {
+        one.name: re.sub(r"^'|'$", "", inspect.formatannotation(one.annotation)) for one in given
+    }
+
+
+def read(function):
+    """Shapes of the arguments by name, and those of the result in order; None where unsaid."""
+    text = inspect.getdoc(function) or ""
+    taken = {}
+    for name in inputs(function):
+        listed = re.search(rf"^    {name}: (.*)$", text, re.M)
+        said = re.match(SHAPE, listed[1]) if listed else None
+        said = said or re.search(rf"\b{name}(?:``)? {SHAPE}", text.partition("Args:")[0])
+        taken[name] = said.groups() if said else None
+    returned = text.partition("Returns:")[2]
+    if not returned:
+        returned = text.partition("\n\n")[0]
+        for name in taken:
+            returned = re.sub(rf"\b{name}(?:``)? {SHAPE}", "", returned)
+    return taken, re.findall(SHAPE, returned)
+
+
+def size(axis, sizes):
+    """Of one axis: a number, a letter, or a letter and a number more."""
+    letter, _, more = axis.partition("+")
+    if axis.isdigit():
+        return int(axis)
+    return sizes.setdefault(letter.strip(), SIZES[len(sizes)]) + int(more or 0)
+
+
+def shape(said, sizes):
+    return tuple(size(axis.strip(), sizes) for axis in said.split(",") if axis.strip())
+
+
+FUNCTIONS = {
+    name: function
+    for name, function in public()
+    if inputs(function) and set(inputs(function).values()) <= set(ARRAYS)
+}
+SAID = {
+    name
+    for name, function in FUNCTIONS.items()
+    if all(read(function)[0].values()) and read(function)[1]
+}
+
+
+def test_no_more_kernels_than_these_leave_a_shape_unsaid():
+    assert set(FUNCTIONS) - SAID == NOT_SAID
+
+
+@pytest.mark.parametrize("name", sorted(SAID))
+def test_a_kernel_takes_and_gives_the_shapes_that_it_says(name):
+    taken, given = read(FUNCTIONS[name])
+    sizes: dict = {}
+    like = {
+        argument: jax.ShapeDtypeStruct(shape(said, sizes), kind or "float32")
+        for argument, (kind, said) in taken.items()
+    }
+    found = jax.tree.leaves(jax.eval_shape(FUNCTIONS[name], **like))
+    assert [leaf.shape for leaf in found] == [shape(said, sizes) for _, said in given]
+    for leaf, (kind, _) in zip(found, given, strict=True):
+        assert not kind or leaf.dtype.name == kind
+
+
+def broken(x):
+    """Sum [3] of x [3, n]."""
+    return x.sum(axis=0)
+
+
+def test_a_docstring_that_lies_is_found_out():
+    broken.__annotations__["x"] = jax.Array
+    taken, given = read(broken)
+    assert (taken, given) == ({"x": (None, "3, n")}, [("", "3")])
+    sizes: dict = {}
+    x = jax.ShapeDtypeStruct(shape("3, n", sizes), jnp.float32)
+    assert jax.eval_shape(broken, x).shape != shape("3", sizes)
