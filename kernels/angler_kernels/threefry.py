@@ -1,9 +1,9 @@
-"""JAX's random numbers on a CPU, hashed in one piece: the same bits, a fifth of the time to compile.
+"""JAX's random numbers on a CPU, hashed in one piece: the same bits, sooner compiled.
 
 JAX writes its hash (Threefry 2x32, Salmon et al. 2011) as a loop of five rounds where it computes
 on a CPU. XLA makes about a dozen small programs of each such loop, and a world is drawn with thirty
-of them. Written out, it is one program of about 120 operations, which also runs in half the time.
-Elsewhere JAX has a kernel for it, or writes it out as well.
+of them. Written out, it is one program of about 120 operations: draws of six kinds compiled in
+0.8 s instead of 3.8 s, and ran in half the time. Elsewhere JAX has a kernel, or writes it out too.
 """
 
 from functools import cache
