@@ -56,13 +56,24 @@ def test_what_the_compiler_says_comes_with_the_result():
     assert other.result()[0][0] == "small"
 
 
-def test_a_fault_while_tracing_ends_it_after_what_runs():
-    done = threading.Event()
+def test_a_fault_while_tracing_waits_for_what_runs():
+    running, faulted, done = threading.Event(), threading.Event(), threading.Event()
+
+    def compiling():
+        running.set()
+        faulted.wait(LONG_S)
+        done.set()
 
     def fault():
+        running.wait(LONG_S)
+        faulted.set()
         raise TypeError("not a shape")
 
-    with pytest.raises(TypeError, match="not a shape"), Together(2) as programs:
-        programs.begin(Jitted("first", done.set))
-        programs.begin(Jitted("second", lambda: True, lowering=fault))
+    def both():
+        with Together(2) as programs:
+            programs.begin(Jitted("first", compiling))
+            programs.begin(Jitted("second", lambda: True, lowering=fault))
+
+    with pytest.raises(TypeError, match="not a shape"):
+        both()
     assert done.is_set()
