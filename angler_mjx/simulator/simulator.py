@@ -32,7 +32,7 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
-from angler_mjx.simulator.compiling import CompileTime, Together
+from angler_mjx.simulator.compiling import CompileTime, Program, Together
 from angler_mjx.simulator.devices import (
     EACH,
     SAME,
@@ -402,17 +402,9 @@ class Simulator:
         if self._compiled:
             return CompileTime()
         begun = time.perf_counter()
-        kinds, number, firsts = self._seed_shapes()
-        driver = placed(self._driver, self._mesh, SAME)
-        with Together(3) as programs:
-            # Each is traced for the shapes that come of the one before: tracing that gave them.
-            prepare = programs.begin(self._prepare, kinds, number, firsts)
-            worlds = self._wave_shape
-            reset = programs.begin(self._reset, kinds, worlds, *driver)
-            state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
-            segment = programs.begin(self._segment, kinds, worlds, state, *driver)
+        worlds, state, programs = self._begin_all()
         try:
-            made = [program.result() for program in (prepare, reset, segment)]
+            made = [program.result() for program in programs]
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
@@ -433,6 +425,19 @@ class Simulator:
             segment_s=segment_s,
             total_s=time.perf_counter() - begun,
         )
+
+    def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
+        """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
+        kinds, number, firsts = self._seed_shapes()
+        driver = placed(self._driver, self._mesh, SAME)
+        with Together(3) as programs:
+            # Each is traced for the shapes that come of the one before: tracing that gave them.
+            prepare = programs.begin(self._prepare, kinds, number, firsts)
+            worlds = self._wave_shape
+            reset = programs.begin(self._reset, kinds, worlds, *driver)
+            state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
+            segment = programs.begin(self._segment, kinds, worlds, state, *driver)
+        return worlds, state, [prepare, reset, segment]
 
     def explain(self, error: Exception) -> None:
         """Turn a device's error for want of memory into one that says which tile would fit.
