@@ -5,7 +5,7 @@ import gc
 # Tracing makes millions of objects that stay: that of a rollout takes 7.1 s instead of 8.4.
 gc.set_threshold(50_000, 20, 20)
 
-LONG = ("sim/test_fused_triton.py", "sim/test_fused.py", "runs/", "speed/")
+LONG = ("engines/test_fused_triton.py", "engines/test_fused.py", "runs/", "simulator/", "storage/", "speed/")
 """Files that take minutes come first, so that no worker is left alone with one at the end."""
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.shared.device import Device, choose
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:

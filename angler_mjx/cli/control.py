@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.shared.device import Device, choose
 from angler_mjx.errors import ConfigError
 
 

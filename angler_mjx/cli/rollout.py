@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose, join, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -69,8 +69,8 @@ def rollout(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.given import flag, scenario_given
-    from angler_mjx.cli.progress import Bar
+    from angler_mjx.cli.shared.given import flag, scenario_given
+    from angler_mjx.cli.shared.progress import Bar
     from angler_mjx.runs import rollout as runs
 
     given = {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.cli.sitl.run import Level, Source, prepare
 from angler_mjx.cli.sitl.run import opener as real_autopilots
 from angler_mjx.errors import ConfigError
@@ -73,7 +73,7 @@ def teleop(
         prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.given import scenario_given
+    from angler_mjx.cli.shared.given import scenario_given
     from angler_mjx.teleop import driving, opening
 
     settings = driving.Settings(

@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from angler_mjx.cli.device import Device, choose
+from angler_mjx.cli.shared.device import Device, choose
 
 
 def tune(

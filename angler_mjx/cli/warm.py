@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 
 
 def warm(
@@ -36,7 +36,7 @@ def warm(
     keep_all_programs()
     import jax
 
-    from angler_mjx.cli.given import scenario_given
+    from angler_mjx.cli.shared.given import scenario_given
     from angler_mjx.simulator.simulator import Simulator
 
     given = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}

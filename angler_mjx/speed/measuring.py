@@ -8,7 +8,7 @@ import jax
 
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.simulator import devices
-from angler_mjx.speed import (
+from angler_mjx.speed.measured import (
     environments,
     free_motion,
     hull_clearance,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def run(
     prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.given import scenario_given
+    from angler_mjx.cli.shared.given import scenario_given
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission
     from angler_sitl.missions.choosing import scenario_of

@@ -17,7 +17,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from angler_mjx.cli.device import choose, keep_all_programs
+from angler_mjx.cli.shared.device import choose, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 

@@ -3,7 +3,7 @@
 import jax
 import pytest
 
-from angler_mjx.cli import device
+from angler_mjx.cli.shared import device
 
 OWN = "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.speed import free_motion
-from angler_mjx.speed.free_motion import require_different
+from angler_mjx.speed.measured import free_motion
+from angler_mjx.speed.measured.free_motion import require_different
 
 VEHICLES = 5
 

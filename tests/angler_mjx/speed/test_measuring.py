@@ -8,18 +8,13 @@ import pytest
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.sim.state import Outcome
-from angler_mjx.speed import (
-    free_motion,
-    hull_clearance,
-    measuring,
-    recording,
-    simulation,
-)
+from angler_mjx.speed import measuring
 from angler_mjx.speed import (
     rows as speed,
 )
-from angler_mjx.speed.hull_clearance import require_change
-from angler_mjx.speed.simulation import require_moving
+from angler_mjx.speed.measured import free_motion, hull_clearance, recording, simulation
+from angler_mjx.speed.measured.hull_clearance import require_change
+from angler_mjx.speed.measured.simulation import require_moving
 from angler_mjx.speed.workloads import (
     PROFILES,
     WORKLOADS,

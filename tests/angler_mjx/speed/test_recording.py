@@ -4,8 +4,8 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.speed import recording
-from angler_mjx.speed.recording import break_even_hz
+from angler_mjx.speed.measured import recording
+from angler_mjx.speed.measured.recording import break_even_hz
 
 SCENARIO = """
 schema_version = 1

@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.speed import worlds_once
+from angler_mjx.speed.measured import worlds_once
 from angler_mjx.speed.workloads import Request, cases
 
 

@@ -1,7 +1,7 @@
 """Every shipped scenario, flown by both engines at the control rate, and judged by the referee.
 
 Ten minutes of compiling: asked for by ``pytest -m nightly``. What is run every time are both
-engines in random worlds (`sim/test_fused.py`) and everything that can end an episode
+engines in random worlds (`engines/test_fused.py`) and everything that can end an episode
 (`test_referee_judges_the_judge.py`).
 """
 

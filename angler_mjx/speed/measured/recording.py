@@ -24,9 +24,9 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
-from angler_mjx.speed import simulation
+from angler_mjx.speed.measured import simulation
+from angler_mjx.speed.measured.simulation import Timed
 from angler_mjx.speed.rows import Row, check_repeats, spread
-from angler_mjx.speed.simulation import Timed
 from angler_mjx.storage import atomic, harvest, shards
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.recorder import Recorder, Shape

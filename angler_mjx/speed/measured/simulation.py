@@ -19,7 +19,8 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World, WorldState
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.speed import flops, worlds_once
+from angler_mjx.speed import flops
+from angler_mjx.speed.measured import worlds_once
 from angler_mjx.speed.rows import (
     Row,
     account,

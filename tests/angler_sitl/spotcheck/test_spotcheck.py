@@ -165,7 +165,7 @@ def test_sums_count_what_they_say():
 @pytest.fixture(scope="module")
 def made():
     """Makers of the runs that pictures are tested with: no simulation, a second's work."""
-    path = Path(__file__).parents[1] / "angler_mjx" / "viewing" / "conftest.py"
+    path = Path(__file__).parents[2] / "angler_mjx" / "viewing" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs_by_hand", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -24,7 +24,10 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import ObstaclesConfig
 
-from ..compiling import quickly
+from .compiling import quickly
+from .small import scenario, scenario_file
+
+__all__ = ["scenario", "scenario_file"]
 
 CELLS, CELL_M = 6, 1.5
 ORIGIN_M = np.array([-4.5, -4.5, -12.0])

@@ -1,0 +1,1 @@
+"""What several commands share: the device, what a scenario is given, the bar."""
