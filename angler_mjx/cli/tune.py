@@ -2,21 +2,19 @@
 
 import sys
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
 from angler_mjx.cli.shared.device import Device, choose
+from angler_mjx.cli.shared.progress import Shown
 
 
 def tune(
@@ -83,32 +81,19 @@ def tune(
         sys.exit(130)
 
 
-class _Bar:
+class _Bar(Shown):
     """Flights done, the least cost so far, and the time left, on stderr."""
 
     def __init__(self) -> None:
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("flights"),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            console=Console(stderr=True),
         )
         self._task = self._bar.add_task("setting up", total=None)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
 
     def start(self, flights: int, done: int) -> None:
         """See `angler_mjx.tuning.tune.Progress`."""

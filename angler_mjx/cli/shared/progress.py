@@ -29,23 +29,12 @@ class _Speed(ProgressColumn):
         return Text(f"{steps / seconds:.2e} vehicle-steps/s" if steps and seconds else "")
 
 
-class Bar:
-    """A progress bar on stderr; a `runs.rollout.Progress`."""
+class Shown:
+    """What is seen on stderr while it is entered, and stays as it stands at the end."""
 
-    def __init__(self, *, quiet: bool) -> None:
-        """A bar, or nothing at all if ``quiet``."""
-        console = Console(stderr=True, quiet=quiet)
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            _Speed(),
-            TimeRemainingColumn(),
-            console=console,
-        )
-        self._worlds = 0
-        self._done = 0.0
-        self._task = self._bar.add_task("drawing up", total=None, steps=0)
+    def __init__(self, *columns: ProgressColumn, quiet: bool = False) -> None:
+        """A bar of some columns, or nothing at all if ``quiet``."""
+        self._bar = Progress(*columns, console=Console(stderr=True, quiet=quiet))
 
     def __enter__(self) -> Self:
         """Show the bar."""
@@ -60,6 +49,24 @@ class Bar:
     ) -> None:
         """Leave the bar as it stands."""
         self._bar.stop()
+
+
+class Bar(Shown):
+    """A progress bar on stderr; a `runs.rollout.Progress`."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        """A bar, or nothing at all if ``quiet``."""
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            _Speed(),
+            TimeRemainingColumn(),
+            quiet=quiet,
+        )
+        self._worlds = 0
+        self._done = 0.0
+        self._task = self._bar.add_task("drawing up", total=None, steps=0)
 
     def start(self, worlds: int, done: int) -> None:
         """See `Progress`."""

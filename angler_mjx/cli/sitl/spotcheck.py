@@ -3,21 +3,19 @@
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
-    Progress,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
 )
 
 from angler_mjx.cli.shared.device import choose, keep_all_programs
+from angler_mjx.cli.shared.progress import Shown
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 
@@ -106,33 +104,20 @@ def _speed(text: str) -> Literal["max"] | float:
         raise ConfigError(f"--speed {text}: give a positive number, or max") from None
 
 
-class _Bar:
+class _Bar(Shown):
     """Flights done, and how far the one in the air is, on stderr."""
 
     def __init__(self) -> None:
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             TaskProgressColumn(),
             MofNCompleteColumn(),
             TextColumn("flights"),
             TimeElapsedColumn(),
-            console=Console(stderr=True),
         )
         self._all = self._bar.add_task("setting up", total=None)
         self._done = 0.0
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.stop()
 
     def start(self, flights: int, done: int) -> None:
         """See `angler_sitl.spotcheck.checking.Progress`."""
