@@ -19,6 +19,7 @@ from angler_mjx.cli import (
     rollout,
     teleop,
     tune,
+    validate,
     vehicle,
 )
 from angler_mjx.cli.sitl import commands as sitl
@@ -66,6 +67,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench.bench,
     "control": control.control,
     "tune": tune.tune,
+    "validate": validate.validate,
 }
 """Commands of one word; the groups stand here for the help text alone."""
 
