@@ -41,8 +41,8 @@ class Deviation:
         """Assert ``|ours - theirs| <= atol + rtol |theirs|`` everywhere, and record how near.
 
         With ``atol`` what is recorded is ``|ours - theirs| / (1 + rtol / atol |theirs|)``, to be
-        held against ``atol``; without it ``|ours - theirs| / |theirs|``, against ``rtol``. Infinities
-        are near to themselves; with ``marks`` NaN is, too: it stands for "none" in results.
+        held against ``atol``; without it ``|ours - theirs| / |theirs|``, against ``rtol``.
+        Infinities are near to themselves; with ``marks`` NaN is, too: it means "none" in results.
         """
         ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
         one = ours.ndim == 0 or theirs.ndim == 0
@@ -88,7 +88,9 @@ def write(path, found, exitstatus):
     merged = {}
     for entry in found:
         key, test = entry["key"], entry["test"]
-        held = merged.setdefault(key, {k: entry[k] for k in ("key", "value", "bound")} | {"tests": []})
+        held = merged.setdefault(
+            key, {k: entry[k] for k in ("key", "value", "bound")} | {"tests": []}
+        )
         # A value that is no number stays, whatever else was found.
         if isinstance(held["value"], float) and (
             isinstance(entry["value"], str)

@@ -19,8 +19,8 @@ def validate(
 ) -> None:
     """Measure every term against its reference, compare with what was stored, write the page.
 
-    Runs the tests that measure, and studies of convergence, engines and precision; 20 minutes on two
-    cores. Ends with 1 and a line for each number that got worse. Needs a checkout.
+    Runs the tests that measure, and studies of convergence, engines and precision. Ends with 1 and
+    a line for each number that got worse. Needs a checkout.
 
     Args:
         quick: Only what takes seconds, and few worlds; the page keeps the rest as it was.

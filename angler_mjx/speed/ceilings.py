@@ -1,4 +1,4 @@
-"""One definition of the roofline for rows of many days: bounds worked out again from what rows hold.
+"""One definition of the roofline for rows of many days: bounds worked out again from their fields.
 
 A row keeps the bound of its own day: with the limits of its device as they were measured then, and
 with the operations as they were counted then. Both have become better known. In a table or a chart

@@ -78,14 +78,17 @@ def _against(
 ) -> Iterator[Fault]:
     held = expected.numbers.get(key)
     if held is None:
-        yield Fault(key=key, said=f"{value:.3g} has no expectation; store it with --store ({where})")
+        yield Fault(
+            key=key, said=f"{value:.3g} has no expectation; store it with --store ({where})"
+        )
         return
     allowed = worse.allowed(held.value, bound)
     if not value <= allowed or math.isnan(value):
         yield Fault(
             key=key,
             said=(
-                f"got worse: {value:.3g}, expected {held.value:.3g}, allowed {allowed:.3g} ({where}; "
-                f"expected since {held.at_utc[:10]}, commit {(held.commit or 'unknown')[:9]})"
+                f"got worse: {value:.3g}, expected {held.value:.3g}, allowed {allowed:.3g} "
+                f"({where}; expected since {held.at_utc[:10]}, "
+                f"commit {(held.commit or 'unknown')[:9]})"
             ),
         )

@@ -33,9 +33,7 @@ def replaced(text: str, name: str, body: str, source: str) -> str:
     return f"{text[:head]}\n{body}\n{text[tail:]}"
 
 
-def parts(
-    terms: Terms, found: Found, stored: Mapping[str, Result], speed: str
-) -> dict[str, str]:
+def parts(terms: Terms, found: Found, stored: Mapping[str, Result], speed: str) -> dict[str, str]:
     """Body of each computed part, by name.
 
     Args:

@@ -45,9 +45,7 @@ def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, lis
         said, code = _run(command, root, {"XLA_FLAGS": TEST_XLA_FLAGS}, say, "tests")
         if code not in (0, 1) or not out.is_file():
             raise RunError(f"pytest ended with {code}; its last words:\n{_tail(said)}")
-        failed = [
-            line.split(" - ")[0] for line in said if line.startswith(("FAILED ", "ERROR "))
-        ]
+        failed = [line.split(" - ")[0] for line in said if line.startswith(("FAILED ", "ERROR "))]
         return found.read(Measured, out), failed
 
 

@@ -1,4 +1,4 @@
-"""The table of speeds on the page: the latest rows of benchmarks/results.jsonl, each with its commit."""
+"""The table of speeds: the latest rows of benchmarks/results.jsonl, each with its commit."""
 
 from collections import defaultdict
 from pathlib import Path

@@ -9,7 +9,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.storage.atomic import replacing
 from angler_mjx.validation import found, page, running, speeds
 from angler_mjx.validation import terms as all_terms
-from angler_mjx.validation.found import Expected, Expectation, Found, Measured, Result
+from angler_mjx.validation.found import Expectation, Expected, Found, Measured, Result
 from angler_mjx.validation.judging import Fault, faults
 from angler_mjx.validation.running import Say
 from angler_mjx.validation.terms import EXPECTED, FOLDER, FOUND, Terms

@@ -1,13 +1,13 @@
-"""CPU against GPU: the same worlds flown on both, and which decision turned rounding into a difference.
+r"""CPU against GPU: the same worlds on both, and which decision made rounding a difference.
 
     python -m angler_experiments.devices_parity --out devices.json
 
-flies 256 worlds of `reef_fleet`, seed 7, in a process for each platform at the same time, and traces
-every robot that ended otherwise (`angler_experiments.tracing`). It needs a machine with both. Two
-runs of one platform are compared by their tiles or by flags of XLA:
+flies 256 worlds of `reef_fleet`, seed 7, in a process for each platform at the same time, and
+traces every robot that ended otherwise (`angler_experiments.tracing`). It needs a machine with
+both. Two runs of one platform are compared by their tiles or by flags of XLA:
 
     python -m angler_experiments.devices_parity --platforms cpu cpu --tiles 128 64
-    python -m angler_experiments.devices_parity --platforms cpu cpu --xla-flags "" \\
+    python -m angler_experiments.devices_parity --platforms cpu cpu --xla-flags "" \
         "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
 """
 
@@ -112,7 +112,7 @@ def to_markdown(a: Flight, b: Flight, traces: list[Trace], names: tuple[str, str
     lines = [
         f"{names[0]} and {names[1]}: of {a.outcome.size:,} robots {other} have another outcome, "
         f"{len(traces)} ({share}) another outcome or another thing touched; arrivals {arrived[0]} "
-        f"and {arrived[1]}; which plans are found is {'the same' if same_plans else 'not the same'}. "
+        f"and {arrived[1]}; which plans are found is {'' if same_plans else 'not '}the same. "
         f"Path length where they end alike: median {np.median(apart):.1e} m, 99 % "
         f"{np.quantile(apart, 0.99):.1e} m, greatest {apart.max():.1e} m.",
     ]
@@ -135,7 +135,7 @@ def to_markdown(a: Flight, b: Flight, traces: list[Trace], names: tuple[str, str
 
 
 def main(
-    settings: tyro.conf.OmitArgPrefixes[Settings] = Settings(),  # noqa: B008
+    settings: tyro.conf.OmitArgPrefixes[Settings] = Settings(),
     platforms: tuple[str, str] = ("cpu", "gpu"),
     tiles: tuple[int, int] = (128, 128),
     xla_flags: tuple[str, str] | None = None,

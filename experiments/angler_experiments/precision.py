@@ -1,4 +1,4 @@
-"""float32 against float64: the same worlds, currents, vehicles and plans flown in both, closed loop.
+"""float32 against float64: the same worlds, currents, vehicles and plans flown in both.
 
     python -m angler_experiments.precision --worlds 64
 
@@ -27,7 +27,7 @@ def energy(single: Flight, double: Flight) -> float:
 
 
 def main(worlds: int = 64, seconds: float = 120.0, json: Path | None = None) -> None:
-    """Fly worlds of `reef_fleet`, seed 7, in float32 and in float64, and say how far they are apart.
+    """Fly worlds of `reef_fleet`, seed 7, in float32 and in float64, and compare.
 
     Args:
         worlds: how many.

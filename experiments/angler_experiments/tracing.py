@@ -61,11 +61,9 @@ class Trace:
 
 
 def different(a: Flight, b: Flight) -> Array:
-    """bool [W, R] robots that end in another way, or on another thing."""
+    """Which robots [W, R] end in another way, or on another thing."""
     same: Array = (
-        (a.outcome == b.outcome)
-        & (a.touched == b.touched)
-        & (a.touched_index == b.touched_index)
+        (a.outcome == b.outcome) & (a.touched == b.touched) & (a.touched_index == b.touched_index)
     )
     return ~same
 
@@ -82,9 +80,7 @@ def trace(a: Flight, b: Flight, dt_s: float, physics_steps: int) -> list[Trace]:
     reach = float(np.abs(a.p[np.isfinite(a.p)]).max())
     steps = np.arange(a.p.shape[1], dtype=np.float64) * physics_steps
     bound = bound_m(steps, reach)
-    return [
-        _trace(a, b, int(w), int(r), bound, dt_s) for w, r in np.argwhere(different(a, b))
-    ]
+    return [_trace(a, b, int(w), int(r), bound, dt_s) for w, r in np.argwhere(different(a, b))]
 
 
 @dataclass(frozen=True, kw_only=True)

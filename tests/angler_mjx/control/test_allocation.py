@@ -210,9 +210,7 @@ def test_to_limits_meets_all_that_can_be_met(faulty, methods, deviation):
         for wanted, gives in zip(rows, got[k], strict=True):
             can = best(B, commanded, low, high, wanted)
             # Thrusts below 0.005 N are left out; the solver's 1e-7 is far less.
-            deviation.close(
-                "allocation.to_limits", gives[commanded], can[commanded], atol=NEAR
-            )
+            deviation.close("allocation.to_limits", gives[commanded], can[commanded], atol=NEAR)
             short.append(np.abs(wanted - can)[commanded].max() > 1.0)
     assert np.mean(short) > 0.5  # The demands did saturate.
 
