@@ -1,4 +1,4 @@
-"""Speeds in README and docs are those of the rows they name: one source, benchmarks/results.jsonl."""
+"""Speeds in README and docs are those of the rows they name, in benchmarks/results.jsonl."""
 
 import re
 from pathlib import Path
