@@ -131,15 +131,15 @@ def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
         if not bound or len(sizes[workload, device]) < 2:
             continue
         axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
-        # Where lines lie close together: in turn above on the right and below on the left.
+        # Where lines lie close together: below the lower one, in turn on the right and on the left.
         close = above <= 1.8 * bound
         left = not (close and left)
         axes.text(
             0.01 if left else 0.27,
-            bound * (0.94 if close and left else 1.06),
+            bound * (0.94 if close else 1.06),
             f"roofline: {workload}, {device}",
             transform=axes.get_yaxis_transform(),
-            va="top" if close and left else "bottom",
+            va="top" if close else "bottom",
             fontsize=8.0,
             color=style.QUIET,
         )
