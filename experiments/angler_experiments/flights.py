@@ -93,8 +93,14 @@ def fly_in_double(scenario: Scenario, tile: int) -> tuple[Flight, Flight]:
     simulator = Simulator(scenario, tile=tile)
     engine = engines.by_name(scenario.engine, "xla")
     reset = jax.jit(partial(engine.reset, simulator.spec))
-    count = {"n_sample": simulator.samples, "steps_per_sample": simulator.steps_per_sample}
-    segment = jax.jit(partial(engine.segment, simulator.spec, **count))
+    segment = jax.jit(
+        partial(
+            engine.segment,
+            simulator.spec,
+            n_sample=simulator.samples,
+            steps_per_sample=simulator.steps_per_sample,
+        )
+    )
 
     def flown(kinds: Fleet, worlds: World) -> Flight:
         state, samples = reset(kinds, worlds), []

@@ -135,10 +135,10 @@ def test_where_it_aims_comes_before_where_it_goes(flight):
 
 
 def test_rounding_is_no_cause_but_its_size_is_told(flight):
-    other = moved(flight, "p", (MINE[0], slice(None), 0), 2e-6)
+    other = moved(flight, "p", (MINE[0], slice(None), 0), 6e-7)
     found = only(flight, ended(other, Outcome.COLLISION_STATIC, Touched.CELL))
     assert found.cause is Cause.TOUCH
-    assert found.size_m == pytest.approx(2e-6, rel=1e-2)
+    assert found.size_m == pytest.approx(6e-7, rel=1e-2)
     assert only(flight, ended(other, Outcome.TIMEOUT)).cause is Cause.ARRIVAL
     timeout = ended(flight, Outcome.TIMEOUT)
     assert only(timeout, ended(other, Outcome.OUT_OF_BOUNDS)).cause is Cause.EDGE

@@ -108,7 +108,7 @@ def test_whole_trajectories_in_a_current(plants, current, vehicles, deviation):
         for name, true, rough, good in zip("pq\u03bd", truth, coarse, fine, strict=True):
             message = f"{plants.names[i]} {name}"
             error = np.abs(rough[i] - true).max()
-            # 10 ms steps: p within millimetres, q and nu alike; measured 1.3e-3 m at most.
+            # 10 ms steps: p within millimetres, q and nu alike.
             kind = {"p": "position", "q": "attitude", "\u03bd": "velocity"}[name]
             bound = 0.02 if kind == "velocity" else 0.004
             deviation(f"textbook.trajectory_{kind}", error, bound, about=message)
