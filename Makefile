@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 EXTRAS := view,plan,sitl,tune,dev
-CODE := angler_mjx kernels sitl_bridge experiments tests
+CODE := angler_mjx kernels sitl_bridge experiments tests tools
 
 # Compiled programs survive the process and the checkout, in the folder that `angler` uses too.
 export JAX_COMPILATION_CACHE_DIR ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/angler-mjx/xla
@@ -15,7 +15,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint types imports format clean
+.PHONY: help venv demo test fuzz mutants lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -32,11 +32,26 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 # Most of the tests' time is XLA's. Its older emitters and less optimisation take two thirds of it
 # (128 s instead of 197 for four files), and results differ by rounding. For tests that are compiled
 # as everything else is: XLA_FLAGS= make test
-test: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters \
+test mutants: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters \
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
 	  --deviations .cache/deviations.json $(PYTEST_ARGS)
+
+fuzz: COUNT ?= 100000
+fuzz: SEED ?= 0
+fuzz: $(STAMP)  ## feed COUNT=100000 wrong inputs (SEED=0) to all that reads files and packets
+	JAX_PLATFORMS=cpu $(BIN)/python -m tests.fuzz.run --count $(COUNT) --seed $(SEED) $(FUZZ_ARGS)
+
+# Not a part of what CI runs: 300 mutants take a night. See docs/mutants.md.
+mutants: $(STAMP)  ## put small faults into the code and see whether tests find them
+	@$(BIN)/python -c 'import cosmic_ray' 2>/dev/null || { echo "make: installing the extra mutants"; \
+	  if command -v uv >/dev/null 2>&1; then \
+	    uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[mutants]'; \
+	  else \
+	    $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e '.[mutants]'; \
+	  fi; }
+	$(BIN)/python -m tools.mutants $(MUTANTS_ARGS)
 
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)
@@ -54,7 +69,7 @@ format: $(STAMP)  ## repair style and formatting
 
 clean:  ## remove .venv and the caches in this folder; runs/ stays
 	rm -rf $(VENV) .cache .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	rm -rf .hypothesis build dist
+	rm -rf .hypothesis .mutants build dist
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # uv builds the environment where there is one, the standard library otherwise.

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario, load_scenario
     from angler_mjx.session.batch import BatchSession
     from angler_mjx.session.interface import Observation, Session
+    from angler_mjx.sim.policy import Policy
     from angler_mjx.sim.state import Outcome
     from angler_mjx.simulator.simulator import Simulator
     from angler_mjx.storage.folder import Run
@@ -29,6 +30,7 @@ __all__ = [
     "JointTrajectory",
     "Observation",
     "Outcome",
+    "Policy",
     "PoseTarget",
     "Run",
     "Scenario",
@@ -49,6 +51,7 @@ _HOME = {
     "JointTrajectory": "angler_mjx.control.joint_trajectory",
     "Observation": "angler_mjx.session.interface",
     "Outcome": "angler_mjx.sim.state",
+    "Policy": "angler_mjx.sim.policy",
     "PoseTarget": "angler_mjx.control.commands",
     "Run": "angler_mjx.storage.folder",
     "Scenario": "angler_mjx.scenario.scenario",
@@ -59,6 +62,11 @@ _HOME = {
     "resume": "angler_mjx.runs.rollout",
     "rollout": "angler_mjx.runs.rollout",
 }
+
+
+def __dir__() -> list[str]:
+    """The public names beside what has been loaded."""
+    return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str) -> Any:

@@ -17,7 +17,12 @@ pytest_testnodedown = deviations.pytest_testnodedown
 pytest_sessionfinish = deviations.pytest_sessionfinish
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    if "nightly" not in config.getoption("markexpr"):
+        long = [item for item in items if item.get_closest_marker("nightly")]
+        config.hook.pytest_deselected(items=long)
+        items[:] = [item for item in items if item not in long]
+
     def rank(item):
         found = [i for i, part in enumerate(LONG) if part in item.path.as_posix()]
         return found[0] if found else len(LONG)

@@ -13,7 +13,7 @@ from angler_mjx.vehicles import library
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-INSTALLED_EXTRAS = ("view", "plan", "sitl", "dev")
+INSTALLED_EXTRAS = ("view", "plan", "sitl", "dev", "mutants")
 
 
 def _canonical(name):

@@ -1,12 +1,16 @@
-"""The README's Python example does what it shows."""
+"""The Python examples of README and docs do what they show."""
 
 import doctest
 from pathlib import Path
 
+import pytest
 
-def test_the_python_example(tmp_path, monkeypatch):
-    readme = Path(__file__).parent.parent / "README.md"
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize(("page", "examples"), [("README.md", 9), ("docs/policies.md", 9)])
+def test_the_python_examples(page, examples, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = doctest.testfile(str(readme), module_relative=False, encoding="utf-8")
-    assert result.attempted >= 9
+    result = doctest.testfile(str(ROOT / page), module_relative=False, encoding="utf-8")
+    assert result.attempted >= examples
     assert result.failed == 0

@@ -1,7 +1,6 @@
 """Choosing the device and the compile cache, before JAX touches either."""
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from angler_mjx.errors import ConfigError
@@ -15,7 +14,7 @@ type Device = Literal["cpu", "gpu"]
 def choose(device: Device | None, *, distributed: bool = False) -> None:
     """Make JAX compute on ``device``, or on its own choice if None, with a compile cache.
 
-    Compiled programs are kept in ``JAX_COMPILATION_CACHE_DIR``, or else in the user's cache folder.
+    Compiled programs are kept: see `angler_mjx.simulator.cache`.
 
     Args:
         device: where to compute.
@@ -27,9 +26,9 @@ def choose(device: Device | None, *, distributed: bool = False) -> None:
     """
     import jax
 
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(base / "angler-mjx" / "xla"))
+    from angler_mjx.simulator import cache
+
+    cache.switch_on()
     if device == "cpu":
         jax.config.update("jax_platforms", "cpu")
     if device == "gpu" and not distributed:

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 
 
 def make(
@@ -32,9 +32,17 @@ def make(
         placement: Where they start and go; the preset's if left out.
         tile: Worlds generated at once.
     """
-    for name, number in (("count", count), ("robots", robots), ("tile", tile)):
-        if number < 1:
-            raise ConfigError(f"--{name} {number}: must be at least 1")
+    for name, number, most in (
+        ("count", count, 10**9),
+        ("robots", robots, 1024),
+        ("tile", tile, 10**7),
+    ):
+        if not 1 <= number <= most:
+            raise ConfigError(f"--{name} {shown(number)}: must be at least 1 and at most {most}")
+    if not 0 <= seed < 2**32:
+        raise ConfigError(f"--seed {shown(seed)}: must be 0 to {2**32 - 1}")
+    if not 0 < radius_m <= 1000:
+        raise ConfigError(f"--radius-m {radius_m:g}: must be above 0 and at most 1000")
     import numpy as np
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
@@ -45,7 +53,7 @@ def make(
 
     given: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
     data = {key: value for key, value in given.items() if value is not None}
-    config = parse(WorldConfig, data, source="angler env make")
+    config = parse(WorldConfig, data, source="flags of angler env make")
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("worlds", total=count)
@@ -62,19 +70,21 @@ def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Pa
     """Draw one environment of a file.
 
     Args:
-        file: Made by `angler env make`.
+        file: Made by `angler env make`, or a run folder that stored trajectories.
         index: Which world.
         out: Picture to write, for example env.png.
     """
     from angler_mjx.storage import environments as store
     from angler_mjx.viewing import environment, style
 
+    style.require_format(out)
     group = store.open_file(file)
-    count = group["valid"].shape[0]  # type: ignore[union-attr]
+    valid: Any = group["valid"]
+    count = valid.shape[0]
     if not 0 <= index < count:
         raise ConfigError(f"--index {index}: {file} holds worlds 0 to {count - 1}")
-    about: Any = group.attrs
-    name = about["world_config"]["preset"]
+    config: Any = group.attrs.get("world_config")  # a run's environments carry none
+    name = str(config.get("preset", file.name)) if isinstance(config, dict) else file.name
     picture = environment.draw(store.read(group, index), title=f"{name}, world {index}")
     style.save(picture, out)
     print(out)

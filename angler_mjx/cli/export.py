@@ -7,6 +7,9 @@ import tyro
 
 from angler_mjx.errors import ConfigError
 
+MOST_DIGITS = 10
+"""Of the index of a world: a run has 1e9 at most."""
+
 
 def export(
     run: Annotated[Path, tyro.conf.Positional],
@@ -22,7 +25,7 @@ def export(
         worlds: Indices, as in 0,3; the worst and one good world if left out.
         force: Replace an older bag.
     """
-    chosen = None if worlds is None else _indices(worlds)
+    chosen = None if worlds is None else indices(worlds)
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
@@ -44,13 +47,19 @@ def export(
     print(mcap)
 
 
-def _indices(text: str) -> list[int]:
+def indices(text: str) -> list[int]:
     """Whole numbers with commas between them.
 
     Raises:
-        ConfigError: the text is something else.
+        ConfigError: the text is something else, or beyond any run.
     """
+    from angler_mjx.errors import shown
+
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isdecimal() for part in parts):
-        raise ConfigError(f"--worlds {text}: give indices with commas between them, as in 0,3")
+        raise ConfigError(
+            f"--worlds {shown(text)}: give indices with commas between them, as in 0,3"
+        )
+    if long := [part for part in parts if len(part) > MOST_DIGITS]:
+        raise ConfigError(f"--worlds {shown(long[0])}: no run holds so many worlds")
     return [int(part) for part in parts]

@@ -11,16 +11,19 @@ from typing import Any
 
 import tyro
 
+from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
     control,
     env,
     export,
     rollout,
+    scenarios,
     teleop,
     tune,
     validate,
     vehicle,
+    verify,
 )
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
@@ -36,9 +39,17 @@ command computes, finds next to nothing, and takes a fifth of that time."""
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "env": {"make": env.make, "show": env.show},
     "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
+    "scenarios": {
+        "list": scenarios.list_,
+        "show": scenarios.show,
+        "reference": scenarios.reference,
+    },
     "vehicle": {"list": vehicle.list_, "show": vehicle.show, "export": vehicle.export},
 }
 """Commands of two words."""
+
+ALONE = {"scenarios": "list"}
+"""What a group does when no second word is given."""
 
 
 def _env() -> None:
@@ -49,15 +60,20 @@ def _sitl() -> None:
     """Install a real ArduSub, look whether it can be run here, fly scenarios on it."""
 
 
+def _scenarios() -> None:
+    """List the shipped scenarios, print one, or print what a file of yours may hold."""
+
+
 def _vehicle() -> None:
     """List vehicles, show what one can do, export its MuJoCo model."""
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
-    "scenarios": rollout.scenarios,
+    "scenarios": _scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
+    "verify": verify.verify,
     "export": export.export,
     "teleop": teleop.teleop,
     "env": _env,
@@ -76,20 +92,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command.
 
     Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
-    be used, with 130 when it was interrupted.
+    be used or a run cannot go on, with 130 when it was interrupted, and with 1 after a traceback: a
+    fault of angler's own, to be reported.
     """
     # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     gc.set_threshold(*GARBAGE)
     given = list(sys.argv[1:] if arguments is None else arguments)
     prog, commands = "angler", COMMANDS
+    if given == ["--version"]:
+        print(f"angler {__version__}")
+        return
+    if len(given) == 1 and given[0] in ALONE:
+        given.append(ALONE[given[0]])
     if given and given[0] in GROUPS:
         prog, commands = f"angler {given[0]}", GROUPS[given.pop(0)]
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog=prog,
-            description="Underwater multi-robot simulation in batches, on JAX and MJX.",
+            description="Underwater multi-robot simulation in batches, on JAX and MJX. "
+            "angler --version tells which.",
             args=given,
             config=(tyro.conf.OmitArgPrefixes,),
         )

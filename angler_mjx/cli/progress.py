@@ -85,3 +85,7 @@ class Bar:
         self._done += worlds
         steps = self._bar.tasks[0].fields["steps"] + vehicle_steps
         self._bar.update(self._task, completed=int(self._done + 1e-6), steps=steps)
+
+    def tell(self, text: str) -> None:
+        """See `Progress`."""
+        self._bar.console.print(text, highlight=False, markup=False)

@@ -14,20 +14,6 @@ if TYPE_CHECKING:
     from angler_mjx.storage.folder import Run
 
 
-def scenarios() -> None:
-    """List the shipped scenarios."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from angler_mjx.scenario.scenario import load_scenario, shipped
-
-    table = Table("scenario", "robots", "description")
-    for name in shipped():
-        scenario = load_scenario(name)
-        table.add_row(name, str(len(scenario.members())), scenario.description)
-    Console().print(table)
-
-
 def rollout(
     scenario: Annotated[str, tyro.conf.Positional],
     worlds: int | None = None,
@@ -82,9 +68,9 @@ def rollout(
         processes=processes,
         process=process,
     )
+    from angler_mjx.cli.given import flag, scenario_given
     from angler_mjx.cli.progress import Bar
     from angler_mjx.runs import rollout as runs
-    from angler_mjx.scenario.scenario import load_scenario
 
     given = {
         "worlds": worlds,
@@ -97,9 +83,9 @@ def rollout(
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
-        flags = ", ".join(f"--{'record-hz' if key == 'time' else key}" for key in overrides)
+        flags = ", ".join("--record-hz" if key == "time" else flag(key) for key in overrides)
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
-    loaded = load_scenario(scenario, **overrides)
+    loaded = scenario_given(scenario, **overrides)
     place = out or Path("runs") / loaded.name
     with Bar(quiet=json or team.index > 0) as bar:
         how: dict[str, Any] = {
@@ -108,7 +94,11 @@ def rollout(
             "devices": devices,
             "team": team,
         }
-        run = runs.resume(place, **how) if resume else runs.rollout(loaded, out=place, **how)
+        run = (
+            runs.resume(place, scenario=loaded, **how)
+            if resume
+            else runs.rollout(loaded, out=place, **how)
+        )
     team.leave()
     if team.index == 0:
         if figures:
@@ -180,7 +170,7 @@ def _report(run: "Run", *, as_json: bool) -> None:
         "outcome",
         "robots",
         "rate",
-        "95 % interval",
+        "95 % interval, by world",
         title=f"{summary['scenario']}: {summary['worlds_done']} worlds, {summary['robots']} robots",
     )
     for name, row in summary["outcomes"].items():

@@ -73,7 +73,7 @@ def teleop(
         prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.scenario.scenario import load_scenario
+    from angler_mjx.cli.given import scenario_given
     from angler_mjx.teleop import driving, opening
 
     settings = driving.Settings(
@@ -88,7 +88,7 @@ def teleop(
         turn_radps=turn,
         silence_s=silence,
     )
-    loaded = load_scenario(scenario, **({} if seed is None else {"seed": seed}))
+    loaded = scenario_given(scenario, seed=seed)
     opener: opening.Opener = opening.simulated
     if session == "sitl":
         opener = real_autopilots(

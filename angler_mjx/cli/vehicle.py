@@ -119,14 +119,15 @@ def _rows(facts: "Properties") -> list[tuple[str, str]]:
         ("weight", f"{facts.weight_n:.2f} N"),
         ("buoyancy", f"{facts.buoyancy_n:.2f} N"),
         ("net (up is positive)", f"{facts.buoyancy_n - facts.weight_n:+.2f} N"),
-        *(
-            (f"{axis} at full thrust", f"{speed:.2f} m/s, time constant {lag:.2f} s")
-            for axis, speed, lag in speeds
-        ),
+        *((f"{axis} at full thrust", _speed(speed, lag)) for axis, speed, lag in speeds),
         ("natural roll period", _period(facts.roll_period_s)),
         ("natural pitch period", _period(facts.pitch_period_s)),
         ("rotor time constant", f"{facts.rotor_time_constant_s:g} s"),
     ]
+
+
+def _speed(speed: float, lag: float) -> str:
+    return f"{speed:.2f} m/s, time constant {lag:.2f} s" if speed > 0 else "none by itself"
 
 
 def _period(seconds: float | None) -> str:

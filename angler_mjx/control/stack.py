@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import allocation
+from angler_mjx.control import allocation, command_checks
 from angler_mjx.control.allocation import AllocationParams
 from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate, PoseTarget, ThrusterPwm
 from angler_mjx.control.joint_trajectory import JointTrajectory
@@ -91,6 +91,8 @@ class Stage:
     """Whether it is to be told the current."""
     wants_realised: bool = False
     """Whether it is to be told what became of the wrench of the step before."""
+    wants_sway: bool = False
+    """Whether it cannot fly a vehicle that has no thrust to the side."""
 
 
 type Stages = tuple[Stage, ...]
@@ -145,23 +147,20 @@ def entry(stages: Stages, command: type) -> int:
     )
 
 
-def check_command(stages: Stages, command: Command, lead: tuple[int, ...]) -> None:
+def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrusters: int) -> None:
     """Refuse a batch of commands that a stack cannot be driven by (host side).
 
     Args:
         stages: the stack.
         command: of every robot.
         lead: sizes of the axes that all arrays begin with, [world, robot].
+        thrusters: of a robot, padding included.
 
     Raises:
-        ConfigError: no stage takes it, or it is not for every robot of every world.
+        ConfigError: no stage takes it, or an array of it has another shape than its robots want.
     """
     entry(stages, type(command))
-    if bad := [x.shape for x in jax.tree.leaves(command) if x.shape[: len(lead)] != lead]:
-        raise ConfigError(
-            f"command {type(command).__name__}: an array of it has the shape {bad[0]}; all must "
-            f"begin with {lead}, for [world, robot]"
-        )
+    command_checks.check_arrays(command, lead, thrusters)
 
 
 def wants_flow(stages: Stages) -> bool:

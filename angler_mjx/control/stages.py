@@ -42,6 +42,7 @@ def _of_law(
     *,
     flow: bool = False,
     realised: bool = False,
+    sway: bool = False,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
 
@@ -77,6 +78,7 @@ def _of_law(
         check=law.check,
         wants_flow=flow,
         wants_realised=realised,
+        wants_sway=sway,
     )
 
 
@@ -167,7 +169,7 @@ _ALL = (
     ),
     _allocation("pseudo_inverse", allocation.allocate),
     _allocation("prioritized", allocation.allocate_to_limits),
-    _of_law("ardusub", ardusub, ardusub.ArduSubGains, _POSES, ThrusterPwm),
+    _of_law("ardusub", ardusub, ardusub.ArduSubGains, _POSES, ThrusterPwm, sway=True),
 )
 
 STAGES = {stage.name: stage for stage in _ALL}

@@ -3,26 +3,35 @@
 Every function takes and gives pytrees of one world with a leading axis [tile] on every leaf.
 """
 
-from functools import partial
-from typing import Any, Protocol
-
-import jax
+from typing import Protocol
 
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
-from angler_mjx.errors import UnsupportedError
-from angler_mjx.physics import mjx_engine
-from angler_mjx.sim import episode
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.state import Sample, SimSpec, World, WorldState
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import SimSpec, World, WorldState
 
 
 class Engine(Protocol):
     """What a simulator asks of an engine."""
 
-    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
-        """Worlds at t = 0: robots at rest at their starts, obstacles in place."""
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
+        """Worlds at t = 0: robots at rest at their starts, obstacles in place.
+
+        Args:
+            spec: settings.
+            fleet: compiled vehicles.
+            worlds: constants of the worlds; drawn with keys for the policy if there is one.
+            policy: that is to command the robots.
+
+        Raises:
+            ConfigError: the controllers cannot be commanded by the policy.
+        """
         ...
 
     def control_step(
@@ -32,6 +41,7 @@ class Engine(Protocol):
         worlds: World,
         state: WorldState,
         command: Command | None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -41,6 +51,7 @@ class Engine(Protocol):
             worlds: constants of the worlds.
             state: of the worlds.
             command: to the controllers instead of the paths, [tile, R] leading.
+            policy: that commands them where ``command`` does not; the one of `reset`.
 
         Returns:
             The state one control period later, and the sample of the state before.
@@ -57,65 +68,13 @@ class Engine(Protocol):
         n_sample: int,
         steps_per_sample: int,
         command: Command | None = None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
-        """``n_sample * steps_per_sample`` control steps, all with one command.
+        """``n_sample * steps_per_sample`` control steps, all with one command, or with a policy's.
 
         Samples are [tile, n_sample, ...].
         """
         ...
-
-
-class MjxEngine:
-    """MuJoCo MJX: multibody models, one ``vmap`` over worlds."""
-
-    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
-        """See `Engine.reset`."""
-        one = partial(episode.reset, spec, _multibody(fleet))
-        state: WorldState = jax.vmap(one)(worlds.body, worlds)
-        return state
-
-    def control_step(
-        self,
-        spec: SimSpec,
-        fleet: Fleet,
-        worlds: World,
-        state: WorldState,
-        command: Command | None,
-    ) -> tuple[WorldState, Sample]:
-        """See `Engine.control_step`."""
-        one = partial(episode.control_step, spec)
-        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
-            _multibody(fleet), worlds, state, command
-        )
-        return after
-
-    def segment(
-        self,
-        spec: SimSpec,
-        fleet: Fleet,
-        worlds: World,
-        state: WorldState,
-        *,
-        n_sample: int,
-        steps_per_sample: int,
-        command: Command | None = None,
-    ) -> tuple[WorldState, Sample]:
-        """See `Engine.segment`."""
-        one = partial(episode.segment, spec, n_sample=n_sample, steps_per_sample=steps_per_sample)
-
-        def told(world: World, state: WorldState, command: Command | None) -> Any:
-            return one(_multibody(fleet), world, state, command=command)
-
-        after: tuple[WorldState, Sample] = jax.vmap(told)(worlds, state, command)
-        return after
-
-
-def _multibody(fleet: Fleet) -> mjx_engine.MjxEngine:
-    if fleet.engine is None:
-        raise UnsupportedError(
-            "the fleet was built without multibody models: engine mjx needs them"
-        )
-    return fleet.engine
 
 
 def by_name(name: str, kernels: str) -> Engine:

@@ -15,14 +15,15 @@ rad about z, 0 = east.
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from angler_mjx.control.joint_goal import JointGoal, JointPoint, shape_faults
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse
+from angler_mjx.files import FileModel, listed, named, parse, read_json
 from angler_mjx.interop.ros_messages import NANO, joint_trajectory
+from angler_mjx.quantities import SchemaVersion
 from angler_mjx.storage.atomic import replacing
 
 SCHEMA_VERSION = 1
@@ -84,7 +85,7 @@ class _Robot(FileModel):
 
 
 class _File(FileModel):
-    schema_version: Literal[1]
+    schema_version: SchemaVersion
     robots: tuple[_Robot, ...]
 
 
@@ -101,9 +102,9 @@ def read(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
     Raises:
         ConfigError: the file cannot be read, or one message with all its faults.
     """
-    data = _load(path)
+    data = read_json(path)
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: must hold an object with schema_version and robots")
+        raise ConfigError(f"{named(path)}: must hold an object with schema_version and robots")
     held = parse(_File, data, source=str(path)).robots
     faults: list[str] = []
     goals: dict[int, JointGoal] = {}
@@ -118,8 +119,7 @@ def read(path: Path, *, robots: int | None = None) -> dict[int, JointGoal]:
         faults += [f"robots[{i}].trajectory.{fault}" for fault in shape_faults(goal)]
         goals[entry.robot] = goal
     if faults:
-        head = f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"
-        raise ConfigError("\n  ".join([head, *faults]))
+        raise ConfigError(listed(str(path), faults))
     return goals
 
 
@@ -147,29 +147,3 @@ def write(path: Path, goals: Mapping[int, JointGoal], *, force: bool = False) ->
     text = json.dumps(table, indent=1, allow_nan=False)
     with replacing(path, flag="file", force=force) as writing:
         writing.write_text(text + "\n", encoding="utf-8")
-
-
-def _load(path: Path) -> Any:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    try:
-        return json.loads(text, object_pairs_hook=_once)
-    except json.JSONDecodeError as error:
-        raise ConfigError(f"{path}: not valid JSON: {error}") from error
-    except _TwiceError as error:
-        text = f"{path}: key {error} is there twice in one object; give it once"
-        raise ConfigError(text) from error
-
-
-class _TwiceError(Exception):
-    """A key that an object has twice."""
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise _TwiceError(next(repr(name) for name in names if names.count(name) > 1))
-    return table

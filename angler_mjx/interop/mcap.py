@@ -19,7 +19,9 @@ from angler_mjx.interop import ros_messages as ros
 from angler_mjx.interop.bag import Bag
 from angler_mjx.storage import environments as store
 from angler_mjx.storage.atomic import replacing, require_free
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import TRAJECTORIES, Run
+from angler_mjx.storage.results import end_time_s
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
@@ -119,13 +121,16 @@ def _read(run: Run, world: int) -> _World:
             if there
             else f"--worlds {world}: {run.path} holds no finished world"
         )
+    with reading(run.path / TRAJECTORIES):
+        return _stored(run, world, rows)
+
+
+def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
     stored: Any = run.trajectories
     time = np.asarray(stored["time_s"])
-    ends = (
-        row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"] for row in rows
-    )
+    ends = (end_time_s(row) for row in rows)
     count = min(time.size, int(np.searchsorted(time, max(ends))) + 1)
-    sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu", "pwm_us")}
+    sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu")}
     moving = "obstacle_p_m" in stored
     plan_time, plan = stored["plan_time_s"][world], stored["plan_m"][world]
     kept = [np.r_[True, np.diff(times) > 0] for times in plan_time]
@@ -133,18 +138,13 @@ def _read(run: Run, world: int) -> _World:
         index=world,
         time_s=time[:count],
         environment=store.read(stored["environment"], world),
+        pwm_us=np.rint(stored["pwm_us"][world, :count]).astype(np.uint16),
         plan_time_s=[times[rows] for times, rows in zip(plan_time, kept, strict=True)],
         plan_m=[points[rows] for points, rows in zip(plan, kept, strict=True)],
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         **sampled,
     )
-
-
-def _end(row: dict[str, Any]) -> float:
-    """When a robot's episode ended, s."""
-    arrived = row["outcome"] == "reached"
-    return float(row["time_to_goal_s" if arrived else "failure_time_s"])
 
 
 def _begin(bag: Bag, worlds: Sequence[_World]) -> None:

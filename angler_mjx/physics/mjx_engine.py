@@ -1,8 +1,13 @@
 """MuJoCo MJX behind one module: the inertia and the bias force of a vehicle's multibody model.
 
-Owns everything that touches ``mujoco.mjx``: the model that a fleet shares, the inertias in which
-its vehicles differ, and the inertia and force that the step needs. MJX's own integrators, contacts,
+Owns everything that touches ``mujoco.mjx``: the model that a fleet shares, the fields in which its
+vehicles differ, and the inertia and force that the step needs. MJX's own integrators, contacts,
 actuators and fluid model are not used; no MuJoCo fluid attribute is ever set.
+
+MJX compiles part of a model into its programs, the places of the mass matrix that can be other
+than zero among it: for a body that MuJoCo calls simple, whose inertia is diagonal in its own frame,
+these are the diagonal alone. A fleet has one program, so its models are made alike first: none is
+simple.
 
 A free joint's velocity in MuJoCo is the linear velocity in the world and the angular velocity in
 the body; ours is ``nu``, both in the body. The conversion happens here, once.
@@ -10,8 +15,8 @@ the body; ours is ``nu``, both in the body. The conversion happens here, once.
 
 import contextlib
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -27,13 +32,13 @@ from angler_kernels.rigid_body import matrix_times
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class BodyInertia:
-    """The fields of an mjx.Model in which vehicles differ; MuJoCo's names and shapes."""
+    """What of MuJoCo's model differs between the vehicles of a fleet: masses and inertias, mainly.
 
-    body_mass: jax.Array
-    body_inertia: jax.Array
-    body_iquat: jax.Array
-    body_ipos: jax.Array
-    body_subtreemass: jax.Array
+    Found by comparing the models. Empty where all are the same, or where nobody computes with MJX.
+    """
+
+    fields: dict[str, jax.Array]
+    """By MuJoCo's names and in its shapes; nested ones with a dot, as ``stat.meanmass``."""
 
 
 @jax.tree_util.register_dataclass
@@ -45,6 +50,12 @@ class MjxEngine:
     """mjx.Model of the first variant; the fields of `BodyInertia` are replaced for each robot."""
     data: Any
     """mjx.Data, the scratch of one evaluation."""
+
+    def under(self, gravity_mps2: float) -> "MjxEngine":
+        """The same engine in a field of gravity of so much, m/s^2, along -z."""
+        before = self.model.opt.gravity
+        gravity = jnp.asarray([0.0, 0.0, -gravity_mps2], before.dtype)
+        return replace(self, model=self.model.tree_replace({"opt.gravity": gravity}))
 
     def inertia_and_force(
         self, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
@@ -74,38 +85,111 @@ class MjxEngine:
         return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
 
 
-def build(models: Sequence[mujoco.MjModel]) -> tuple[MjxEngine, BodyInertia]:
-    """The engine of a fleet and the inertias of its variants.
+def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxEngine, BodyInertia]:
+    """The engine of a fleet, and in what its variants differ.
 
     Args:
-        models: one compiled model a variant, each a single free body.
+        specs: one a variant, each a single free body; names are of no account.
 
     Returns:
-        The engine, and the inertias with a leading axis [n_variant].
+        The engine, and the fields that differ, [n_variant] leading.
+
+    Raises:
+        ValueError: a model is not one free body, or they differ in what MJX compiles in.
+    """
+    # MJX itself takes the first device of all processes, which another process may own.
+    here = jax.local_devices()[0]
+    models = [_mjx().put_model(model, device=here) for model in compiled(specs)]
+    engine = MjxEngine(model=models[0], data=_mjx().make_data(models[0], device=here))
+    return engine, BodyInertia(fields=jax.device_put(_differing(models)))
+
+
+def without(specs: Sequence[mujoco.MjSpec]) -> BodyInertia:
+    """What those have who do not compute with MJX; arguments and what is refused as of `build`."""
+    compiled(specs)
+    return BodyInertia(fields={})
+
+
+def compiled(specs: Sequence[mujoco.MjSpec]) -> list[mujoco.MjModel]:
+    """The models of a fleet in MuJoCo's general form, so that one program fits all.
+
+    Arguments as of `build`.
 
     Raises:
         ValueError: a model is not one free body.
     """
-    bodies = inertias(models)
-    # MJX itself takes the first device of all processes, which another process may own.
-    here = jax.local_devices()[0]
-    model = _mjx().put_model(models[0], device=here)
-    return MjxEngine(model=model, data=_mjx().make_data(model, device=here)), bodies
+    return [_general(spec) for spec in specs]
 
 
-def inertias(models: Sequence[mujoco.MjModel]) -> BodyInertia:
-    """The inertias of a fleet's variants; arguments and what is refused as of `build`."""
-    shapes = {(m.nq, m.nv, m.nbody) for m in models}
-    if shapes != {(7, 6, 2)}:
+_CYCLE = np.full(4, 0.5)
+"""Quaternion that takes x to y, y to z and z to x: exact in any float type."""
+
+
+def _general(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """A model without names of its own, and without bodies that MuJoCo takes for simple ones.
+
+    A body is simple where the axes of its inertia are its own; the same inertia with its axes in
+    another order is not.
+    """
+    spec = spec.copy()
+    spec.modelname = "vehicle"
+    for kind in (spec.bodies[1:], spec.joints):
+        for i, one in enumerate(kind):
+            one.name = f"{type(one).__name__}_{i}"
+    model = spec.compile()
+    if (model.nq, model.nv, model.nbody) != (7, 6, 2):
         raise ValueError(
-            f"every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: {shapes}"
+            "every vehicle must be one free body, (7, 6, 2) as nq, nv, nbody: "
+            f"{(model.nq, model.nv, model.nbody)}"
         )
-    dtype = jnp.result_type(float)
-    stacked = {
-        field.name: np.stack([np.asarray(getattr(m, field.name), dtype) for m in models])
-        for field in fields(BodyInertia)
-    }
-    return BodyInertia(**jax.device_put(stacked))
+    if not model.body_simple[1:].any():
+        return model
+    for i, body in enumerate(spec.bodies[1:], 1):
+        axes = np.zeros(4)
+        mujoco.mju_mulQuat(axes, model.body_iquat[i], _CYCLE)
+        body.fullinertia = np.full(6, np.nan)  # as MuJoCo says: not given
+        body.inertia, body.iquat = np.roll(model.body_inertia[i], -1), axes
+    model = spec.compile()
+    if model.body_simple[1:].any():
+        raise ValueError("MuJoCo takes a vehicle for a simple body whatever axes its inertia has")
+    return model
+
+
+def _differing(models: Sequence[Any]) -> dict[str, np.ndarray]:
+    """Arrays [n_model, ...] of all fields of mjx.Models that are not the same in all.
+
+    Raises:
+        ValueError: they differ in what is no array of numbers to compute with.
+    """
+    out = {}
+    for same_field in zip(*map(_flat, models), strict=True):
+        name, values = same_field[0][0], [value for _, value in same_field]
+        arrays = [np.asarray(value) for value in values]
+        if all(_same(arrays[0], array) for array in arrays[1:]):
+            continue
+        if not isinstance(values[0], jax.Array) or len({array.shape for array in arrays}) > 1:
+            raise ValueError(
+                f"vehicles of one fleet differ in MuJoCo's {name}, which MJX compiles into its "
+                f"program: {', '.join(str(array)[:40] for array in arrays)}; fly them in runs of "
+                'their own, or with engine = "fused"'
+            )
+        out[name] = np.stack(arrays)
+    return out
+
+
+def _flat(node: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """All fields of a model, and of what it holds, by their names."""
+    for field in fields(node):
+        value = getattr(node, field.name)
+        if is_dataclass(value):
+            yield from _flat(value, f"{prefix}{field.name}.")
+        else:
+            yield f"{prefix}{field.name}", value
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether two arrays hold the same; NaN is the same as NaN."""
+    return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
 
 
 @cache
@@ -122,9 +206,7 @@ def _inertia_and_bias(
     """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
     mjx = _mjx()
     v_world = quaternion.rotate(q, nu[:3])
-    model = engine.model.replace(
-        **{field.name: getattr(body, field.name) for field in fields(body)}
-    )
+    model = engine.model.tree_replace(body.fields)
     data = engine.data.replace(
         qpos=jnp.concatenate([p, q]), qvel=jnp.concatenate([v_world, nu[3:]])
     )

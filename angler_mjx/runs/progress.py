@@ -20,6 +20,9 @@ class Progress(Protocol):
     def advance(self, worlds: float, vehicle_steps: int) -> None:
         """A part of the run is done."""
 
+    def tell(self, text: str) -> None:
+        """Something that a person should know: what was damaged and is made again."""
+
 
 class Silent:
     """A progress that says nothing."""
@@ -34,4 +37,7 @@ class Silent:
         """See `Progress`."""
 
     def advance(self, worlds: float, vehicle_steps: int) -> None:
+        """See `Progress`."""
+
+    def tell(self, text: str) -> None:
         """See `Progress`."""

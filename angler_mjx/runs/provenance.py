@@ -1,5 +1,6 @@
 """Where a number comes from: versions, device, machine, commit and command of this process."""
 
+import json
 import os
 import platform
 import resource
@@ -11,6 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.policy import Policy
+from angler_mjx.storage import folder
 
 
 def describe_environment() -> dict[str, Any]:
@@ -64,3 +70,27 @@ def _commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return f"{commit}-changed" if changed else commit
+
+
+def write_policy(building: Path, policy: Policy | None) -> None:
+    """Say in a new run which policy commands its robots, if one does."""
+    if policy is not None:
+        folder.write_json(building / folder.POLICY, policies.describe(policy))
+
+
+def require_policy(building: Path, policy: Policy | None) -> None:
+    """Refuse to go on with a run under another policy than its own.
+
+    Raises:
+        ConfigError: it was begun with another one.
+    """
+    path = building / folder.POLICY
+    before = json.loads(path.read_text()) if path.exists() else None
+    now = None if policy is None else policies.describe(policy)
+    if before != now:
+        had, has = ("no policy" if one is None else one["class"] for one in (before, now))
+        other = " of other numbers" if had == has else ""
+        raise ConfigError(
+            f"{path}: the run was begun with {had} and is to go on with {has}{other}; "
+            "give the policy that it was begun with"
+        )

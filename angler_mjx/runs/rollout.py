@@ -6,7 +6,7 @@ interrupted with all finished tiles in it. An interrupted run can be taken up ag
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,16 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import sizes, waves
+from angler_mjx.runs import opening, sizes, waves
+from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import Alone, Team
 from angler_mjx.runs.progress import Progress, Silent
-from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
+from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.simulator import CompileTime, Simulator
-from angler_mjx.storage import folder, harvest, results
+from angler_mjx.storage import claims, folder, harvest, results
+from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.recorder import Recorder
 from angler_mjx.storage.writer import Writer
@@ -46,6 +49,7 @@ def rollout(
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
@@ -58,6 +62,7 @@ def rollout(
         simulator: of the same scenario, to use what it has compiled already.
         devices: devices of this process to run on; all if left out. Changes no byte of the results.
         team: processes that share the run; each calls this with the same arguments.
+        policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -69,46 +74,73 @@ def rollout(
             process of the team failed.
     """
     place, team = Path(out), team or Alone()
-    with _telling(team):
-        if team.index == 0 and place.exists():
-            raise ConfigError(f"--out {place}: exists; give another folder or remove it")
-        simulator = simulator or Simulator(scenario, devices=devices)
+    with _telling(team), ExitStack() as stack:
+        if team.index == 0:
+            claims.require_none(place)
+        simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
+        claimed = None
         if team.index == 0:
-            _begin(simulator, place)
+            claimed = opening.begin(simulator, place)
+            stack.enter_context(opening.held(claimed, new=team.count == 1))
         team.meet("folder")
-        try:
-            return _Rollout(simulator, place, room, progress or Silent(), team).run()
-        except BaseException:
-            building = folder.partial_path(place)
-            if team.count == 1 and building.exists() and folder.read_parts(building) is None:
-                folder.remove(building)
-            raise
+        return _Rollout(simulator, place, room, progress or Silent(), team, claimed).run()
 
 
 def resume(
     out: Path | str,
     *,
+    scenario: Scenario | None = None,
     chunk: int | None = None,
     progress: Progress | None = None,
     simulator: Simulator | None = None,
     devices: int | None = None,
     team: Team | None = None,
+    policy: Policy | None = None,
 ) -> folder.Run:
-    """Go on with an interrupted run; arguments and errors as in `rollout`."""
+    """Go on with an interrupted run; arguments and errors as in `rollout`.
+
+    What the run stored is looked through first. Tiles of which something is missing or damaged are
+    computed again, and ``progress`` is told.
+
+    Args:
+        out: name of the run.
+        scenario: that a person takes the run to be of; refused if it is of another one.
+        chunk: as in `rollout`.
+        progress: as in `rollout`.
+        simulator: as in `rollout`.
+        devices: as in `rollout`.
+        team: as in `rollout`.
+        policy: the one that the run was begun with.
+
+    Raises:
+        ConfigError: there is no interrupted run of that name, another process goes on with it, it
+            is of another scenario or policy, or its vehicle files were edited since.
+        RunError: as in `rollout`.
+    """
     place, team = Path(out), team or Alone()
-    with _telling(team):
+    told = progress or Silent()
+    with _telling(team), ExitStack() as stack:
+        claimed = None
         if team.index == 0:
-            folder.reopen(place)
-        team.meet("folder")
-        scenario = folder.read_scenario(folder.partial_path(place))
-        simulator = simulator or Simulator(scenario, devices=devices)
-        if simulator.scenario.model_copy(update=_resolved(simulator)) != scenario:
+            if scenario is not None:
+                opening.require_same(place, scenario)
+            claimed = folder.reopen(place, told.tell)
+            stack.enter_context(opening.held(claimed, new=False))
+        team.meet("found")
+        building = claims.partial_path(place)
+        stored = folder.read_scenario(building)
+        simulator = simulator or Simulator(stored, devices=devices, policy=policy)
+        require_policy(building, simulator.policy)
+        if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
-        return _Rollout(simulator, place, room, progress or Silent(), team).run()
+        if team.index == 0 and stored.time.record_hz > 0:
+            opening.mend(simulator, building, told)
+        team.meet("folder")
+        return _Rollout(simulator, place, room, told, team, claimed).run()
 
 
 @contextmanager
@@ -122,46 +154,27 @@ def _telling(team: Team) -> Iterator[None]:
         raise
 
 
-def _resolved(simulator: Simulator) -> dict[str, Any]:
-    """What the simulator chose where the scenario said nothing."""
-    return {"tile": simulator.tile, "kernels": simulator.kernels}
-
-
-def _begin(simulator: Simulator, place: Path) -> None:
-    """Make the folder of a new run, with what is known before the first world."""
-    scenario, shape = simulator.scenario, sizes.shape_of(simulator)
-    resolved = scenario.model_copy(update=_resolved(simulator))
-    if scenario.time.record_hz > 0:
-        folder.require_space(place, scenario.worlds * shape.bytes_per_world())
-    building = folder.create(place)
-    try:
-        folder.write_json(building / folder.CONFIG, resolved.model_dump(mode="json"))
-        folder.write_json(building / folder.ENVIRONMENT, describe_environment())
-        if scenario.time.record_hz > 0:
-            Recorder.create(
-                building / folder.TRAJECTORIES,
-                shape,
-                simulator.world_shape().environment,
-                tile=simulator.tile,
-                sample_dt_s=1.0 / scenario.time.record_hz,
-            )
-    except BaseException:
-        folder.remove(building)
-        raise
-
-
 class _Rollout:
     """One run in the making, or this process's share of it."""
 
     def __init__(
-        self, simulator: Simulator, out: Path, room: int, progress: Progress, team: Team
+        self,
+        simulator: Simulator,
+        out: Path,
+        room: int,
+        progress: Progress,
+        team: Team,
+        claimed: Claim | None,
     ) -> None:
         self._sim = simulator
         self._scenario = simulator.scenario
-        self._building = folder.partial_path(out)
+        self._claimed = claimed
+        """Process 0's alone."""
+        self._building = claims.partial_path(out)
         self._out = out
         self._room = room
-        self._progress = progress
+        number = f".{team.index}" if team.index else ""
+        self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
         self._team = team
         self._shape = sizes.shape_of(simulator)
         self._recorder: Recorder | None = None
@@ -172,6 +185,16 @@ class _Rollout:
 
     def run(self) -> folder.Run:
         """Run what is left and close the folder."""
+        try:
+            run = self._run()
+        except BaseException as error:
+            self._progress.write(f"ended: {error or type(error).__name__}")
+            raise
+        finally:
+            self._progress.close()
+        return run
+
+    def _run(self) -> folder.Run:
         team = self._team
         tiles, done = self._share()
         total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
@@ -199,9 +222,23 @@ class _Rollout:
         """First worlds of this process's tiles, and the worlds that were finished before."""
         before = folder.read_parts(self._building)
         finished = set() if before is None else set(before["world"].to_pylist())
-        tiles = range(0, self._scenario.worlds, self._sim.tile)
-        left = [first for first in tiles if first not in finished]
+        left = []
+        for first in range(0, self._scenario.worlds, self._sim.tile):
+            worlds = range(first, min(first + self._sim.tile, self._scenario.worlds))
+            if not finished.issuperset(worlds) or self._lost(first):
+                left.append(first)
+                finished.difference_update(worlds)
         return left[self._team.index :: self._team.count], len(finished)
+
+    def _lost(self, first: int) -> bool:
+        """Whether trajectories of a finished tile are not there any more."""
+        name = None if self._recorder is None else self._recorder.lacks(first)
+        if name is not None and self._team.index == 0:
+            self._progress.tell(
+                f"{self._building / folder.TRAJECTORIES / name}: worlds {first} and on are missing "
+                "or damaged; they are computed again"
+            )
+        return name is not None
 
     def _simulate(self, tiles: list[int], clock: _Clock) -> bool:
         """Run the tiles and write them; returns whether that was interrupted."""
@@ -236,14 +273,15 @@ class _Rollout:
             if self._recorder is not None and tile.constants.environment is not None:
                 arrays = harvest.arrays(tile, self._shape.samples)
                 self._recorder.write(tile.first, arrays, tile.constants.environment)
+                self._recorder.sync(tile.first)
             rows = results.episode_table(
-                harvest.tile_result(tile), self._sim.variants(), self._scenario.seed
+                harvest.tile_result(tile), self._sim.labels(), self._scenario.seed
             )
             folder.write_part(self._building, tile.first, rows)
         except OSError as error:
             kept = (
                 "nothing was finished before, and nothing is kept"
-                if folder.read_parts(self._building) is None
+                if not folder.holds_results(self._building)
                 else f"what was finished before is in {self._building}; make room and go on "
                 "with --resume"
             )
@@ -255,8 +293,9 @@ class _Rollout:
     def _close(self, clock: _Clock, shares: list[dict[str, Any]]) -> None:
         """Put the results together and give the folder its name."""
         episodes = folder.read_parts(self._building)
-        if episodes is None:
-            folder.remove(self._building)
+        if episodes is None or self._claimed is None:
+            if self._claimed is not None and not folder.holds_results(self._building):
+                self._claimed.withdraw()
             raise RunError("interrupted before the first tile was finished; nothing was kept")
         done = len(set(episodes["world"].to_pylist()))
         simulate_s = max(share["simulate_s"] for share in shares)
@@ -286,4 +325,12 @@ class _Rollout:
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        folder.finish(self._building, self._out, episodes, summary)
+        self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
+        self._progress.close()
+        try:
+            folder.finish(self._claimed, episodes, summary)
+        except OSError as error:
+            raise RunError(
+                f"--out {self._out}: cannot be written ({error.strerror or error}); all finished "
+                f"worlds are in {self._building}; make room and go on with --resume"
+            ) from error

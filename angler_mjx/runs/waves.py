@@ -8,17 +8,18 @@ tile is cut where that tile ended, whatever ran beside it.
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
 from angler_mjx.runs.progress import Progress
-from angler_mjx.sim.state import Sample, World
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World
 from angler_mjx.simulator import devices
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import harvest
-from angler_mjx.storage.harvest import FinishedTile
+from angler_mjx.storage.harvest import End, FinishedTile, Last
 
 AHEAD = 2
 """Segments that the device has been given and the host has not taken."""
@@ -92,6 +93,7 @@ class _Flight:
         self._kept = [min(simulator.tile, total - first) for first in firsts]
         self._parts: list[list[Sample]] = [[] for _ in firsts]
         self._ended = [False] * len(firsts)
+        self._last: list[Last | None] = [None for _ in firsts]
         self._in_flight: deque[_InFlight] = deque()
 
     def fly(self, worlds: World) -> None:
@@ -115,7 +117,7 @@ class _Flight:
                 self._take(self._in_flight.popleft())
             if all(self._ended):
                 break
-        self._end = devices.shards(harvest.end(state), count)
+        self._end = devices.shards(harvest.end(state, recorded=self._recorded), count)
 
     def land(self) -> list[FinishedTile]:
         """Take what is still in flight, and the end."""
@@ -126,17 +128,26 @@ class _Flight:
                 first=first,
                 kept=self._kept[i],
                 constants=jax.tree.map(np.asarray, self._constants[i]),
-                end=jax.tree.map(np.asarray, self._end[i]),
+                end=self._end_of(i),
                 parts=self._parts[i],
             )
             for i, first in enumerate(self._firsts)
         ]
+
+    def _end_of(self, i: int) -> End:
+        """The end of a tile: its own, however long it went on beside others."""
+        end: End = jax.tree.map(np.asarray, self._end[i])
+        last = self._last[i]
+        return end if last is None else replace(end, last=last)
 
     def _take(self, segment: _InFlight) -> None:
         """Samples of a segment, of those tiles that had not ended before it."""
         sim = self._sim
         for i, kept in enumerate(self._kept):
             if self._ended[i]:
+                if self._recorded and self._last[i] is None:
+                    step = segment.number * sim.segment_steps
+                    self._last[i] = harvest.last_in(segment.samples[i], step)
                 continue
             if self._recorded:
                 self._parts[i].append(jax.tree.map(np.asarray, segment.samples[i]))

@@ -1,30 +1,44 @@
 """What a scenario file says about the robots of its fleet."""
 
-from typing import Any, Self
+from pathlib import Path
+from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
-from angler_mjx.scenario import crews
+from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.drive import Drive, drive, require_flyable, wrench_matrix
 from angler_mjx.vehicles.rotor_config import RotorResponse
+from angler_mjx.vehicles.thrusters import tables_at
+
+FOLDER = "folder"
+"""Key of the validation context: where paths in a scenario file begin."""
+
+type Weight = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class FleetEntry(FileModel):
     """One or more robots of a kind."""
 
     vehicle: str
-    """Name of a shipped vehicle, or path of a vehicle file."""
+    """Name of a shipped vehicle, or path of a vehicle file (.toml), from the folder of the scenario
+    file; kept as an absolute one."""
     count: int = Field(default=1, ge=1, le=1024)
+    """Number of such robots."""
     parameter_set: str | None = None
     """Name of one set of the vehicle; its default set if left out."""
-    parameter_mix: dict[str, float] = Field(default_factory=dict)
+    parameter_mix: dict[str, Weight] = Field(default_factory=dict)
     """Weights of several sets, drawn anew for each robot of each world; instead of one set."""
-    battery_v: float = Field(default=16.0, ge=10.0, le=20.0)
+    battery_v: float = Field(default=16.0, gt=0.0)
+    """Within the voltages of the thruster file: 10 to 20 V for the T200."""
     cruise_speed_mps: float = Field(default=0.5, gt=0.0, le=3.0)
+    """Greatest speed along a path; 60 % of the vehicle's terminal speed in surge, if that is
+    less."""
     thruster_health: dict[str, float] = Field(default_factory=dict)
     """Share of its thrust that each faulty thruster gives, 0 (dead) to 1 (sound), by its name in
     the vehicle file."""
@@ -32,40 +46,86 @@ class FleetEntry(FileModel):
     """Whether the allocation knows thruster_health; if not, it takes all thrusters for sound."""
     rotor_response: RotorResponse | None = None
     """First or third order; what the vehicle file says if left out. The same for a whole fleet."""
-    estimate: crews.Source = "truth"
+    estimate: instrumented.Source = "truth"
     """What the controllers are told: the true state, that with noise, or a navigation filter's."""
     sensors: SensorsConfig | None = None
     """Instruments, and the noise of "noisy"; the defaults if left out."""
 
+    @field_validator("vehicle")
+    @classmethod
+    def _found(cls, name: str, info: ValidationInfo) -> str:
+        """A path from the scenario's folder, made absolute; of a file without faults."""
+        if name.endswith(".toml"):
+            folder = (info.context or {}).get(FOLDER) or Path.cwd()
+            name = str(Path(folder, name).absolute())
+        library.load_thruster(library.load(name).rotor.model)
+        return name
+
     @model_validator(mode="after")
-    def _one_of_two(self) -> Self:
+    def _goes_together(self) -> Self:
+        faults = []
         if self.parameter_mix and self.parameter_set is not None:
-            raise ValueError("give parameter_set or parameter_mix, not both")
+            faults.append("give parameter_set or parameter_mix, not both")
         if self.estimate == "truth" and self.sensors is not None:
-            raise ValueError(
+            faults.append(
                 'sensors: not used with estimate = "truth"; set estimate = "noisy" or "ekf"'
             )
-        bad = {name: weight for name, weight in self.parameter_mix.items() if weight <= 0}
-        if bad:
-            raise ValueError(f"parameter_mix: weights must be positive: {bad}")
-        config = _load_vehicle(self.vehicle)
-        try:
-            config.find_health(self.thruster_health)
-            config.find_response(self.rotor_response)
-        except ConfigError as error:
-            raise ValueError(str(error)) from error
+        config = library.load(self.vehicle)
         for name in self._weights(config.default_set):
             if name not in config.parameter_sets:
-                raise ValueError(
-                    f"parameter set {name!r} is not in vehicle {self.vehicle!r}; "
+                faults.append(
+                    f"parameter set {shown(name)} is not in vehicle {config.name!r}; "
                     f"there is {', '.join(sorted(config.parameter_sets))}"
                 )
+        checks: tuple[Any, ...] = (
+            lambda: config.find_health(self.thruster_health),
+            lambda: config.find_response(self.rotor_response),
+            self._require_flyable,
+        )
+        for check in checks if not faults else checks[:2]:
+            try:
+                check()
+            except ConfigError as error:
+                faults.append(str(error))
+        if faults:
+            raise ValueError("; ".join(faults))
         return self
 
     def _weights(self, default: str) -> dict[str, float]:
         return self.parameter_mix or {self.parameter_set or default: 1.0}
 
-    def told(self) -> tuple[crews.Source, SensorsConfig]:
+    def _require_flyable(self) -> None:
+        config = library.load(self.vehicle)
+        for able in self.drives():
+            require_flyable(config, able)
+
+    def drives(self) -> list[Drive]:
+        """What the vehicle can do, with each of the parameter sets that it can have.
+
+        Raises:
+            ConfigError: battery_v lies outside the thruster file.
+        """
+        config = library.load(self.vehicle)
+        try:
+            thrust_n, _ = tables_at(library.load_thruster(config.rotor.model), self.battery_v)
+        except ConfigError as error:
+            raise ConfigError(f"battery_v: {error}") from error
+        wrench = wrench_matrix(config)
+        found = []
+        for name in self._weights(config.default_set):
+            damping = config.find_set(name).damping
+            found.append(
+                drive(
+                    wrench,
+                    float(thrust_n[0]),
+                    float(thrust_n[-1]),
+                    np.asarray(damping.linear[:3], float),
+                    np.asarray(damping.quadratic[:3], float),
+                )
+            )
+        return found
+
+    def told(self) -> tuple[instrumented.Source, SensorsConfig]:
         """What the controllers are told, and the instruments."""
         return self.estimate, self.sensors or SensorsConfig()
 
@@ -87,10 +147,3 @@ class FleetEntry(FileModel):
             weights=tuple(weights.values()),
             cruise_speed_mps=self.cruise_speed_mps,
         )
-
-
-def _load_vehicle(name: str) -> Any:
-    try:
-        return library.load(name)
-    except ConfigError as error:
-        raise ValueError(str(error)) from error

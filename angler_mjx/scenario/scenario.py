@@ -1,147 +1,54 @@
 """Scenario files: everything that a run needs to know, checked before anything is computed."""
 
 import importlib.resources
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from angler_mjx.control import stack, stages
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.errors import ConfigError
-from angler_mjx.files import FileModel, parse, read_toml
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
-from angler_mjx.scenario import crews
-from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.sensing.params import check
+from angler_mjx.quantities import FARTHEST_M, SchemaVersion
+from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.fleet_entry import FOLDER, FleetEntry
+from angler_mjx.scenario.tables import ControllerConfig, PlannerConfig, TimeConfig, WaterConfig
+from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.world.config import WorldConfig
+from angler_mjx.vehicles import library
+from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.currents import GaussMarkovConfig
+from angler_mjx.world.generate import check_fleet
 
-
-class WaterConfig(FileModel):
-    """The sea as a medium."""
-
-    density_kgpm3: float = Field(default=1000.0, ge=900.0, le=1100.0)
-    """Fresh water by default: the published parameter sets were measured in it."""
-
-
-class TimeConfig(FileModel):
-    """Time steps."""
-
-    horizon_s: float = Field(default=120.0, gt=0.0, le=86400.0)
-    physics_dt_s: float = Field(default=0.01, gt=0.0, le=0.05)
-    control_dt_s: float = Field(default=0.05, gt=0.0, le=1.0)
-    record_hz: float = Field(default=5.0, ge=0.0)
-    """Rate of the stored trajectories; 0 stores none."""
-
-    @model_validator(mode="after")
-    def _commensurate(self) -> Self:
-        _whole("control_dt_s / physics_dt_s", self.control_dt_s / self.physics_dt_s)
-        _whole("horizon_s / control_dt_s", self.horizon_s / self.control_dt_s)
-        if self.record_hz > 0:
-            _whole("1 / (record_hz control_dt_s)", 1.0 / (self.record_hz * self.control_dt_s))
-            _whole("horizon_s record_hz", self.horizon_s * self.record_hz)
-        return self
-
-    @property
-    def physics_steps(self) -> int:
-        """Physics steps in one control step."""
-        return round(self.control_dt_s / self.physics_dt_s)
-
-    @property
-    def control_steps(self) -> int:
-        """Control steps in the horizon."""
-        return round(self.horizon_s / self.control_dt_s)
-
-    @property
-    def steps_per_sample(self) -> int:
-        """Control steps from one stored sample to the next; the whole horizon if none is stored."""
-        return round(1.0 / (self.record_hz * self.control_dt_s)) if self.record_hz > 0 else 0
-
-
-def _whole(what: str, ratio: float) -> None:
-    if ratio < 0.999999 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-        raise ValueError(f"{what} = {ratio:g} must be a whole number of at least 1")
-
-
-class ControllerConfig(FileModel):
-    """The controllers: a stack by its name or by its stages, and gains that differ from theirs."""
-
-    name: str | None = None
-    """One of `angler_mjx.control.stages.CONTROLLERS`; the cascade if nothing is given."""
-    stages: tuple[str, ...] | None = Field(default=None, min_length=1)
-    """Stages from the highest down, instead of a name."""
-    gains: dict[str, dict[str, float]] = Field(default_factory=dict)
-    """Of each stage."""
-
-    @property
-    def title(self) -> str:
-        """Its name, or its stages in a row."""
-        return "+".join(self.stages) if self.stages else self.name or "cascade"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _gains_by_stage(cls, data: Any) -> Any:
-        given = data.get("gains") if isinstance(data, dict) else None
-        for name, value in (given if isinstance(given, dict) else {}).items():
-            if not isinstance(value, dict):
-                raise ValueError(
-                    f"gains.{name} = {value!r}: gains stand by stage, as in "
-                    "[controller.gains.velocity] with velocity_per_s = 2.5"
-                )
-        return data
-
-    @model_validator(mode="after")
-    def _is_a_stack(self) -> Self:
-        if self.stages is not None and self.name is not None:
-            raise ValueError("give name or stages, not both")
-        if self.name is not None and self.name not in stages.CONTROLLERS:
-            raise ValueError(
-                f"name = {self.name!r}: there is {', '.join(stages.CONTROLLERS)}; or give stages"
-            )
-        first = self.stack()[0][0]
-        if Trajectory not in first.takes:
-            raise ValueError(
-                f"stages: the first one, {first.name!r}, takes {stack.takes(first)}; the planner "
-                "gives a Trajectory: begin with "
-                f"{' or '.join(x.name for x in stages.STAGES.values() if Trajectory in x.takes)}"
-            )
-        return self
-
-    def stack(self) -> tuple[stack.Stages, tuple[Any, ...]]:
-        """The stages and the gains of each.
-
-        Raises:
-            ConfigError: they are not a stack, or gains make no sense.
-        """
-        names = self.stages or stages.CONTROLLERS[self.name or "cascade"]
-        return stages.build(names, self.gains)
-
-
-class PlannerConfig(FileModel):
-    """The planner that gives each robot its path."""
-
-    name: Literal["grid"] = "grid"
-    margin_m: float = Field(default=0.1, ge=0.0)
-    """Kept free around each robot beside its own radius."""
+KNOTS = 100_000
+"""Most knots of a current over a run; each world holds them in memory."""
 
 
 class Scenario(FileModel):
     """A whole scenario file."""
 
-    schema_version: Literal[1] = 1
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$")
+    schema_version: SchemaVersion = 1
+    """Of this form of files."""
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    """Of the run folder, if the run is given none."""
     description: str = ""
+    """For people."""
     engine: Literal["mjx", "fused"] = "mjx"
+    """What moves the vehicles: MuJoCo's MJX, or our own faster one for rigid vehicles."""
     kernels: Literal["xla", "triton"] | None = None
     """What the engine is compiled by; for fused on a GPU triton if left out, else xla. Part of the
     result's bytes."""
-    worlds: int = Field(default=256, ge=1)
+    worlds: int = Field(default=256, ge=1, le=10**9)
+    """Number of worlds, each with the whole fleet."""
     seed: int = Field(default=0, ge=0, lt=2**31)
-    tile: int | None = Field(default=None, ge=1)
+    """Of everything that is drawn; world i of a seed is the same in every run."""
+    tile: int | None = Field(default=None, ge=1, le=10**7)
     """Worlds in one device call; chosen for the device if left out. Part of the result's bytes."""
-    goal_tolerance_m: float = Field(default=0.3, gt=0.0)
+    goal_tolerance_m: float = Field(default=0.3, gt=0.0, le=FARTHEST_M)
+    """A robot has reached its goal within this distance."""
     time: TimeConfig = TimeConfig()
     water: WaterConfig = WaterConfig()
     world: WorldConfig
@@ -159,15 +66,67 @@ class Scenario(FileModel):
     def _instruments_can_be(self) -> Self:
         for i, entry in enumerate(self.fleet):
             try:
-                check(entry.told()[1], self.time.control_dt_s)
+                instruments.check(entry.told()[1], self.time.control_dt_s)
             except ConfigError as error:
                 raise ValueError(f"fleet.{i}.{error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _currents_fit(self) -> Self:
+        for i, current in enumerate(self.world.currents):
+            if not isinstance(current, GaussMarkovConfig):
+                continue
+            knots = self.time.horizon_s / current.knot_dt_s
+            if knots > KNOTS:
+                raise ValueError(
+                    f"world.currents[{i}].knot_dt_s = {current.knot_dt_s:g}: {knots:.0f} knots in "
+                    f"{self.time.horizon_s:g} s; {KNOTS} are the most: take a longer knot_dt_s"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _fleet_fits(self) -> Self:
+        wide = [library.reach_m(library.load(entry.vehicle)) for entry in self.fleet]
+        counts = [entry.count for entry in self.fleet]
+        try:
+            check_fleet(resolve(self.world), np.repeat(wide, counts))
+        except ConfigError as error:
+            raise ValueError(f"world, for the fleet: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _rotors_alike(self) -> Self:
+        """Rotors of first and of third order have states of different shapes."""
+        first = None
+        for i, entry in enumerate(self.fleet):
+            config = library.load(entry.vehicle)
+            third = config.find_response(entry.rotor_response) == "third_order"
+            response = config.rotor.third_order if third else None
+            numbers = response and (response.numerator, response.denominator)
+            first = first or (numbers,)
+            if numbers != first[0]:
+                raise ValueError(
+                    f"fleet[{i}]: the rotors of {config.name!r} answer otherwise than those of "
+                    "fleet[0]; give all robots of a fleet the same rotor_response"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _stack_can_steer(self) -> Self:
+        sideways = [stage.name for stage in self.controller.stack()[0] if stage.wants_sway]
+        for i, entry in enumerate(self.fleet if sideways else ()):
+            if any("sway" in able.missing for able in entry.drives()):
+                raise ValueError(
+                    f"controller: stage {sideways[0]!r} pushes to the side, and fleet[{i}], "
+                    f"vehicle {library.load(entry.vehicle).name!r}, has no sway; take another "
+                    "controller, such as cascade or los"
+                )
         return self
 
     @property
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
-        return any(not crews.told_truth(*entry.told()) for entry in self.fleet)
+        return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
@@ -185,7 +144,7 @@ class Scenario(FileModel):
             water=water,
             stages=controllers,
             gains=gains,
-            crews=crews.build(told, self.time.control_dt_s, water.gravity_mps2),
+            instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
         )
 
 
@@ -199,27 +158,79 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
     """Read a scenario.
 
     Args:
-        name_or_path: name of a shipped scenario, or path of a ``.toml`` file.
+        name_or_path: name of a shipped scenario, or path of a ``.toml`` file. Paths in the file
+            begin at its folder.
         **overrides: top-level keys that replace those of the file, e.g. ``worlds=8``; a table is
-            merged into the file's, e.g. ``time={"record_hz": 0.0}``.
+            merged into the file's, e.g. ``time={"record_hz": 0.0}``. Paths in them begin at the
+            working directory.
 
     Raises:
-        ConfigError: there is no such scenario, or its file has faults (all are listed).
+        ConfigError: there is no such scenario, its file has faults, or an override has (all are
+            listed).
     """
-    known = shipped()
-    path = Path(name_or_path)
+    return read_scenario(name_or_path, overrides)
+
+
+def read_scenario(
+    name_or_path: str | Path,
+    overrides: Mapping[str, Any],
+    blame: Callable[[str], str] = lambda key: f"{key} (given with the scenario)",
+) -> Scenario:
+    """As `load_scenario`; ``blame`` says what a person calls an override, e.g. ``--worlds``."""
+    path = find(name_or_path)
+    data = read_toml(path)
+    whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
+    beside = {FOLDER: path.absolute().parent}
+    try:
+        return check(Scenario, whole, {} if "fleet" in overrides else beside)
+    except FaultyError as error:
+        own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
+        its = [fault.text for fault in error.faults if fault.text in own]
+        theirs = [
+            _blamed(fault, overrides, blame) for fault in error.faults if fault.text not in own
+        ]
+        of_file = [listed(str(path), its)] if its else []
+        raise ConfigError("\n".join([*theirs, *of_file])) from error
+
+
+def _merged(before: Any, value: Any) -> Any:
+    both = isinstance(value, dict) and isinstance(before, dict)
+    return {**before, **value} if both else value
+
+
+def _faults(data: Mapping[str, Any], context: Mapping[str, Any]) -> set[str]:
+    """What is wrong with a file itself."""
+    try:
+        check(Scenario, data, context)
+    except FaultyError as error:
+        return {fault.text for fault in error.faults}
+    return set()
+
+
+def _blamed(fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], str]) -> str:
+    """A fault that an override brought, by what a person calls that override."""
+    given: list[tuple[str, ...]] = []
+    for key, value in overrides.items():
+        given += [(key, name) for name in value] if isinstance(value, dict) else [(key,)]
+    exact = [key for key in given if fault.key[: len(key)] == key]
+    if exact:
+        return fault.text.replace(".".join(exact[0]), blame(".".join(exact[0])), 1)
+    near = [key for key in given if key[: len(fault.key)] == fault.key] or given
+    return f"{', '.join(blame('.'.join(key)) for key in near)}: {fault.text}"
+
+
+def find(name_or_path: str | Path) -> Path:
+    """The file of a scenario.
+
+    Raises:
+        ConfigError: there is no shipped one of that name, and it is no path of a ``.toml`` file.
+    """
+    known, path = shipped(), Path(name_or_path)
     if str(name_or_path) in known:
-        path = known[str(name_or_path)]
-    elif path.suffix != ".toml":
+        return known[str(name_or_path)]
+    if path.suffix != ".toml":
         raise ConfigError(
-            f"unknown scenario {str(name_or_path)!r}; there is {', '.join(known)}, "
+            f"unknown scenario {shown(str(name_or_path))}; there is {', '.join(known)}, "
             "or give the path of a .toml file"
         )
-    data = read_toml(path)
-    for key, value in overrides.items():
-        before = data.get(key)
-        if isinstance(value, dict) and isinstance(before, dict):
-            data[key] = {**before, **value}
-        else:
-            data[key] = value
-    return parse(Scenario, data, source=str(path))
+    return path

@@ -9,10 +9,12 @@ from typing import Annotated
 from pydantic import Field
 
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Place, PositiveLength
 
-type Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+type Vector = tuple[Place, Place, Place]
+type Rate = Annotated[float, Field(ge=1e-3, le=1e6)]
+type Seconds = Annotated[float, Field(ge=1e-3, le=1e6)]
+type NotNegative = Annotated[float, Field(ge=0, le=1e6)]
 Probability = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -26,22 +28,32 @@ class ImuConfig(FileModel):
     offset_m: Vector = (0.0, 0.0, 0.0)
     """Place, from the centre of mass, in F. Assumed: at the centre of mass."""
     gyro_noise_radps_per_rthz: NotNegative = 3.394e-4
+    """White noise of the gyroscopes."""
     gyro_walk_radps2_per_rthz: NotNegative = 3.8785e-5
-    gyro_walk_time_s: Positive = 1000.0
+    """What drives the gyroscopes' wandering bias."""
+    gyro_walk_time_s: Seconds = 1000.0
+    """Memory of that bias."""
     gyro_turn_on_radps: NotNegative = 0.0087
+    """Their constant bias, drawn once."""
     accel_noise_mps2_per_rthz: NotNegative = 0.004
+    """White noise of the accelerometers."""
     accel_walk_mps3_per_rthz: NotNegative = 0.006
-    accel_walk_time_s: Positive = 300.0
+    """What drives the accelerometers' wandering bias."""
+    accel_walk_time_s: Seconds = 300.0
+    """Memory of that bias."""
     accel_turn_on_mps2: NotNegative = 0.196
+    """Their constant bias, drawn once."""
 
 
 class DepthConfig(FileModel):
     """A pressure sensor that gives depth below the surface."""
 
     fitted: bool = True
-    rate_hz: Positive = 10.0
+    """Whether the robot has one."""
+    rate_hz: Rate = 10.0
     """Assumed; at most once in a control period, as with every rate here."""
     offset_m: Vector = (0.0, 0.0, 0.0)
+    """Place, from the centre of mass, in F."""
     noise_m: NotNegative = 0.01
     """Assumed: waves and turbulence, five steps of the resolution."""
     resolution_m: NotNegative = 0.002
@@ -54,9 +66,13 @@ class AhrsConfig(FileModel):
     """Attitude: level from gravity, heading from a compass. All assumed, of a small MEMS unit."""
 
     fitted: bool = True
-    rate_hz: Positive = 10.0
+    """Whether the robot has one."""
+    rate_hz: Rate = 10.0
+    """Of readings."""
     level_noise_deg: NotNegative = 0.3
+    """White noise of roll and pitch."""
     heading_noise_deg: NotNegative = 1.0
+    """White noise of the heading."""
     heading_bias_deg: NotNegative = 0.5
     """Declination and mounting, drawn once."""
     hard_iron: NotNegative = 0.01
@@ -68,16 +84,20 @@ class DvlConfig(FileModel):
     """Velocity over the bottom. Defaults: Water Linked A50 where nothing else is said."""
 
     fitted: bool = True
-    rate_hz: Positive = 5.0
+    """Whether the robot has one."""
+    rate_hz: Rate = 5.0
     """5 to 6 Hz between 1.5 and 14 m of altitude."""
     offset_m: Vector = (0.0, 0.0, 0.0)
+    """Place, from the centre of mass, in F."""
     noise_mps: NotNegative = 0.005
     """UUV Simulator."""
     noise_percent_of_speed: NotNegative = 0.3
     """Stonefish: 0.3 % of speed; the standard A50 is specified to 1 %, its performance edition to
     0.1 %."""
     min_altitude_m: NotNegative = 0.05
-    max_altitude_m: Positive = 50.0
+    """No bottom lock below ..."""
+    max_altitude_m: PositiveLength = 50.0
+    """... and above this altitude."""
     max_tilt_deg: Annotated[float, Field(gt=0, le=180)] = 35.0
     """Assumed: the beams lean out by 22.5 degrees."""
     dropout: Probability = 0.01
@@ -88,13 +108,16 @@ class UsblConfig(FileModel):
     """Position by sound from a transceiver that is somewhere in W. Not fitted by default."""
 
     fitted: bool = False
-    period_s: Positive = 2.0
+    """Whether the robot has one."""
+    period_s: Seconds = 2.0
     """Assumed."""
     latency_s: NotNegative = 0.5
     """Assumed: way of the sound, processing, and the modem. From the moment that the position is
     of until the robot is told. Must be shorter than the period: one fix is under way at a time."""
     offset_m: Vector = (0.0, 0.0, 0.0)
+    """Place, from the centre of mass, in F."""
     transceiver_m: Vector = (0.0, 0.0, 0.0)
+    """Its place, in W."""
     noise_m: NotNegative = 0.1
     """SeaTrac X150 gives ranges in steps of 0.1 m."""
     noise_percent_of_range: NotNegative = 1.75
@@ -109,12 +132,14 @@ class GpsConfig(FileModel):
     """Horizontal position while the antenna is out of the water. Not fitted by default."""
 
     fitted: bool = False
-    rate_hz: Positive = 1.0
+    """Whether the robot has one."""
+    rate_hz: Rate = 1.0
     """Assumed."""
     offset_m: Vector = (0.0, 0.0, 0.0)
+    """Place, from the centre of mass, in F."""
     noise_m: NotNegative = 0.5
     """Stonefish."""
-    max_depth_m: float = 0.1
+    max_depth_m: Place = 0.1
     """Depth of the antenna's place down to which it is taken to be dry. Assumed."""
 
 
@@ -122,10 +147,15 @@ class TruthNoiseConfig(FileModel):
     """White noise on the true state, for controllers that are fed with that. All assumed."""
 
     position_m: NotNegative = 0.02
+    """Each axis of the position."""
     attitude_deg: NotNegative = 0.5
+    """Each axis of the attitude."""
     velocity_mps: NotNegative = 0.01
+    """Each axis of the velocity."""
     rate_radps: NotNegative = 0.005
+    """Each axis of the rate of turn."""
     current_mps: NotNegative = 0.02
+    """Each axis of the current."""
 
 
 class SensorsConfig(FileModel):

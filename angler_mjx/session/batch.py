@@ -20,7 +20,8 @@ from angler_mjx.session.desk import PLAN, Desk
 from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo
 from angler_mjx.session.rejoin import Ways
 from angler_mjx.session.view import View, Watched, believed, covariance, look, shown
-from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_mjx.simulator.simulator import Simulator
 
 POINTS = 256

@@ -14,7 +14,7 @@ from angler_mjx.session.rejoin import Plan
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.vehicles import library
-from angler_mjx.vehicles.params import full_force, terminal_speed
+from angler_mjx.vehicles.drive import full_force, terminal_speed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ Samples are kept in memory and written at the end, for until then nobody knows h
 an hour of four robots at 5 Hz takes 10 MB.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -18,8 +18,10 @@ from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.batch import Inside
 from angler_mjx.session.interface import Floats, Observation
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample, sizes_of
 from angler_mjx.storage import folder, harvest, results
+from angler_mjx.storage import inputs as copies
+from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.recorder import Recorder, Shape
 
@@ -59,13 +61,20 @@ class Course:
 class SessionRecording:
     """A run folder in the making; a hidden one, of which nothing stays unless it is finished."""
 
-    def __init__(self, out: Path, scenario: Scenario, world: int) -> None:
+    def __init__(
+        self,
+        out: Path,
+        scenario: Scenario,
+        world: int,
+        inputs: Sequence[tuple[str, Path]] = (),
+    ) -> None:
         """Nothing is made yet.
 
         Args:
             out: folder to make; must not exist.
             scenario: that is run.
             world: global index of its world.
+            inputs: role and file of what is used beside the scenario's vehicles.
 
         Raises:
             ConfigError: the scenario stores no trajectories.
@@ -80,11 +89,22 @@ class SessionRecording:
         self._steps = 0
         self._samples: list[Sample] = []
         self._ways: dict[int, Way] = {}
-        self._building: Path | None = None
+        self._inputs = tuple(inputs)
+        self._claimed: Claim | None = None
 
     def __enter__(self) -> Self:
-        """Take the folder's name, so that nobody waits for an hour in vain."""
-        self._building = folder.create(self._out)
+        """Take the folder's name, so that nobody waits for an hour in vain, and copy the inputs."""
+        claimed = folder.create(self._out)
+        try:
+            vehicles = [entry.vehicle for entry in self._scenario.fleet]
+            copies.take(claimed.building, vehicles, self._inputs)
+        except OSError as error:
+            claimed.withdraw()
+            raise ConfigError(f"--out {self._out}: cannot be written ({error.strerror})") from error
+        except BaseException:
+            claimed.withdraw()
+            raise
+        self._claimed = claimed
         return self
 
     def __exit__(
@@ -94,8 +114,8 @@ class SessionRecording:
         trace: TracebackType | None,
     ) -> None:
         """Take away what was not finished."""
-        if self._building is not None:
-            folder.remove(self._building)
+        if self._claimed is not None:
+            self._claimed.withdraw()
 
     @property
     def building(self) -> Path:
@@ -104,9 +124,9 @@ class SessionRecording:
         Raises:
             RunError: it is not open.
         """
-        if self._building is None:
+        if self._claimed is None:
             raise RunError("the recording is not open")
-        return self._building
+        return self._claimed.building
 
     def begin(self, session: Recordable) -> None:
         """Record a session from here on; it runs the same scenario."""
@@ -132,9 +152,10 @@ class SessionRecording:
         Raises:
             RunError: the disk gave out.
         """
-        if self._building is None or not self._samples:
+        if self._claimed is None or not self._samples:
             return None
-        building = self._building
+        claimed, self._claimed = self._claimed, None
+        building = claimed.building
         try:
             inside = self._session.inside()
             tile = self._tile(inside)
@@ -143,16 +164,17 @@ class SessionRecording:
             folder.write_json(building / folder.ENVIRONMENT, describe_environment())
             self._write_trajectories(building, tile)
             episodes = results.episode_table(
-                harvest.tile_result(tile), inside.simulator.variants(), scenario.seed
+                harvest.tile_result(tile), inside.simulator.labels(), scenario.seed
             )
             summary = {**self._summary(scenario, course), **results.summarise(episodes)}
-            run = folder.finish(building, self._out, episodes, summary)
+            return folder.finish(claimed, episodes, summary)
         except OSError as error:
             raise RunError(
-                f"--out {self._out}: cannot be written ({error.strerror or error})"
+                f"--out {self._out}: cannot be written ({error.strerror or error}); what there is "
+                f"lies in {building}"
             ) from error
-        self._building = None
-        return run
+        finally:
+            claimed.release()
 
     def _tile(self, inside: Inside) -> FinishedTile:
         """The world as the tile of a run, its samples joined to [1, n, ...]."""
@@ -169,7 +191,7 @@ class SessionRecording:
             first=self._world,
             kept=1,
             constants=kept,
-            end=jax.tree.map(np.asarray, harvest.end(inside.state)),
+            end=jax.tree.map(np.asarray, harvest.end(inside.state, recorded=True)),
             parts=[joined],
         )
 
@@ -187,14 +209,15 @@ class SessionRecording:
     def _write_trajectories(self, building: Path, tile: FinishedTile) -> None:
         environment = tile.constants.environment
         first = tile.parts[0]
+        sizes = sizes_of(first, lead=2)
         if environment is None or tile.constants.plan_time_s is None:
             raise RunError("the session keeps no environment to record")
         shape = Shape(
             worlds=self._world + 1,
             samples=len(self._samples),
-            robots=first.p.shape[2],
-            thrusters=first.pwm_us.shape[-1],
-            obstacles=first.obstacle_p.shape[2],
+            robots=sizes["robot"],
+            thrusters=sizes["thruster"],
+            obstacles=sizes["obstacle"],
             plan_points=tile.constants.plan_time_s.shape[-1],
             estimated=first.belief is not None,
         )
@@ -206,6 +229,7 @@ class SessionRecording:
             sample_dt_s=1.0 / self._scenario.time.record_hz,
         )
         recorder.write(tile.first, harvest.arrays(tile, shape.samples), environment)
+        recorder.sync(tile.first)
 
     def _summary(self, scenario: Scenario, course: Course) -> dict[str, Any]:
         """As of every run, and how it went."""

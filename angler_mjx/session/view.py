@@ -19,7 +19,8 @@ from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Floats, Observation, RobotStatus, SceneObstacles
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect
-from angler_mjx.sim.state import Belief, World, WorldState
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import World, WorldState
 from angler_mjx.vehicles.params import VehicleParams
 
 

@@ -6,7 +6,7 @@ names one variant or a weighted mix; the mix is drawn anew in every world.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
@@ -69,14 +69,18 @@ class Group:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """All variants of a fleet, stacked, and each member's chances."""
+    """All variants of a fleet, stacked, and each member's chances.
+
+    ``groups`` is found by comparing the numbers of ``control``, and programs hold what it says: a
+    fleet is not edited but built anew.
+    """
 
     control: ControlParams
     """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``."""
     engine: MjxEngine | None
     """None where no multibody models were asked for."""
     body: BodyInertia
-    """[n_variant] leads."""
+    """[n_variant] leads; empty where no multibody models were asked for."""
     cruise_mps: jax.Array
     """[n_robot, n_variant]."""
     log_weight: jax.Array
@@ -120,8 +124,8 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     _refuse_mixed_rotors(kinds, robots)
     stacked = params.stack(robots)
     known = np.array([[kind.fault_known] for kind in kinds])
-    models = [
-        mjcf.to_spec(config, kind.parameter_set, shapes=False).compile()
+    specs = [
+        mjcf.to_spec(config, kind.parameter_set, shapes=False)
         for config, kind in zip(configs, kinds, strict=True)
     ]
     surge = CRUISE_SHARE * np.asarray(stacked.terminal_speed_mps)[:, 0]
@@ -132,7 +136,7 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
             row[kinds.index(kind)] += weight
     with np.errstate(divide="ignore"):
         log_weight = np.log(chance)
-    engine, body = mjx_engine.build(models) if multibody else (None, mjx_engine.inertias(models))
+    engine, body = mjx_engine.build(specs) if multibody else (None, mjx_engine.without(specs))
     control = ControlParams(
         vehicle=stacked,
         allocation=allocation.build(stacked, np.where(known, stacked.thruster_health, 1.0)),
@@ -201,20 +205,31 @@ def radius_bound(fleet: Fleet) -> jax.Array:
     return jnp.max(jnp.where(possible, fleet.control.vehicle.radius_m, 0.0), axis=1)
 
 
+def parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyInertia]:
+    """Parameters and multibody fields of robots [...] by their variants; cruise speeds are 0."""
+    found: tuple[ControlParams, BodyInertia] = jax.tree.map(
+        lambda leaf: leaf[variant], (fleet.control, fleet.body)
+    )
+    return found
+
+
 def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:
     """Which variant each robot of one world is.
+
+    A robot's number and its own chances decide, nothing else: a robot more, of whatever vehicle,
+    changes nothing for those before it.
+
+    Args:
+        fleet: all variants.
+        key: of this draw in this world.
 
     Returns:
         int32 [n_robot] variants, and the parameters and inertias of the robots, [n_robot] leading.
     """
-    chosen = jax.random.categorical(key, fleet.log_weight, axis=1).astype(jnp.int32)
-    control: ControlParams = jax.tree.map(lambda leaf: leaf[chosen], fleet.control)
+    robots = jnp.arange(fleet.log_weight.shape[0], dtype=jnp.uint32)
+    of_robot = jax.vmap(jax.random.fold_in, (None, 0))(key, robots)
+    # Of one row at a time: the first numbers of a row are the same however long it is.
+    chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
+    control, body = parameters(fleet, chosen)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
-    body: BodyInertia = jax.tree.map(lambda leaf: leaf[chosen], fleet.body)
-    return (
-        chosen,
-        ControlParams(
-            vehicle=control.vehicle, allocation=control.allocation, cruise_speed_mps=speed
-        ),
-        body,
-    )
+    return chosen, replace(control, cruise_speed_mps=speed), body

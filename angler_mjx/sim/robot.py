@@ -15,7 +15,8 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import ControlParams, Memory
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.detection import Contact
-from angler_mjx.sim.state import Belief, Outcome, SimSpec, Tally, Touched
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 

@@ -12,14 +12,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import navigation, stack
+from angler_mjx.control import navigation
 from angler_mjx.control.commands import Estimate
 from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sensing import suite
 from angler_mjx.sensing.readings import Truth
-from angler_mjx.sim.state import Belief, Crew, Senses, SimSpec, World
-from angler_mjx.world import currents
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import InstrumentedRobots, Senses, SimSpec, World
 from angler_mjx.world.grid import height_above_bottom
 
 OF_FILTER = 2**32 - 1
@@ -34,14 +34,14 @@ def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[Senses |
         world: constants of the world.
         vehicles: at the first step, [R] leading.
     """
-    if not spec.crews:
+    if not spec.instrumented:
         return ()
     truth, keys = _truth(world, vehicles), world.sensing_key
     return tuple(
-        jax.vmap(_switched_on)(crew.params, *_of(crew, (keys, truth)))
-        if crew.source == "ekf"
+        jax.vmap(_switched_on)(robots.params, *_of(robots, (keys, truth)))
+        if robots.source == "ekf"
         else None
-        for crew in spec.crews
+        for robots in spec.instrumented
     )
 
 
@@ -58,7 +58,7 @@ def step(
     Args:
         spec: settings.
         world: constants of the world.
-        memory: of each crew.
+        memory: of each robots.
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
         flow: [R, 3] true current at the robots, in W, if a stage wants it.
@@ -67,8 +67,28 @@ def step(
         The memory, and what the controllers are to be told.
     """
     truth, after = _truth(world, vehicles), []
+    belief = truth_told(vehicles, flow)
+    for robots, senses in zip(spec.instrumented, memory, strict=True):
+        key, seen, there = _of(robots, (world.sensing_key, truth, flow))
+        if senses is None:
+            known = jax.vmap(partial(_noisy, number=number))(robots.params, key, seen, there)
+        else:
+            navigated = jax.vmap(partial(_navigated, number=number))
+            senses, known = navigated(robots.params, key, senses, seen, there)
+        after.append(senses)
+        belief = _with(robots, belief, known)
+    return tuple(after), belief
+
+
+def truth_told(vehicles: VehicleState, flow: jax.Array | None) -> Belief:
+    """The truth in the form of what robots are told.
+
+    Args:
+        vehicles: now, [R] leading.
+        flow: [R, 3] true current at the robots, in W, if anybody wants it.
+    """
     zero = jnp.zeros_like(vehicles.p)
-    belief = Belief(
+    return Belief(
         p=vehicles.p,
         q=vehicles.q,
         nu=vehicles.nu,
@@ -77,37 +97,6 @@ def step(
         velocity_std_mps=zero,
         attitude_std_rad=zero,
     )
-    for crew, senses in zip(spec.crews, memory, strict=True):
-        key, seen, there = _of(crew, (world.sensing_key, truth, flow))
-        if senses is None:
-            known = jax.vmap(partial(_noisy, number=number))(crew.params, key, seen, there)
-        else:
-            navigated = jax.vmap(partial(_navigated, number=number))
-            senses, known = navigated(crew.params, key, senses, seen, there)
-        after.append(senses)
-        belief = _with(crew, belief, known)
-    return tuple(after), belief
-
-
-def step_tile(
-    spec: SimSpec,
-    worlds: World,
-    memory: tuple[Senses | None, ...],
-    number: jax.Array,
-    vehicles: VehicleState,
-) -> tuple[tuple[Senses | None, ...], Belief]:
-    """As `step` for worlds [W], all at step ``number`` []; the current is looked up here."""
-    t = number.astype(vehicles.p.dtype) * spec.control_dt_s
-
-    def one(world: World, memory: Any, vehicles: VehicleState) -> Any:
-        flow = None
-        if stack.wants_flow(spec.stages):
-            current = world.environment.current
-            flow = jax.vmap(currents.velocity, (None, 0, None))(current, vehicles.p, t)
-        return step(spec, world, memory, number, vehicles, flow)
-
-    after: tuple[Any, Belief] = jax.vmap(one)(worlds, memory, vehicles)
-    return after
 
 
 def _truth(world: World, vehicles: VehicleState) -> Truth:
@@ -122,16 +111,16 @@ def _truth(world: World, vehicles: VehicleState) -> Truth:
     )
 
 
-def _of(crew: Crew, tree: Any) -> Any:
-    """The robots of a crew of arrays [R, ...]."""
-    return jax.tree.map(lambda leaf: leaf[crew.first : crew.first + crew.count], tree)
+def _of(robots: InstrumentedRobots, tree: Any) -> Any:
+    """The rows of some robots of arrays [R, ...]."""
+    return jax.tree.map(lambda leaf: leaf[robots.first : robots.first + robots.count], tree)
 
 
-def _with(crew: Crew, whole: Belief, part: Belief) -> Belief:
-    """A belief [R] with that of a crew put in its place."""
-    if crew.count == whole.p.shape[0]:
+def _with(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:
+    """A belief [R] with that of some robots put in its place."""
+    if robots.count == whole.p.shape[0]:
         return part
-    rows = slice(crew.first, crew.first + crew.count)
+    rows = slice(robots.first, robots.first + robots.count)
     put: Belief = jax.tree.map(lambda old, new: old.at[rows].set(new), whole, part)
     return put
 

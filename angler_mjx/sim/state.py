@@ -14,6 +14,7 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sensing.readings import SensorCarry
+from angler_mjx.sim.policy import PolicyMemory
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -45,8 +46,8 @@ CASCADE = stages.named("cascade")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Crew:
-    """Neighbouring robots of a fleet whose controllers are not given the truth."""
+class InstrumentedRobots:
+    """Neighbouring robots of a fleet whose controllers are told what instruments show."""
 
     first: int
     count: int
@@ -71,8 +72,8 @@ class SimSpec:
     gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
     (`angler_mjx.engines.gradients`)."""
-    crews: tuple[Crew, ...] = ()
-    """All other robots' controllers are given the truth."""
+    instrumented: tuple[InstrumentedRobots, ...] = ()
+    """All other robots' controllers are told the truth."""
 
     @property
     def control_dt_s(self) -> float:
@@ -83,19 +84,28 @@ class SimSpec:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """What does not change during an episode of one world; [n_robot] leads in fleet and paths."""
+    """What does not change during an episode of one world; [n_robot] leads in fleet and paths.
+
+    Some of it is derived: ``control`` (but for its cruise speeds) and ``body`` from the fleet and
+    ``variant``, ``cell_neighbours`` from the environment's cells. A `Simulator` refuses parameters
+    that were edited here and packs edited cells anew (`angler_mjx.sim.admission`); who calls an
+    engine without one keeps them in step.
+    """
 
     environment: Environment
     variant: jax.Array
     """int32 [n_robot] which variant of the fleet (vehicle and parameter set) each robot is."""
     body: BodyInertia
+    """Empty where the fleet has no multibody models."""
     control: ControlParams
     path: Trajectory
     cell_neighbours: jax.Array | None = None
-    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all
-    segments where the engine looks cells up in it."""
+    """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all segments
+    where the engine looks cells up in it. Engines called without it pack for each segment."""
     sensing_key: jax.Array | None = None
-    """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has no crews."""
+    """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
+    policy_key: jax.Array | None = None
+    """uint32 [2] key of the world's policy; None where the simulator has none."""
 
 
 @jax.tree_util.register_dataclass
@@ -126,34 +136,10 @@ class Tally:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Senses:
-    """Memory of the robots of a crew; [count] leads."""
+    """Memory of `InstrumentedRobots`; [count] leads."""
 
     instruments: SensorCarry
     filter: NavigationCarry
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Belief:
-    """What the controllers of the robots are told of their own motion; [R] leads.
-
-    Standard deviations are zero where they are told the truth.
-    """
-
-    p: jax.Array
-    """[R, 3] m in W."""
-    q: jax.Array
-    """[R, 4]."""
-    nu: jax.Array
-    """[R, 6] in F."""
-    flow: jax.Array | None
-    """[R, 3] current, m/s in W; None where no stage wants it. Zero, still water, from a filter."""
-    position_std_m: jax.Array
-    """[R, 3] along the axes of W, as the two that follow."""
-    velocity_std_mps: jax.Array
-    """[R, 3]"""
-    attitude_std_rad: jax.Array
-    """[R, 3] about the axes."""
 
 
 @jax.tree_util.register_dataclass
@@ -169,31 +155,6 @@ class WorldState:
     step: jax.Array
     """int32 [] control steps taken."""
     senses: tuple[Senses | None, ...] = ()
-    """Of each crew; None for noise on the truth, which has no memory."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Sample:
-    """One record of one world: the truth and the command at one time."""
-
-    p: jax.Array
-    """[R, 3] m in W."""
-    q: jax.Array
-    """[R, 4]."""
-    nu: jax.Array
-    """[R, 6] in F."""
-    pwm_us: jax.Array
-    """[R, n_thruster] command of the control step that begins here."""
-    target_m: jax.Array
-    """[R, 3] where the controller aims, in W; the robot itself where it aims at no place."""
-    current_mps: jax.Array
-    """[R, 3] water velocity at the robot, in W."""
-    outcome: jax.Array
-    """int32 [R]."""
-    obstacle_p: jax.Array
-    """[n_obstacle, 3] m in W."""
-    obstacle_q: jax.Array
-    """[n_obstacle, 4]."""
-    belief: Belief | None = None
-    """What the controllers were told; None where all are told the truth."""
+    """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
+    policy: PolicyMemory | None = None
+    """Of the policy, where there is one."""

@@ -22,12 +22,13 @@ type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
 
 
-def preparer(scenario: Scenario, tile: int) -> Prepare:
+def preparer(scenario: Scenario, tile: int, *, policy: bool = False) -> Prepare:
     """The function that makes a tile of worlds.
 
     Args:
         scenario: whose worlds.
         tile: how many at once.
+        policy: whether a policy is to command them, which needs a key in each.
     """
     planner = grid_planner.GridPlannerConfig(
         horizon_s=scenario.time.horizon_s, margin_m=scenario.planner.margin_m
@@ -35,7 +36,7 @@ def preparer(scenario: Scenario, tile: int) -> Prepare:
     recipe = resolve(scenario.world)
 
     def prepare(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        one = partial(_one_world, scenario, recipe, planner, kinds, seed)
+        one = partial(_one_world, scenario, recipe, planner, policy, kinds, seed)
         if tile == 1:  # batching a single world makes tracing and compiling take twice as long
             alone: World = jax.tree.map(lambda leaf: leaf[None], one(first[0]))
             return alone
@@ -52,6 +53,7 @@ def _one_world(
     scenario: Scenario,
     recipe: WorldRecipe,
     planner: grid_planner.GridPlannerConfig,
+    policy: bool,
     kinds: fleet.Fleet,
     seed: jax.Array,
     index: jax.Array,
@@ -81,4 +83,5 @@ def _one_world(
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
+        policy_key=jax.random.key_data(jax.random.fold_in(key, 3)) if policy else None,
     )

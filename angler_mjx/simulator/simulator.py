@@ -16,14 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
-from angler_mjx.control import stack
+from angler_kernels.clearance import cell_neighbours
+from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
+from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.devices import (
     EACH,
@@ -35,6 +42,7 @@ from angler_mjx.simulator.devices import (
     tree_bytes,
 )
 from angler_mjx.simulator.prepare import preparer
+from angler_mjx.vehicles import library
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
 
@@ -83,14 +91,17 @@ class Simulator:
         scenario: what is simulated.
         tile: worlds of one device in one call.
         devices: number of devices.
-        fleet: compiled vehicles.
-        spec: settings of the simulation.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
     """
 
     def __init__(
-        self, scenario: Scenario, *, tile: int | None = None, devices: int | None = 1
+        self,
+        scenario: Scenario,
+        *,
+        tile: int | None = None,
+        devices: int | None = 1,
+        policy: Policy | None = None,
     ) -> None:
         """Read the vehicles and put the functions together; nothing is compiled yet.
 
@@ -98,17 +109,19 @@ class Simulator:
             scenario: what to simulate.
             tile: worlds in one call; the scenario's, or else the device's default.
             devices: devices to spread tiles over; all of this process if None.
+            policy: that commands the robots in every control step, instead of their paths.
 
         Raises:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
                 there are fewer devices.
         """
+        cache.switch_on()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self.spec = scenario.sim_spec()
+        self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
-        self.fleet: fleet.Fleet = jax.device_put(
+        self._fleet: Fleet = jax.device_put(
             fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
             NamedSharding(self._mesh, SAME),
         )
@@ -122,7 +135,7 @@ class Simulator:
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
         generate.check_fleet(resolve(scenario.world), radius)
-        self._prepare_tile = preparer(scenario, self.tile)
+        self._prepare_tile = preparer(scenario, self.tile, policy=policy is not None)
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
@@ -132,23 +145,61 @@ class Simulator:
                 f'{jax.default_backend()} here; use kernels = "xla"'
             )
         self._engine = engines.by_name(scenario.engine, self.kernels)
+        # Arguments of the programs, not numbers in them: others take their place without compiling.
+        self._driver: tuple[Policy, ...] = () if policy is None else (self._on_all(policy),)
+        driver = (SAME,) * len(self._driver)
         self._memory: Memory | None = None
         self._compiled = False
         self._prepare: Callable[..., World] = self._spread(
             self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
         )
         self._reset: Callable[..., WorldState] = self._spread(
-            partial(self._engine.reset, self.spec), SAME, EACH
+            partial(self._engine.reset, self.spec), SAME, EACH, *driver
         )
         self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
-            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH
+            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH, *driver
+        )
+        pack = self._spread(jax.vmap(cell_neighbours), EACH)
+        take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
+        self._gate = Gate(
+            self._fleet,
+            take=partial(take, self._fleet),
+            pack=pack if scenario.engine == "fused" else None,
         )
         self._segment: Callable[..., Segment] = self._spread(
-            self._run_segment, SAME, EACH, EACH, donate_argnums=2
+            self._run_segment, SAME, EACH, EACH, *driver, donate_argnums=2
         )
         self._commanded: Callable[..., Segment] = self._spread(
-            self._run_segment, SAME, EACH, EACH, EACH, donate_argnums=2
+            self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2
         )
+
+    def _on_all(self, policy: Policy) -> Policy:
+        """A policy with its numbers, as arrays of JAX's types, on every device."""
+        numbers = jax.tree.map(
+            lambda leaf: (
+                leaf if isinstance(leaf, jax.Array) else np.asarray(leaf, jnp.result_type(leaf))
+            ),
+            policy,
+        )
+        placed: Policy = jax.device_put(numbers, NamedSharding(self._mesh, SAME))
+        return placed
+
+    def _driven(self, policy: Policy | None) -> tuple[Policy, ...]:
+        """The last argument of the programs: the simulator's policy, or one with other numbers."""
+        if policy is None:
+            return self._driver
+        if not self._driver:
+            raise ConfigError(
+                f"policy {type(policy).__name__}: the simulator was made without one; "
+                "give it to Simulator(scenario, policy=...)"
+            )
+        policies.require_alike(self._driver[0], policy)
+        return (self._on_all(policy),)
+
+    @property
+    def policy(self) -> Policy | None:
+        """That commands the robots."""
+        return self._driver[0] if self._driver else None
 
     def _spread(self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any) -> Any:
         """A compiled function that runs on each device, on its tiles.
@@ -161,6 +212,16 @@ class Simulator:
             out_shardings=NamedSharding(self._mesh, EACH),
             **options,
         )
+
+    @property
+    def fleet(self) -> Fleet:
+        """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
+        return self._fleet
+
+    @property
+    def spec(self) -> SimSpec:
+        """Settings of the simulation, which its programs hold."""
+        return self._spec
 
     @property
     def segment_steps(self) -> int:
@@ -176,6 +237,12 @@ class Simulator:
         """Vehicle and parameter set of each variant, in the order of ``World.variant``."""
         kinds = fleet.variants(self.scenario.members())
         return [(kind.vehicle, kind.parameter_set) for kind in kinds]
+
+    def labels(self) -> list[tuple[str, str]]:
+        """As `variants`, for tables: a vehicle is called what its file says, wherever that lies."""
+        variants = self.variants()
+        names = library.labels(vehicle for vehicle, _ in variants)
+        return [(names[vehicle], chosen) for vehicle, chosen in variants]
 
     def worlds(self, first: int = 0, *, seed: int | None = None) -> World:
         """Worlds first, first + 1 and on: drawn, furnished and planned.
@@ -202,7 +269,20 @@ class Simulator:
             (number, np.asarray(firsts, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        return self._prepare(self.fleet, *numbers)
+        return self._gate.own(self._prepare(self.fleet, *numbers))
+
+    def adopt(self, worlds: World) -> World:
+        """Worlds with the parameters that this simulator's fleet gives to their variants.
+
+        For worlds that another simulator drew, or whose ``variant`` was edited.
+
+        Args:
+            worlds: [devices * tile] leading.
+
+        Raises:
+            ConfigError: a robot cannot be its variant.
+        """
+        return self._gate.adopt(worlds)
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
@@ -220,7 +300,7 @@ class Simulator:
         worlds: World = placed(shapes, self._mesh, EACH)
         return worlds
 
-    def _seed_shapes(self) -> tuple[fleet.Fleet, Any, Any]:
+    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
         """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
         number = jax.ShapeDtypeStruct((), jnp.uint32)
         firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
@@ -230,12 +310,27 @@ class Simulator:
             placed(firsts, self._mesh, EACH),
         )
 
-    def reset(self, worlds: World) -> WorldState:
-        """State of each world at t = 0."""
-        return self._reset(self.fleet, worlds)
+    def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
+        """State of each world at t = 0.
+
+        Args:
+            worlds: from ``worlds``.
+            policy: the simulator's with other numbers in it.
+
+        Raises:
+            ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
+                as in `step` and `segment`; no stage of the controllers takes what the policy
+                commands, or it is made otherwise than the simulator's.
+        """
+        return self._reset(self.fleet, self._gate.admit(worlds), *self._driven(policy))
 
     def step(
-        self, worlds: World, state: WorldState, command: Command | Mixed | None = None
+        self,
+        worlds: World,
+        state: WorldState,
+        command: Command | Mixed | None = None,
+        *,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -244,23 +339,29 @@ class Simulator:
             state: from ``reset`` or the step before.
             command: to the controllers of all robots instead of their paths, [world, robot]
                 leading; it enters at the first stage that takes its type. `Mixed` drives each
-                robot by a command of another type.
+                robot by a command of another type. A policy is not asked then.
+            policy: the simulator's with other numbers in it.
 
         Returns:
             The next state, and the sample of the state before with its command.
 
         Raises:
-            ConfigError: no stage of the controllers takes the command, or it is not for every
-                robot of every world.
+            ConfigError: no stage of the controllers takes the command, an array of it has another
+                shape than every robot of every world wants, or pulse widths in NumPy's arrays are
+                outside the thrust table; or as `reset`.
         """
         if command is not None:
-            lead = state.tally.outcome.shape
-            for one in command.commands if isinstance(command, Mixed) else [command]:
-                stack.check_command(self.spec.stages, one, lead)
-        return self._step(self.fleet, worlds, state, command)
+            self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        return self._step(self.fleet, admitted, state, command, *self._driven(policy))
 
     def segment(
-        self, worlds: World, state: WorldState, command: Command | None = None
+        self,
+        worlds: World,
+        state: WorldState,
+        command: Command | None = None,
+        *,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """``segment_steps`` control steps; the given state's memory is used up.
 
@@ -268,6 +369,7 @@ class Simulator:
             worlds: from ``worlds``.
             state: from ``reset`` or the segment before.
             command: as for `step`; the same in all steps.
+            policy: as for `step`.
 
         Returns:
             The state after them, and samples [world, samples, ...].
@@ -276,18 +378,29 @@ class Simulator:
             ConfigError: as `step`.
         """
         if command is None:
-            after, sample, _ = self.advance(worlds, state)
+            after, sample, _ = self.advance(worlds, state, policy=policy)
             return after, sample
-        stack.check_command(self.spec.stages, command, state.tally.outcome.shape)
-        after, sample, _ = self._commanded(self.fleet, worlds, state, command)
+        self._check(command, worlds, state)
+        admitted = self._gate.admit(worlds)
+        after, sample, _ = self._commanded(self.fleet, admitted, state, command)
         return after, sample
 
-    def advance(self, worlds: World, state: WorldState) -> Segment:
+    def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
         """As `segment`, and int32 [world]: how many robots of each are still on their way.
 
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, worlds, state)
+        return self._segment(self.fleet, self._gate.admit(worlds), state, *self._driven(policy))
+
+    def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
+        """Refuse commands that the controllers cannot be given."""
+        lead, thrusters = state.tally.outcome.shape, worlds.control.vehicle.B.shape[-1]
+        for one in command.commands if isinstance(command, Mixed) else [command]:
+            stack.check_command(self.spec.stages, one, lead, thrusters)
+        if isinstance(command, Mixed):  # of its commands some hold any numbers
+            command_checks.check_choice(command, lead)
+        else:
+            command_checks.check_pulses(command)
 
     def compile(self) -> CompileTime:
         """Compile for this tile ahead of time; later calls use the compiled functions.
@@ -302,11 +415,12 @@ class Simulator:
             return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
         kinds, number, firsts = self._seed_shapes()
         worlds = self._wave_shape
-        state = placed(jax.eval_shape(self._reset, kinds, worlds), self._mesh, EACH)
+        driver = placed(self._driver, self._mesh, SAME)
+        state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
         try:
             prepare, prepare_s = _compiled(self._prepare, kinds, number, firsts)
-            reset, reset_s = _compiled(self._reset, kinds, worlds)
-            segment, segment_s = _compiled(self._segment, kinds, worlds, state)
+            reset, reset_s = _compiled(self._reset, kinds, worlds, *driver)
+            segment, segment_s = _compiled(self._segment, kinds, worlds, state, *driver)
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
@@ -337,9 +451,10 @@ class Simulator:
 
     def _run_segment(
         self,
-        kinds: fleet.Fleet,
+        kinds: Fleet,
         worlds: World,
         state: WorldState,
+        policy: Policy | None = None,
         command: Command | None = None,
     ) -> Segment:
         after, sample = self._engine.segment(
@@ -350,9 +465,15 @@ class Simulator:
             n_sample=self.samples,
             steps_per_sample=self.steps_per_sample,
             command=command,
+            policy=policy,
         )
         running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
         return after, sample, running
+
+    def _run_commanded(
+        self, kinds: Fleet, worlds: World, state: WorldState, command: Command
+    ) -> Segment:
+        return self._run_segment(kinds, worlds, state, None, command)
 
 
 def _divisor(total: int, most: int) -> int:

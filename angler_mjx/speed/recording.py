@@ -23,11 +23,11 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import Sample
 from angler_mjx.speed import simulation
 from angler_mjx.speed.rows import Row, check_repeats, spread
 from angler_mjx.speed.simulation import Timed
-from angler_mjx.storage import harvest, shards
+from angler_mjx.storage import atomic, harvest, shards
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.recorder import Recorder, Shape
 
@@ -156,7 +156,7 @@ def _to_the_horizon(timed: Timed) -> FinishedTile:
         first=0,
         kept=simulator.tile,
         constants=_on_host(harvest.constants(worlds, recorded=True)),
-        end=_on_host(harvest.end(state)),
+        end=_on_host(harvest.end(state, recorded=True)),
         parts=parts,
     )
 
@@ -240,16 +240,8 @@ def _timed(write: Callable[[], None], place: Path) -> float:
     files = [path for path in place.rglob("*") if path.is_file()]
     # Together: one after another, many small files would wait for the disk once each.
     with ThreadPoolExecutor(16) as pool:
-        list(pool.map(_sync, files))
+        list(pool.map(atomic.sync, files))
     return time.perf_counter() - begun
-
-
-def _sync(file: Path) -> None:
-    handle = os.open(file, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _bytes_in(path: Path) -> int:

@@ -19,8 +19,12 @@ import numpy as np
 from jax import monitoring
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import json_of, named, parse, read_text
 from angler_mjx.runs.provenance import peak_memory_bytes
+from angler_mjx.speed.stored import StoredRow
 
+MOST_BYTES = 1 << 26
+"""Of a file of rows."""
 MIN_REPEATS = 10
 """Fewer tell little about the spread."""
 
@@ -201,11 +205,7 @@ def read(path: Path) -> list[dict[str, Any]]:
     Raises:
         ConfigError: the file cannot be read, or a line of it is no row.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return list(_rows(text, path))
+    return list(_rows(read_text(path, MOST_BYTES), path))
 
 
 def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
@@ -217,15 +217,10 @@ def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
     for number, line in enumerate(text.splitlines(), start=1):
         if not line.strip():
             continue
-        try:
-            found = json.loads(line)
-            row = absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
-            row["worlds"], row["robots"] = int(found["worlds"]), int(found["robots"])
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ConfigError(
-                f"{path}, line {number}: is no row of a benchmark ({error})"
-            ) from error
-        yield row
+        where = f"{named(path)}, line {number}"
+        found = json_of(line, where)
+        parse(StoredRow, found, source=f"{where}: is no row of a benchmark")
+        yield absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
 
 
 def _renamed(workload: str) -> dict[str, Any]:

@@ -15,7 +15,8 @@ import numpy as np
 from angler_mjx.errors import RunError
 from angler_mjx.runs import waves
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.state import Outcome, Sample, World, WorldState
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, World, WorldState
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.speed import flops, worlds_once

@@ -1,5 +1,6 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, also after the power has failed."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,14 +18,36 @@ def require_free(path: Path, *, flag: str, force: bool = False) -> None:
 
 
 @contextmanager
-def replacing(path: Path, *, flag: str, force: bool = False) -> Iterator[Path]:
+def whole(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """A place beside a file in which to write it; it takes the file's name at the end.
 
-    Whatever ends the writing early, an interrupt included, leaves nothing behind and an older file
-    as it was.
+    Whatever ends the writing early, an
+    interrupt included, leaves nothing behind and an older file as it was.
 
     Args:
-        path: the file.
+        path: the file; its folder is there.
+        durable: have what was written on the disk before it takes the name.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    # In front of the name: what is written often depends on how it ends.
+    writing = path.with_name(f".unfinished.{path.name}")
+    try:
+        yield writing
+        if durable:
+            sync(writing)
+        writing.replace(path)
+    finally:
+        writing.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing(path: Path, *, flag: str, force: bool = False) -> Iterator[Path]:
+    """As `whole`, for a file that a person named.
+
+    Args:
+        path: the file; its folder is made if need be.
         flag: how a person named it, for messages.
         force: replace an older file.
 
@@ -32,17 +55,37 @@ def replacing(path: Path, *, flag: str, force: bool = False) -> Iterator[Path]:
         ConfigError: the file exists, or its folder cannot be written.
         RunError: the disk gave out.
     """
-    require_free(path, flag=flag, force=force)
-    writing = path.with_name(f".{path.name}.partial")
     try:
+        require_free(path, flag=flag, force=force)
         path.parent.mkdir(parents=True, exist_ok=True)
-        writing.touch()
+        path.with_name(f".unfinished.{path.name}").touch()
     except OSError as error:
         raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
     try:
-        yield writing
-        writing.replace(path)
+        with whole(path) as writing:
+            yield writing
     except OSError as error:
         raise RunError(f"{flag} {path}: cannot be written ({error.strerror or error})") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    with whole(path) as writing:
+        writing.write_text(text, encoding="utf-8")
+
+
+def sync(path: Path) -> None:
+    """Have a file, or the names in a folder, on the disk.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
     finally:
-        writing.unlink(missing_ok=True)
+        os.close(handle)

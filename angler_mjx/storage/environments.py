@@ -5,8 +5,7 @@ The names of the arrays are those of the fields of `Environment`, with "/" betwe
 stands in the group's attributes, so that a group can be read without the config that made it.
 """
 
-import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.storage import claims
+from angler_mjx.storage.damage import reading
 from angler_mjx.world import currents
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.environment import Environment
@@ -43,6 +44,38 @@ _UNITS = {
     "path": "m/s, m, rad/s or rad by motion and column",
 }
 """Unit by the end of an array's name; everything else has none."""
+
+
+_CURRENTS: dict[str, type] = {
+    kind.__name__: kind for kind in (currents.Uniform, currents.GaussMarkov, currents.Vortices)
+}
+"""Kinds of current by the names in a group."""
+
+_DIMS = {
+    "start_m": ("robot", "xyz"),
+    "goal_m": ("robot", "xyz"),
+    "start_yaw_rad": ("robot",),
+    "path_ratio": ("robot",),
+    "line_free": ("robot",),
+    "grid/occupied": ("x", "y", "z"),
+    "grid/origin_m": ("xyz",),
+    "obstacles/size_m": ("obstacle", "size"),
+    "obstacles/path": ("obstacle", "column"),
+    "obstacles/p0": ("obstacle", "xyz"),
+    "obstacles/q0": ("obstacle", "wxyz"),
+    "obstacles/nu0": ("obstacle", "uvwpqr"),
+    "obstacles/inertia_kgm2": ("obstacle", "xyz"),
+    "obstacles/M_A": ("obstacle", "uvwpqr"),
+    "obstacles/D_l": ("obstacle", "uvwpqr"),
+    "obstacles/D_q": ("obstacle", "uvwpqr"),
+}
+"""Dimensions after ``world``; of what is not here they are called after the array."""
+
+_SHARED = {"world", "robot", "obstacle", "xyz", "wxyz", "uvwpqr"}
+"""Dimensions of one size in a whole group."""
+
+MOST_BYTES = 2**30
+"""Of one world's array: what claims more is damaged."""
 
 
 def describe(group: zarr.Group, environment: Environment, count: int, tile: int) -> None:
@@ -75,6 +108,7 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             dtype=np.dtype(leaf.dtype),
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
             attributes={"unit": _unit(name)},
+            dimension_names=["world", *_dims(name, len(tail))],
         )
 
 
@@ -98,14 +132,64 @@ def read(group: zarr.Group, index: int | slice) -> Environment:
     Args:
         group: written before.
         index: of one world, or a slice of worlds.
+
+    Raises:
+        ConfigError: the group is damaged.
     """
+    with reading(_place(group)):
+        return _read(group, index)
+
+
+def check(nodes: Mapping[str, Any], where: Path) -> None:
+    """Refuse a group whose arrays do not fit together, before anything of them is read.
+
+    Args:
+        nodes: of the group, by their names.
+        where: it lies, for messages.
+
+    Raises:
+        ConfigError: naming the array.
+    """
+    sizes = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
+    for name, array in nodes.items():
+        if not isinstance(array, zarr.Array):
+            continue
+        dims = ("world", *_dims(name, array.ndim - 1))
+        # Other dimensions are an array's own.
+        keys = [dim if dim in _SHARED else f"{name} {dim}" for dim in dims]
+        fits = len(dims) == array.ndim and all(
+            sizes.setdefault(key, size) == size for key, size in zip(keys, array.shape, strict=True)
+        )
+        if not fits or array.nbytes > MOST_BYTES * max(1, array.shape[0]):
+            raise ConfigError(
+                f"{where}/{name}: has the shape {array.shape}, which does not fit the "
+                "others; copy its zarr.json again, or make the file anew"
+            )
+
+
+def _place(group: zarr.Group) -> Path:
+    return Path(str(getattr(group.store, "root", ""))) / group.path
+
+
+def _dims(name: str, count: int) -> tuple[str, ...]:
+    """Dimensions of an array after ``world``."""
+    last = name.rsplit("/", 1)[-1]
+    known = _DIMS.get(name)
+    if known is None and count == 1 and name.startswith("obstacles/"):
+        known = ("obstacle",)
+    if known is not None and len(known) == count:
+        return known
+    return tuple(f"{last}_{i}" for i in range(count))
+
+
+def _read(group: zarr.Group, index: int | slice) -> Environment:
     attributes: Any = group.attrs
 
     def part(kind: type, prefix: str, **static: Any) -> Any:
         names = [f.name for f in fields(kind) if f.name not in static]
         return kind(**{name: group[prefix + name][index] for name in names}, **static)  # type: ignore[index]
 
-    kinds = [getattr(currents, name) for name in attributes["current"]]
+    kinds = [_CURRENTS[name] for name in attributes["current"]]
     environment: Environment = part(
         Environment,
         "",
@@ -148,15 +232,11 @@ def make(
         ConfigError: the path exists, or the config cannot be used with this fleet.
         RunError: the path cannot be written.
     """
-    if path.exists():
-        raise ConfigError(f"{path}: exists already; take another name or remove it")
     tile = min(tile, count)
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    invalid = 0
+    claimed = claims.claim(path, what="file of environments")
+    invalid, done = 0, 0
     try:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        unfinished.parent.mkdir(parents=True, exist_ok=True)
-        group = zarr.open_group(unfinished, mode="w-")
+        group = zarr.open_group(claimed.building, mode="a")
         for first in range(0, count, tile):
             batch = generate_batch(config, radius_m, seed, first, tile)
             if first == 0:
@@ -167,30 +247,35 @@ def make(
                 group.attrs["seed"] = seed
                 require_valid(batch)
             write(group, first, batch)
-            done = min(tile, count - first)
-            invalid += int(np.sum(~np.asarray(batch.valid)[:done]))
-            advance(first + done)
-        unfinished.rename(path)
+            done = min(first + tile, count)
+            invalid += int(np.sum(~np.asarray(batch.valid)[: done - first]))
+            advance(done)
     except OSError as error:
+        claimed.withdraw()
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    except BaseException:
+        claimed.withdraw()
+        raise
+    claimed.publish()
     return invalid
 
 
 def open_file(path: Path) -> zarr.Group:
-    """A file that `make` wrote.
+    """A file that `make` wrote, or the environments of a run folder.
 
     Raises:
         ConfigError: there is none, or it is something else.
     """
-    try:
+    inside = path / "trajectories.zarr" / "environment"
+    path = inside if inside.exists() else path
+    with reading(path, "give a file of angler env make, or a run folder with trajectories"):
         group = zarr.open_group(path, mode="r")
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: no environments can be read there ({error})") from error
-    version = group.attrs.get("schema_version")
-    if group.attrs.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
+        about: Any = dict(group.attrs)
+    version = about.get("schema_version")
+    if about.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
         raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
+    with reading(path):
+        check(dict(group.members(max_depth=None)), path)
     return group
 
 

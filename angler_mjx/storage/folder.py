@@ -1,18 +1,21 @@
 """The run folder: where it is built, what lies in it, and how it is read back.
 
-``config.json`` resolved scenario, ``environment.json`` versions and machine, ``summary.json``,
-``episodes.parquet``, ``trajectories.zarr``, ``figures/``, ``replay.rrd``; ``robots/`` where each
-robot left files of its own. While a run goes on, the
-folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
+``config.json`` resolved scenario, ``environment.json`` versions and machine, ``policy.json`` where
+one commanded the robots, ``inputs/`` copies of the vehicle, thruster and plan files,
+``summary.json``, ``episodes.parquet``, ``trajectories.zarr``, ``run.log``, ``figures/``,
+``replay.rrd``; ``robots/`` where each robot left files of its own. While a run goes on, the folder
+is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
 """
 
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import zarr
@@ -20,143 +23,253 @@ import zarr
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.files import parse
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.storage import atomic, claims, environments, inputs, layout, results
+from angler_mjx.storage.claims import Claim, partial_path
+from angler_mjx.storage.damage import read_table, reading
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
+POLICY = "policy.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
-FIGURES, REPLAY, ROBOTS = "figures", "replay.rrd", "robots"
+FIGURES, REPLAY, ROBOTS, LOG = "figures", "replay.rrd", "robots", "run.log"
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, read lazily."""
+    """A run folder, read lazily; whatever of it is damaged is a `ConfigError` that names it."""
 
     path: Path
 
     def __post_init__(self) -> None:
         """Refuse what is not a run folder."""
+        object.__setattr__(self, "path", Path(self.path))
         if not (self.path / SUMMARY).is_file():
             raise ConfigError(f"{self.path}: not a run folder (no {SUMMARY} in it)")
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The resolved scenario."""
+        """The resolved scenario.
+
+        A vehicle file that is not there any more, or was edited since, is replaced by its copy.
+        """
         return read_scenario(self.path)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """What ``summary.json`` holds."""
-        table: dict[str, Any] = json.loads((self.path / SUMMARY).read_text())
-        return table
+        return read_table(self.path / SUMMARY)
+
+    @cached_property
+    def environment(self) -> dict[str, Any]:
+        """What ``environment.json`` holds: versions, device, machine, commit, command."""
+        return read_table(self.path / ENVIRONMENT)
 
     @cached_property
     def episodes(self) -> pa.Table:
         """One row per robot per world, ordered by world and robot."""
-        return pq.read_table(self.path / EPISODES)
+        return read_episodes(self.path / EPISODES)
 
     @cached_property
     def trajectories(self) -> zarr.Group:
         """Sampled trajectories; see their attributes.
 
         Raises:
-            ConfigError: the run stored none.
+            ConfigError: the run stored none, or an array is missing or described wrongly.
         """
-        if not (self.path / TRAJECTORIES).exists():
+        place, scenario = self.path / TRAJECTORIES, self.scenario
+        if not place.exists():
+            if scenario.time.record_hz > 0:
+                raise ConfigError(f"{place}: is missing; copy it again, or make the run anew")
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
-        return zarr.open_group(self.path / TRAJECTORIES, mode="r")
+        with reading(place):
+            group = zarr.open_group(place, mode="r")
+            nodes = dict(group.members(max_depth=None))
+            layout.check(
+                nodes,
+                str(place),
+                worlds=scenario.worlds,
+                robots=len(scenario.members()),
+                estimated=scenario.senses,
+            )
+            inside = f"{layout.ENVIRONMENT}/"
+            environments.check(
+                {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
+                place / layout.ENVIRONMENT,
+            )
+        return group
+
+    def vehicle_file(self, label: str) -> str:
+        """The vehicle of a row of ``episodes``, as `vehicles.library.load` takes it."""
+        return inputs.vehicle_file(self.path, label)
 
 
 def read_scenario(path: Path) -> Scenario:
-    """The resolved scenario of a run folder, whole or in the making."""
+    """The resolved scenario of a run folder, whole or in the making.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
     source = path / CONFIG
-    return parse(Scenario, json.loads(source.read_text()), source=str(source))
+    table = read_table(source)
+    instead = inputs.stand_ins(path)
+    with reading(source):
+        for entry in table["fleet"]:
+            entry["vehicle"] = instead.get(entry["vehicle"], entry["vehicle"])
+    return parse(Scenario, table, source=str(source))
 
 
-def partial_path(out: Path) -> Path:
-    """Where the run of ``out`` is built."""
-    return out.parent / f".{out.name}.partial"
+def read_episodes(path: Path) -> pa.Table:
+    """Rows of episodes, missing values as nulls; older files held NaN and infinity for them.
+
+    Raises:
+        ConfigError: the file is damaged or holds something else.
+    """
+    with reading(path):
+        table = pq.read_table(path, page_checksum_verification=True)
+        return results.checked(table)
 
 
-def create(out: Path) -> Path:
-    """Make the hidden folder in which the run of ``out`` is built.
+def create(out: Path) -> Claim:
+    """Take the name of a run and make the hidden folder in which it is built.
 
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    if out.exists():
-        raise ConfigError(f"--out {out}: exists; give another folder or remove it")
-    building = partial_path(out)
-    if building.exists():
-        raise ConfigError(
-            f"--out {out}: an unfinished run lies in {building}; remove it, or if a rollout left "
-            "it take it up again with --resume"
-        )
+    claimed = claims.claim(out)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        building.mkdir()
-        (building / PARTS).mkdir()
+        (claimed.building / PARTS).mkdir()
     except OSError as error:
+        claimed.withdraw()
         raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
-    return building
+    return claimed
 
 
-def reopen(out: Path) -> Path:
+def begin(
+    building: Path,
+    scenario: Scenario,
+    environment: dict[str, Any],
+    others: list[tuple[str, Path]] | None = None,
+) -> None:
+    """Write what is known before the first step.
+
+    Args:
+        building: the hidden folder.
+        scenario: resolved.
+        environment: versions and machine.
+        others: role and file of what is used beside the scenario's vehicles.
+    """
+    inputs.take(building, [entry.vehicle for entry in scenario.fleet], others or [])
+    write_json(building / CONFIG, scenario.model_dump(mode="json"))
+    write_json(building / ENVIRONMENT, environment)
+
+
+def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
     """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
 
+    Args:
+        out: name of the run.
+        tell: told what is damaged and made again.
+
     Raises:
-        ConfigError: there is none, or it is complete.
+        ConfigError: there is none, it is complete, it goes on, or its vehicles were edited.
     """
-    building = partial_path(out)
-    if out.exists() and not building.exists():
+    if not partial_path(out).exists() and (out / SUMMARY).is_file():
         summary = Run(out).summary
-        if summary["complete"]:
+        if summary.get("complete") is True:
             raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
         if "interrupted" in summary:
             raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
-        out.rename(building)
-        (building / PARTS).mkdir(exist_ok=True)
-        (building / EPISODES).rename(building / PARTS / "before.parquet")
-        (building / SUMMARY).unlink()
-        shutil.rmtree(building / FIGURES, ignore_errors=True)
-        (building / REPLAY).unlink(missing_ok=True)
-    if not (building / CONFIG).is_file():
+    place = partial_path(out) if partial_path(out).exists() else out
+    if not (place / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    return building
+    read_scenario(place)  # before anything is moved
+    claimed = claims.reclaim(out)
+    if claimed is None:
+        raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
+    try:
+        inputs.require_unchanged(claimed.building, flag=f"--resume {out}")
+        _unfold(claimed.building)
+        _set_aside(claimed.building, tell)
+    except OSError as error:
+        claimed.release()
+        raise ConfigError(f"--resume {out}: cannot be written ({error.strerror})") from error
+    except BaseException:
+        claimed.release()
+        raise
+    return claimed
+
+
+def _unfold(building: Path) -> None:
+    """Take the end of a run back: its rows are parts again."""
+    (building / PARTS).mkdir(exist_ok=True)
+    if (building / EPISODES).exists():
+        (building / EPISODES).replace(building / PARTS / "before.parquet")
+    (building / SUMMARY).unlink(missing_ok=True)
+    shutil.rmtree(building / FIGURES, ignore_errors=True)
+    (building / REPLAY).unlink(missing_ok=True)
+
+
+def _set_aside(building: Path, tell: Callable[[str], None]) -> None:
+    """Rename parts that cannot be read: their worlds are computed again."""
+    for part in sorted((building / PARTS).glob("*.parquet")):
+        try:
+            read_episodes(part)
+        except ConfigError as error:
+            part.replace(part.with_suffix(".damaged"))
+            tell(f"{error}; its worlds are computed again")
 
 
 def read_parts(building: Path) -> pa.Table | None:
-    """Episodes of the finished tiles, ordered by world and robot; None if there are none."""
+    """Episodes of the finished tiles, ordered by world and robot; None if there are none.
+
+    Raises:
+        ConfigError: a part is damaged.
+    """
     parts = sorted((building / PARTS).glob("*.parquet"))
     if not parts:
         return None
-    table = pa.concat_tables([pq.read_table(part) for part in parts])
-    return table.sort_by([("world", "ascending"), ("robot", "ascending")])
+    table = pa.concat_tables([read_episodes(part) for part in parts])
+    table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
+    # A tile that was computed again stands in two parts, with the same rows.
+    keys = np.stack([table["world"].to_numpy(), table["robot"].to_numpy()])
+    first = np.r_[True, (np.diff(keys) != 0).any(axis=0)]
+    return table if first.all() else table.filter(pa.array(first))
 
 
 def write_part(building: Path, first_world: int, episodes: pa.Table) -> None:
-    """Keep the episodes of finished tiles."""
-    place = building / PARTS / f"{first_world:012d}.parquet"
-    written = place.with_suffix(".tmp")
-    pq.write_table(episodes, written)
-    written.rename(place)
+    """Keep the episodes of finished tiles: on the disk when this returns."""
+    write_episodes(building / PARTS / f"{first_world:012d}.parquet", episodes)
+    atomic.sync(building / PARTS)
 
 
-def finish(building: Path, out: Path, episodes: pa.Table, summary: dict[str, Any]) -> Run:
-    """Close the run: results in place, parts gone, the folder under its own name."""
-    pq.write_table(episodes, building / EPISODES)
-    write_json(building / SUMMARY, summary)
-    shutil.rmtree(building / PARTS)
-    building.rename(out)
-    return Run(out)
+def write_episodes(path: Path, episodes: pa.Table) -> None:
+    """Write rows with checksums, whole or not at all."""
+    with atomic.whole(path) as writing:
+        pq.write_table(episodes, writing, write_page_checksum=True)
+
+
+def holds_results(building: Path) -> bool:
+    """Whether anything was computed into a hidden folder."""
+    parts = building / PARTS
+    return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
+
+
+def finish(claimed: Claim, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+    """Close the run: results in place, the folder under its own name, parts gone.
+
+    Raises:
+        RunError: the name cannot be had; the run stays whole where it was built.
+        OSError: the disk gave out; the run can be resumed.
+    """
+    write_episodes(claimed.building / EPISODES, episodes)
+    write_json(claimed.building / SUMMARY, summary)
+    claimed.publish()
+    shutil.rmtree(claimed.out / PARTS, ignore_errors=True)
+    return Run(claimed.out)
 
 
 def write_json(path: Path, table: dict[str, Any]) -> None:
-    """Write a table as indented JSON."""
-    path.write_text(json.dumps(table, indent=2, allow_nan=False) + "\n")
-
-
-def remove(building: Path) -> None:
-    """Take away a run of which nothing is worth keeping."""
-    shutil.rmtree(building, ignore_errors=True)
+    """Write a table as indented JSON, whole or not at all."""
+    atomic.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
 
 
 def require_space(out: Path, needed_bytes: int) -> None:
@@ -165,7 +278,7 @@ def require_space(out: Path, needed_bytes: int) -> None:
     Raises:
         RunError: the free space is smaller than what the run will write at most.
     """
-    place = out.parent
+    place = out.absolute().parent
     while not place.exists():
         place = place.parent
     free = shutil.disk_usage(place).free

@@ -3,43 +3,20 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.sim.state import Outcome, Sample, Tally, World, WorldState
+from angler_mjx.sim.record import FIELDS, STATES, Field, Sample
+from angler_mjx.sim.state import Outcome, Tally, World, WorldState
+from angler_mjx.storage.layout import END
 from angler_mjx.storage.results import TileResult
 from angler_mjx.world.environment import Environment
 
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
 """Recorded arrays of a tile by name: each gives its part of a slice of worlds, [n, ...]."""
-
-ESTIMATE = "estimate"
-"""Group of what the controllers were told, where that was not the truth."""
-
-_SAMPLED = {
-    "p_m": "p",
-    "q": "q",
-    "nu": "nu",
-    "pwm_us": "pwm_us",
-    "target_m": "target_m",
-    "current_mps": "current_mps",
-    "outcome": "outcome",
-    "obstacle_p_m": "obstacle_p",
-    "obstacle_q": "obstacle_q",
-}
-"""Name on disk and in `Sample`."""
-
-_BELIEVED = {
-    "p_m": "p",
-    "q": "q",
-    "nu": "nu",
-    "position_std_m": "position_std_m",
-    "velocity_std_mps": "velocity_std_mps",
-    "attitude_std_rad": "attitude_std_rad",
-}
-"""Name on disk, in the group ``estimate``, and in `Belief`."""
 
 
 @jax.tree_util.register_dataclass
@@ -59,11 +36,32 @@ class Constants:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
+class Last:
+    """The state after the last sample of a tile; [tile] leads.
+
+    A sample is the state at the beginning of a step: without this one nobody could see where a
+    robot is that ended in the last step.
+    """
+
+    step: jax.Array
+    """int32 [tile] control steps taken until then."""
+    p: jax.Array
+    q: jax.Array
+    nu: jax.Array
+    outcome: jax.Array
+    obstacle_p: jax.Array
+    obstacle_q: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
 class End:
     """What the host keeps of the last state of a tile; [tile] leads."""
 
     tally: Tally
     p: jax.Array
+    last: Last | None = None
+    """What follows on the samples; None where nothing is recorded."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +90,31 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
     )
 
 
-def end(state: WorldState) -> End:
+def end(state: WorldState, *, recorded: bool) -> End:
     """What to keep of the last state."""
-    return End(tally=state.tally, p=state.vehicles.p)
+    last = Last(
+        step=state.step,
+        p=state.vehicles.p,
+        q=state.vehicles.q,
+        nu=state.vehicles.nu,
+        outcome=state.tally.outcome,
+        obstacle_p=state.obstacles.p,
+        obstacle_q=state.obstacles.q,
+    )
+    return End(tally=state.tally, p=state.vehicles.p, last=last if recorded else None)
+
+
+def last_in(following: Sample, step: int) -> Last:
+    """The state after the last sample of a tile, from the samples that follow on it.
+
+    Args:
+        following: samples of the next segment; [tile, n] leads.
+        step: control steps taken until its first one.
+    """
+    first: dict[str, Any] = {
+        field.path[-1]: np.asarray(field.of(following))[:, 0] for field in STATES
+    }
+    return Last(step=np.full(len(first["p"]), step, np.int32), **first)  # type: ignore[arg-type]
 
 
 def require_valid(constants: Constants, first: int, kept: int) -> None:
@@ -138,17 +158,15 @@ def arrays(tile: FinishedTile, samples: int) -> Arrays:
         tile: with its parts.
         samples: in the whole horizon.
     """
-    made: Arrays = {
-        name: partial(_joined, [getattr(part, field) for part in tile.parts], samples)
-        for name, field in _SAMPLED.items()
-    }
-    beliefs = [part.belief for part in tile.parts if part.belief is not None]
-    if beliefs:
-        for name, field in _BELIEVED.items():
-            rows = [getattr(belief, field) for belief in beliefs]
-            made[f"{ESTIMATE}/{name}"] = partial(_joined, rows, samples)
-    made["pwm_us"] = partial(_whole_numbers, made["pwm_us"])
-    made["outcome"] = partial(_bytes, made["outcome"])
+    made: Arrays = {}
+    for field in FIELDS:
+        rows = [values for part in tile.parts if (values := field.of(part)) is not None]
+        if rows:
+            made[field.about.array] = partial(_as_stored, field, partial(_joined, rows, samples))
+    if tile.end.last is not None:
+        made[f"{END}/step"] = partial(_rows, tile.end.last.step)
+        for field in STATES:
+            made[f"{END}/{field.about.array}"] = partial(_rows, field.of(tile.end.last))
     made["plan_time_s"] = lambda worlds: np.asarray(tile.constants.plan_time_s)[worlds]
     made["plan_m"] = lambda worlds: np.asarray(tile.constants.plan_m)[worlds]
     return made
@@ -166,12 +184,14 @@ def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:
     return whole
 
 
-def _whole_numbers(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+def _rows(values: Any, worlds: slice) -> np.ndarray:
+    return np.asarray(values)[worlds]
+
+
+def _as_stored(field: Field, make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+    """As it is stored, but for the type of floats: these are converted block by block."""
     values = make(worlds)
-    # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
-    np.rint(np.fmax(values, 0.0, out=values), out=values)
-    return values.astype(np.uint16)
-
-
-def _bytes(make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
-    return make(worlds).astype(np.uint8)
+    if field.about.none is not None:
+        # fmax takes the number where the other is NaN; nan_to_num takes six times as long.
+        np.fmax(values, field.about.none, out=values)
+    return values if field.stored.kind == "f" else values.astype(field.stored)

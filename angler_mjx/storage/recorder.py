@@ -7,6 +7,7 @@ Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So
 even there, and doubles what a slower disk or more cores can record.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -20,9 +21,10 @@ import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
+from angler_mjx.storage import atomic, layout, shards
 from angler_mjx.storage import environments as store
-from angler_mjx.storage import shards
-from angler_mjx.storage.harvest import ESTIMATE, Arrays
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.harvest import Arrays
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
@@ -38,36 +40,6 @@ BLOCK_BYTES = 2**22
 _ENCODER = Blosc(cname="lz4", shuffle=SHUFFLE, clevel=1)
 """As the arrays' metadata say; docs/decisions/0004-many-devices.md has what was measured."""
 
-_ABOUT: dict[str, tuple[str, str]] = {
-    "p_m": ("m", "centre of mass, world frame (x east, y north, z up, 0 at the surface)"),
-    "q": ("1", "attitude, quaternion wxyz, body (forward, left, up) to world"),
-    "nu": ("m/s, rad/s", "velocity over ground [u v w p q r], body frame"),
-    "pwm_us": (
-        "us",
-        "command of each thruster; 1500 in padding columns, 0 where a diverged robot had none",
-    ),
-    "target_m": ("m", "where the controller aims, world frame"),
-    "current_mps": ("m/s", "water velocity at the robot, world frame"),
-    "outcome": (
-        "1",
-        "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-        "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
-    ),
-    "obstacle_p_m": ("m", "centre of each obstacle, world frame"),
-    "obstacle_q": ("1", "attitude of each obstacle, quaternion wxyz, body to world"),
-}
-"""Sampled arrays [world, time, robot or obstacle, ...]: unit and meaning."""
-
-_TOLD: dict[str, tuple[int, str, str]] = {
-    "p_m": (3, "m", "centre of mass as the controllers were told it, world frame"),
-    "q": (4, "1", "attitude as they were told it, quaternion wxyz, body to world"),
-    "nu": (6, "m/s, rad/s", "velocity over ground as they were told it, body frame"),
-    "position_std_m": (3, "m", "standard deviations of the estimate, world frame; 0 for the truth"),
-    "velocity_std_mps": (3, "m/s", "standard deviations of the velocity, world frame"),
-    "attitude_std_rad": (3, "rad", "standard deviations of the attitude, about the world's axes"),
-}
-"""Sampled arrays [world, time, robot, ...] of the group of estimates: width, unit and meaning."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
@@ -82,13 +54,28 @@ class Shape:
     estimated: bool = False
     """Whether any robot's controllers were told something other than the truth."""
 
+    @property
+    def sizes(self) -> dict[str, int]:
+        """By dimension, as `layout` names them."""
+        return {
+            "time": self.samples,
+            "robot": self.robots,
+            "thruster": self.thrusters,
+            "obstacle": self.obstacles,
+            "way_point": self.plan_points,
+        }
+
+    def names(self) -> list[str]:
+        """Arrays of the run; see `layout`."""
+        return layout.names(self.sizes, estimated=self.estimated)
+
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
-        floats = self.robots * (3 + 4 + 6 + 3 + 3) + self.obstacles * 7
-        if self.estimated:
-            floats += self.robots * sum(width for width, _, _ in _TOLD.values())
-        small = self.robots * (2 * self.thrusters + 1)
-        return self.samples * (4 * floats + small) + self.robots * self.plan_points * 16
+        kinds = [layout.ARRAYS[name] for name in self.names()]
+        return sum(
+            math.prod(layout.tail(kind, self.sizes)) * np.dtype(kind.dtype).itemsize
+            for kind in kinds
+        )
 
 
 class Recorder:
@@ -106,8 +93,50 @@ class Recorder:
 
     @classmethod
     def reopen(cls, path: Path, shape: Shape, *, tile: int) -> "Recorder":
-        """Go on with the group of an interrupted run."""
-        return cls(path, zarr.open_group(path, mode="r+"), shape, tile=tile)
+        """Go on with the group of an interrupted run.
+
+        Raises:
+            ConfigError: it cannot be read.
+        """
+        with reading(path):
+            return cls(path, zarr.open_group(path, mode="r+"), shape, tile=tile)
+
+    def lacks(self, first_world: int) -> str | None:
+        """Name of an array of which a tile is missing or damaged; None if all is there.
+
+        Every file's own account of its length is compared, not every sample.
+        """
+        number = first_world // self._tile
+        for name, array in {**self._arrays, **self._around()}.items():
+            if not shards.sound(
+                _place(self._path / name, number, array.ndim),
+                shard=self._tile if name in self._arrays else None,
+            ):
+                return name
+        return None
+
+    def sync(self, first_world: int) -> None:
+        """Wait until the files of a tile are on the disk.
+
+        Raises:
+            OSError: the disk gave out.
+        """
+        number = first_world // self._tile
+        places = [
+            _place(self._path / name, number, array.ndim)
+            for name, array in {**self._arrays, **self._around()}.items()
+        ]
+        # Together: one after another, many small files would wait for the disk once each.
+        for done in [self._encoders.submit(atomic.sync, place) for place in places]:
+            done.result()
+
+    def _around(self) -> dict[str, Any]:
+        """Arrays of the environments that are not empty, by their names in the whole group."""
+        return {
+            f"{layout.ENVIRONMENT}/{name}": node
+            for name, node in self._environment.items()
+            if isinstance(node, zarr.Array) and node.size
+        }
 
     @classmethod
     def create(
@@ -125,7 +154,7 @@ class Recorder:
         group = zarr.open_group(path, mode="w-")
         recorder = cls(path, group, shape, tile=tile)
         recorder._describe(sample_dt_s)
-        store.describe(group.create_group("environment"), environment, shape.worlds, tile)
+        store.describe(group.create_group(layout.ENVIRONMENT), environment, shape.worlds, tile)
         return recorder
 
     def _describe(self, sample_dt_s: float) -> None:
@@ -140,39 +169,24 @@ class Recorder:
             }
         )
         time = np.arange(shape.samples) * sample_dt_s
-        self._group.create_array("time_s", data=time, attributes={"unit": "s"})
-        per_robot = {"p_m": 3, "q": 4, "nu": 6, "target_m": 3, "current_mps": 3}
-        for name, width in per_robot.items():
-            self._sampled(name, (shape.robots, width), np.float32)
-        self._sampled("pwm_us", (shape.robots, shape.thrusters), np.uint16)
-        self._sampled("outcome", (shape.robots,), np.uint8)
-        self._sampled("obstacle_p_m", (shape.obstacles, 3), np.float32)
-        self._sampled("obstacle_q", (shape.obstacles, 4), np.float32)
-        if shape.estimated:
-            for name, (width, unit, meaning) in _TOLD.items():
-                tail = (shape.samples, shape.robots, width)
-                self._create(f"{ESTIMATE}/{name}", tail, np.float32, unit, meaning)
-        points = (shape.robots, shape.plan_points)
-        self._create("plan_time_s", points, np.float32, "s", "time of each way-point")
-        self._create("plan_m", (*points, 3), np.float32, "m", "way-points, world frame")
+        self._group.create_array(
+            layout.TIME, data=time, attributes={"unit": "s"}, dimension_names=["time"]
+        )
+        for name in shape.names():
+            self._create(name, layout.ARRAYS[name])
 
-    def _sampled(self, name: str, tail: tuple[int, ...], dtype: Any) -> None:
-        unit, meaning = _ABOUT[name]
-        self._create(name, (self._shape.samples, *tail), dtype, unit, meaning)
-
-    def _create(self, name: str, tail: tuple[int, ...], dtype: Any, unit: str, text: str) -> None:
-        if 0 in tail:
-            return
-        floating = np.issubdtype(dtype, np.floating)
+    def _create(self, name: str, kind: layout.Kind) -> None:
+        tail = layout.tail(kind, self._shape.sizes)
         self._group.create_array(
             name,
             shape=(self._shape.worlds, *tail),
             chunks=(1, *tail),
             shards=(self._tile, *tail),
-            dtype=dtype,
-            fill_value=np.nan if floating else 0,
+            dtype=kind.dtype,
+            fill_value=np.nan if np.issubdtype(kind.dtype, np.floating) else 0,
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes={"unit": unit, "description": text},
+            attributes={"unit": kind.unit, "description": kind.text},
+            dimension_names=["world", *kind.dims],
         )
 
     def _write_environment(self, number: int, kept: int, environment: Environment) -> None:
@@ -182,23 +196,19 @@ class Recorder:
             values = np.zeros(array.chunks, array.dtype)
             values[:kept] = np.asarray(leaf)[:kept]
             if values.size:
-                place = _place(self._path / "environment" / name, number, array.ndim)
+                place = _place(self._path / layout.ENVIRONMENT / name, number, array.ndim)
                 shards.write_file(place, [_ENCODER.encode(values)])
 
     @cached_property
     def _environment(self) -> dict[str, Any]:
         """Arrays of the environments by name, opened once."""
-        group: Any = self._group["environment"]
+        group: Any = self._group[layout.ENVIRONMENT]
         return {name: node for name, node in group.members(max_depth=None)}
 
     @cached_property
     def _arrays(self) -> dict[str, Any]:
         """By name, opened once: opening costs as much as writing a small tile."""
-        arrays: dict[str, Any] = dict(self._group.arrays())
-        if self._shape.estimated:
-            group: Any = self._group[ESTIMATE]
-            arrays.update({f"{ESTIMATE}/{name}": array for name, array in group.arrays()})
-        return arrays
+        return {name: self._group[name] for name in self._shape.names()}
 
     def write(self, first_world: int, arrays: Arrays, environment: Environment) -> int:
         """Write one tile.

@@ -1,8 +1,7 @@
 """The results of a run: one row per robot per world, and what they add up to."""
 
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.storage import intervals
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
 """How an episode can end, in the order of every table and figure."""
@@ -22,7 +22,7 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("parameter_set", pa.string(), "", "hydrodynamic parameter set"),
     ("planned", pa.bool_(), "1", "whether the planner found a way"),
     ("outcome", pa.string(), "", "how the episode ended"),
-    ("time_to_goal_s", pa.float32(), "s", "arrival; NaN if not reached"),
+    ("time_to_goal_s", pa.float32(), "s", "arrival; null if not reached"),
     ("path_length_m", pa.float32(), "m", "way of the centre of mass until the end"),
     ("energy_j", pa.float32(), "J", "electrical energy of the thrusters until the end"),
     ("min_clearance_m", pa.float32(), "m", "least hull distance to cells, floor, obstacles"),
@@ -30,21 +30,32 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
         "min_separation_m",
         pa.float32(),
         "m",
-        "least hull distance to other robots, at most 1; inf if alone",
+        "least hull distance to other robots, at most 1; null if alone",
     ),
-    ("failure_time_s", pa.float32(), "s", "end of a failed episode; NaN if reached"),
-    ("failure_x_m", pa.float32(), "m", "centre of mass then, east; NaN if reached"),
-    ("failure_y_m", pa.float32(), "m", "north"),
-    ("failure_z_m", pa.float32(), "m", "up, 0 at the surface"),
+    ("failure_time_s", pa.float32(), "s", "end of a failed episode; null if reached"),
+    ("failure_x_m", pa.float32(), "m", "centre of mass then, east; null if reached"),
+    ("failure_y_m", pa.float32(), "m", "north; null if reached"),
+    ("failure_z_m", pa.float32(), "m", "up, 0 at the surface; null if reached"),
     (
         "failure_pair",
         pa.string(),
         "",
         "what was touched: cell, floor, obstacle:i, robot:i; or none",
     ),
-    ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; NaN without one"),
+    ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; null without one"),
     ("redraws", pa.int32(), "1", "drawings thrown away before this world"),
 )
+
+MISSING = (
+    "time_to_goal_s",
+    "min_separation_m",
+    "failure_time_s",
+    "failure_x_m",
+    "failure_y_m",
+    "failure_z_m",
+    "impact_speed_mps",
+)
+"""Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
 
 EPISODE_SCHEMA = pa.schema(
     [
@@ -96,8 +107,8 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
     kind = result.variant.reshape(-1)
     end = result.end_time_s.reshape(-1)
 
-    def unless_reached(values: np.ndarray) -> np.ndarray:
-        return np.where(reached, np.nan, values).astype(np.float32)
+    def unless_reached(values: np.ndarray) -> pa.Array:
+        return _known(np.where(reached, np.nan, values))
 
     columns: dict[str, Any] = {
         "world": np.repeat(result.world, n_robot),
@@ -107,11 +118,11 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         "parameter_set": [variants[k][1] for k in kind],
         "planned": result.planned.reshape(-1),
         "outcome": [Outcome(o).name.lower() for o in outcome],
-        "time_to_goal_s": np.where(reached, end, np.nan).astype(np.float32),
+        "time_to_goal_s": _known(np.where(reached, end, np.nan)),
         "path_length_m": result.path_length_m.reshape(-1),
         "energy_j": result.energy_j.reshape(-1),
         "min_clearance_m": result.min_clearance_m.reshape(-1),
-        "min_separation_m": result.min_separation_m.reshape(-1),
+        "min_separation_m": _known(result.min_separation_m.reshape(-1)),
         "failure_time_s": unless_reached(end),
         "failure_x_m": unless_reached(place[:, 0]),
         "failure_y_m": unless_reached(place[:, 1]),
@@ -122,10 +133,45 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
                 result.touched.reshape(-1), result.touched_index.reshape(-1), strict=True
             )
         ],
-        "impact_speed_mps": result.impact_speed_mps.reshape(-1),
+        "impact_speed_mps": _known(result.impact_speed_mps.reshape(-1)),
         "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
     }
     return pa.table(columns, schema=EPISODE_SCHEMA)
+
+
+def _known(values: np.ndarray) -> pa.Array:
+    """A column with nulls where nothing is known."""
+    return pa.array(values.astype(np.float32), mask=~np.isfinite(values))
+
+
+def checked(table: pa.Table) -> pa.Table:
+    """Rows that were read back: with our columns, and nulls where older runs wrote NaN.
+
+    Raises:
+        ValueError: they are something else.
+    """
+    if table.schema.names != EPISODE_SCHEMA.names or table.schema.types != EPISODE_SCHEMA.types:
+        raise ValueError(f"holds the columns {', '.join(table.schema.names)}")
+    table.validate(full=True)
+    if table.num_rows == 0:
+        raise ValueError("holds no rows")
+    for at, field in enumerate(EPISODE_SCHEMA):
+        column = table[field.name]
+        if field.name in MISSING:
+            known = pc.fill_null(pc.is_finite(column), False)
+            column = pc.if_else(known, column, pa.scalar(None, field.type))
+        elif column.null_count:
+            raise ValueError(f"has nulls in {field.name}")
+        table = table.set_column(at, field, column)
+    unknown = set(table["outcome"].unique().to_pylist()) - set(OUTCOMES)
+    if unknown:
+        raise ValueError(f"knows outcomes that are none: {', '.join(sorted(unknown))}")
+    return table
+
+
+def end_time_s(row: Mapping[str, Any]) -> float:
+    """When a robot's episode ended, s: a row as ``to_pylist`` gives it."""
+    return float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
 
 
 def _pair(kind: int, index: int) -> str:
@@ -139,32 +185,22 @@ def _pair(kind: int, index: int) -> str:
     return name[Touched(kind)]
 
 
-def wilson(count: int, total: int) -> tuple[float, float]:
-    """95 % Wilson score interval of a proportion (Wilson, JASA 22, 1927)."""
-    if total == 0:
-        return 0.0, 1.0
-    z = 1.959963984540054
-    share = count / total
-    scale = 1.0 + z * z / total
-    centre = (share + z * z / (2 * total)) / scale
-    half = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total)) / scale
-    return max(0.0, centre - half), min(1.0, centre + half)
-
-
 def rates(episodes: pa.Table) -> dict[str, Any]:
-    """Count, rate and 95 % Wilson interval of every outcome.
+    """Count, rate and 95 % interval of every outcome, clustered by world.
 
     Args:
         episodes: rows of ``EPISODE_SCHEMA``.
+
+    Returns:
+        By outcome ``count``, ``rate``, ``low``, ``high``, and ``effective``: how many independent
+        robots the rows are worth; see `angler_mjx.storage.intervals`.
     """
-    names = episodes["outcome"].to_pylist()
-    table = {}
-    for outcome in OUTCOMES:
-        count = names.count(outcome)
-        low, high = wilson(count, len(names))
-        rate = count / len(names) if names else 0.0
-        table[outcome] = {"count": count, "rate": rate, "low": low, "high": high}
-    return table
+    names = episodes["outcome"].combine_chunks()
+    ended = {
+        name: np.asarray(pc.equal(names, name).to_numpy(zero_copy_only=False)) for name in OUTCOMES
+    }
+    found = intervals.clustered(ended, episodes["world"].to_numpy())
+    return {name: asdict(interval) for name, interval in found.items()}
 
 
 def summarise(episodes: pa.Table) -> dict[str, Any]:

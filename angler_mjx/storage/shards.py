@@ -13,6 +13,8 @@ from pathlib import Path
 import google_crc32c
 import numpy as np
 
+from angler_mjx.storage import atomic
+
 ABSENT = np.uint64(2**64 - 1)
 """Offset and length of a chunk that is not there."""
 
@@ -48,7 +50,7 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
 
     Args:
         path: of the file; its folder is made if need be.
-        pieces: as they come; the disk begins with each at once.
+        pieces: as they come; the disk begins with each at once, and is not waited for.
 
     Returns:
         Bytes written.
@@ -57,19 +59,38 @@ def write_file(path: Path, pieces: Iterable[bytes]) -> int:
         OSError: it cannot be written; nothing of that name is left then.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.unfinished")
     written = 0
-    try:
-        with unfinished.open("wb", buffering=0) as file:
-            for piece in pieces:
-                _write_all(file.fileno(), memoryview(piece))
-                start_disk(file.fileno(), written, len(piece))
-                written += len(piece)
-        unfinished.replace(path)
-    except OSError:
-        unfinished.unlink(missing_ok=True)
-        raise
+    with atomic.whole(path, durable=False) as writing, writing.open("wb", buffering=0) as file:
+        for piece in pieces:
+            _write_all(file.fileno(), memoryview(piece))
+            start_disk(file.fileno(), written, len(piece))
+            written += len(piece)
     return written
+
+
+def sound(path: Path, *, shard: int | None) -> bool:
+    """Whether a file is there with the length that it says itself.
+
+    Args:
+        path: of the file.
+        shard: chunks in it; None for a single chunk, compressed by Blosc.
+    """
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            if shard is None:  # Blosc's header ends with the whole length
+                head = file.read(16)
+                return len(head) == 16 and int.from_bytes(head[12:], "little") == size
+            length = 16 * shard + 4
+            file.seek(size - length)
+            tail = file.read(length)
+    except (OSError, ValueError):
+        return False
+    if google_crc32c.value(tail[:-4]) != int.from_bytes(tail[-4:], "little"):
+        return False
+    index = np.frombuffer(tail[:-4], "<u8").reshape(shard, 2)
+    there = index[index[:, 0] != ABSENT]
+    return bool(len(there)) and int(there.sum(axis=1).max()) == size - length
 
 
 def _index(lengths: list[int], shard: int) -> bytes:

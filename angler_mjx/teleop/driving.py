@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError, RunError, shown
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.storage import folder
 from angler_mjx.storage.folder import Run
@@ -78,10 +78,10 @@ def run(
         ConfigError: something of the scenario or the settings cannot be used; nothing is left.
         UnsupportedError: the viewer is not there.
         RunError: the session broke off, and the run folder holds what was driven until then; or the
-            disk gave out, and nothing is left.
+            disk gave out, and what there is stays in the hidden folder.
     """
-    if settings.world < 0:
-        raise ConfigError(f"--world {settings.world}: give an index from 0 on")
+    if not 0 <= settings.world < 2**31:
+        raise ConfigError(f"--world {shown(settings.world)}: give an index from 0 to {2**31 - 1}")
     driven = opening.choose(settings.robots, len(scenario.members()))
     keys = Keyboard() if settings.script is None else Script(script.load(settings.script))
     if settings.rerun:

@@ -10,12 +10,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import named, read_text
 from angler_mjx.teleop import keys
 
 REPEAT_S = 0.1
 """Between two keys of one that is held: no faster than a control loop looks, no slower than a
 dead-man's time allows."""
+
+LATEST_S = 86_400.0
+"""A scene is over by then: the longest horizon of a scenario."""
+MOST = 1_000_000
+"""Keys of a file, those of held ones counted each."""
+_MOST_BYTES, _LONGEST = 1 << 24, 200
+"""Of a file, and characters of a line."""
 
 SHOWN = 10
 """Faults of a file that are told; a file with more is not one of keys."""
@@ -63,9 +71,9 @@ def load(path: Path) -> list[TimedKey]:
             their numbers).
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--script {path}: cannot be read ({error})") from error
+        text = read_text(path, _MOST_BYTES)
+    except ConfigError as error:
+        raise ConfigError(f"--script {error}") from error
     timed: list[TimedKey] = []
     faults: list[str] = []
     latest = 0.0
@@ -76,17 +84,19 @@ def load(path: Path) -> list[TimedKey]:
             found = _parse(stripped)
             if found[0].time_s < latest:
                 raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
+            if len(timed) + len(found) > MOST:
+                raise ValueError(f"more than {MOST:,} keys up to here; drive for a shorter time")
         except ValueError as error:
-            faults.append(f"  line {number}: {stripped!r}: {error}")
+            faults.append(f"  line {number}: {shown(stripped)}: {error}")
             continue
         latest = found[0].time_s
         timed += found
     if faults:
         count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
         more = [f"  and {len(faults) - SHOWN} more"] if len(faults) > SHOWN else []
-        raise ConfigError("\n".join([f"--script {path}: {count}", *faults[:SHOWN], *more]))
+        raise ConfigError("\n".join([f"--script {named(path)}: {count}", *faults[:SHOWN], *more]))
     if not timed:
-        raise ConfigError(f"--script {path}: holds no key; give lines such as `2.0 i`")
+        raise ConfigError(f"--script {named(path)}: holds no key; give lines such as `2.0 i`")
     # A held key goes on past the lines that follow it.
     return sorted(timed, key=lambda one: one.time_s)
 
@@ -103,7 +113,7 @@ def _parse(line: str) -> list[TimedKey]:
     Raises:
         ValueError: saying what of it makes no sense.
     """
-    if (match := _LINE.fullmatch(line)) is None:
+    if len(line) > _LONGEST or (match := _LINE.fullmatch(line)) is None:
         raise ValueError("give a time in seconds and a key, as in `2.0 i`")
     begin = _seconds(match["begin"])
     key = _key(match["key"])
@@ -120,9 +130,9 @@ def _seconds(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{text!r} is not a time in seconds") from None
-    if not 0.0 <= value < float("inf"):
-        raise ValueError(f"{text} is not a time from 0 s on")
+        raise ValueError(f"{shown(text)} is not a time in seconds") from None
+    if not 0.0 <= value <= LATEST_S:
+        raise ValueError(f"{text} is not a time from 0 s on, {LATEST_S:g} s at most")
     return value
 
 
@@ -138,4 +148,4 @@ def _key(text: str) -> str:
     if text.startswith("<") and text.endswith(">") and word in keys.NAMES:
         return keys.NAMES[word]
     known = ", ".join(f"<{name}>" for name in keys.NAMES)
-    raise ValueError(f"{text!r} is not a key; give one character, or {known}")
+    raise ValueError(f"{shown(text)} is not a key; give one character, or {known}")

@@ -1,14 +1,22 @@
-"""Conformance suites for other people's sessions: plain functions, for any test runner."""
+"""For those who test: conformance suites of sessions, and the referee of runs.
 
-from angler_mjx.testing.conformance import (
-    CHECKS,
-    Check,
-    NonConformanceError,
-    Result,
-    Skipped,
-    check_session,
-)
-from angler_mjx.testing.driving import Bounds
+Plain functions, for any test runner. The names here are loaded when they are first used: the
+referee (`angler_mjx.testing.referee`) needs neither JAX nor the simulator.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from angler_mjx.testing.conformance import (
+        CHECKS,
+        Check,
+        NonConformanceError,
+        Result,
+        Skipped,
+        check_session,
+    )
+    from angler_mjx.testing.driving import Bounds
 
 __all__ = [
     "CHECKS",
@@ -19,3 +27,11 @@ __all__ = [
     "Skipped",
     "check_session",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from where it is defined."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = "driving" if name == "Bounds" else "conformance"
+    return getattr(import_module(f"angler_mjx.testing.{home}"), name)

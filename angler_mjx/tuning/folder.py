@@ -10,60 +10,57 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.storage import atomic, claims
+from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.tuning.search import Generation, History
 
 CHECKPOINT = "checkpoint.json"
+ADVICE = "put back a copy of it, or begin a new tuning"
 
 
-def partial_path(out: Path) -> Path:
-    """Where the tuning of ``out`` is built."""
-    return out.parent / f".{out.name}.partial"
-
-
-def create(out: Path) -> Path:
-    """Make the hidden folder of a new tuning.
+def create(out: Path) -> Claim:
+    """Take the name of a new tuning and make its hidden folder.
 
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    if out.exists():
-        raise ConfigError(f"--out {out}: exists; give another folder or remove it")
-    building = partial_path(out)
-    if building.exists():
-        raise ConfigError(
-            f"--out {out}: an unfinished tuning lies in {building}; take it up again with "
-            "--resume or remove it"
-        )
-    try:
-        building.mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
-    return building
+    return claims.claim(out, what="tuning")
 
 
-def reopen(out: Path) -> tuple[Path, dict[str, Any]]:
+def reopen(out: Path) -> tuple[Claim, dict[str, Any]]:
     """The hidden folder of an interrupted tuning, and its checkpoint.
 
     Raises:
-        ConfigError: there is none, or it is complete.
+        ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
     """
-    building = partial_path(out)
-    if not building.exists() and (out / CHECKPOINT).is_file():
-        if _read(out)["complete"]:
-            raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
-        out.rename(building)
-    if not (building / CHECKPOINT).is_file():
+    building = claims.partial_path(out)
+    hidden = building.exists()
+    place = building if hidden else out
+    if not (place / CHECKPOINT).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
-    return building, _read(building)
+    table = _read(place)
+    if table["complete"] and not hidden:
+        raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
+    claimed = claims.reclaim(out, what="tuning")
+    if claimed is None:
+        raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
+    return claimed, table
 
 
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / CHECKPOINT
-    try:
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    table = read_table(path, ADVICE)
+    with reading(path, ADVICE):
+        if not isinstance(table["complete"], bool):
+            raise TypeError("complete is neither true nor false")
+        for name in ("settings", "provenance"):
+            if not isinstance(table[name], dict):
+                raise TypeError(f"{name} is no object")
+        generations(table)
     return table
 
 
@@ -83,7 +80,23 @@ def save(building: Path, table: dict[str, Any], history: History, *, complete: b
 
 def generations(table: dict[str, Any]) -> list[Generation]:
     """What a checkpoint knows."""
-    return [Generation(**one) for one in table["generations"]]
+    return [_generation(one) for one in table["generations"]]
+
+
+def _generation(given: dict[str, Any]) -> Generation:
+    """One generation; TypeError or ValueError for anything else."""
+    made = Generation(**given)
+    costs = np.asarray(made.costs, float)
+    failed = np.asarray(made.failed)
+    slopes = None if made.gradients is None else np.asarray(made.gradients, float)
+    if (
+        costs.ndim != 1
+        or failed.shape != costs.shape
+        or failed.dtype.kind != "i"
+        or (slopes is not None and (slopes.ndim != 2 or len(slopes) != len(costs)))
+    ):
+        raise ValueError("a generation is none")
+    return made
 
 
 def write(path: Path, text: str) -> None:
@@ -92,24 +105,7 @@ def write(path: Path, text: str) -> None:
     Raises:
         RunError: the disk gave out.
     """
-    writing = path.with_name(f".{path.name}.partial")
     try:
-        writing.write_text(text, encoding="utf-8")
-        writing.replace(path)
+        atomic.write_text(path, text)
     except OSError as error:
-        writing.unlink(missing_ok=True)
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
-
-
-def close(building: Path, out: Path) -> None:
-    """Give a folder its own name.
-
-    Raises:
-        RunError: there is one of that name by now, or the disk gave out.
-    """
-    try:
-        if out.exists():
-            raise RunError(f"--out {out}: was made by another meanwhile; this one is {building}")
-        building.rename(out)
-    except OSError as error:
-        raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error

@@ -55,14 +55,21 @@ def spec_of(scenario: Scenario, controller: str) -> SimSpec:
     """Settings of the flights: the scenario's, with the gains that it gives to this controller.
 
     Raises:
-        ConfigError: there is no such controller, or the control period does not suit.
+        ConfigError: there is no such controller, a vehicle cannot go sideways, or the control
+            period does not suit.
     """
     if controller not in stages.CONTROLLERS:
         raise ConfigError(f"--controller {controller}: there is {', '.join(stages.CONTROLLERS)}")
+    for i, entry in enumerate(scenario.fleet):
+        if any("sway" in able.missing for able in entry.drives()):
+            raise ConfigError(
+                f"scenario {scenario.name}: fleet[{i}] has no sway, and tuning flies steps to the "
+                "side; give a scenario of vehicles that can go there"
+            )
     names, given = stages.CONTROLLERS[controller], scenario.controller
     same = (given.stages or stages.CONTROLLERS[given.name or "cascade"]) == names
     stack, gains = stages.build(names, given.gains if same else {})
-    spec = replace(scenario.sim_spec(), stages=stack, gains=gains, crews=())
+    spec = replace(scenario.sim_spec(), stages=stack, gains=gains, instrumented=())
     if spec.control_dt_s > 0.1 * LAST_S:
         raise ConfigError(
             f"scenario {scenario.name}: control_dt_s = {spec.control_dt_s:g} is too long to tune at"

@@ -6,6 +6,8 @@ from typing import Any, Protocol
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs import provenance
+from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.damage import reading
 from angler_mjx.tuning import folder, outcome, report, search
 from angler_mjx.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.tuning.outcome import Outcome
@@ -69,7 +71,23 @@ def tune(
     told = progress or Silent()
     problem = Problem(settings)
     optimiser = _optimiser(problem)
-    building, table, history = _open(settings, out, optimiser, resume=resume)
+    claimed, table, history = _open(settings, out, optimiser, resume=resume)
+    try:
+        return _tune(problem, optimiser, claimed, table, history, told)
+    finally:
+        claimed.release()
+
+
+def _tune(
+    problem: Problem,
+    optimiser: Optimiser,
+    claimed: Claim,
+    table: dict[str, Any],
+    history: History,
+    told: Progress,
+) -> Outcome:
+    """Search on in a folder, and close it."""
+    settings, building = problem.settings, claimed.building
     each = optimiser.population * settings.rollouts
     told.start(settings.generations * each, len(history.generations) * each)
 
@@ -89,7 +107,7 @@ def tune(
     found = outcome.measure(problem, history, table["provenance"])
     report.write(building, found)
     folder.save(building, table, history, complete=found.complete)
-    folder.close(building, out)
+    claimed.publish()
     return found
 
 
@@ -103,23 +121,36 @@ def _optimiser(problem: Problem) -> Optimiser:
 
 def _open(
     settings: Settings, out: Path, optimiser: Optimiser, *, resume: bool
-) -> tuple[Path, dict[str, Any], History]:
-    """The hidden folder, what its checkpoint begins with, and what was found before."""
+) -> tuple[Claim, dict[str, Any], History]:
+    """The claimed folder, what its checkpoint begins with, and what was found before."""
     if not resume:
-        building, history = folder.create(out), History()
+        claimed, history = folder.create(out), History()
         table = {"settings": settings.table(), "provenance": _provenance(settings)}
-        folder.save(building, table, history, complete=False)
-        return building, table, history
-    building, known = folder.reopen(out)
-    table = {name: known[name] for name in ("settings", "provenance")}
-    wanted = settings.table()
-    for name, value in table["settings"].items():
+        try:
+            folder.save(claimed.building, table, history, complete=False)
+        except BaseException:
+            claimed.withdraw()
+            raise
+        return claimed, table, history
+    claimed, known = folder.reopen(out)
+    try:
+        with reading(claimed.building / folder.CHECKPOINT, folder.ADVICE):
+            table = {name: known[name] for name in ("settings", "provenance")}
+            _require_same(table["settings"], settings.table(), out)
+            return claimed, table, search.replayed(optimiser, folder.generations(known))
+    except BaseException:
+        claimed.release()
+        raise
+
+
+def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> None:
+    """Refuse to go on with a tuning of other settings."""
+    for name, value in stored.items():
         if wanted[name] != value:
             shown = "" if name == "scenario" else f" ({value} there, {wanted[name]} here)"
             raise ConfigError(
                 f"--resume {out}: that tuning has another {name}{shown}; give the same again"
             )
-    return building, table, search.replayed(optimiser, folder.generations(known))
 
 
 def _provenance(settings: Settings) -> dict[str, Any]:

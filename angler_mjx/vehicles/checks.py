@@ -10,6 +10,12 @@ import numpy as np
 
 type Matrix = tuple[tuple[float, ...], ...]
 
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Of what a vehicle file may give as a mass, an inertia, a length, a coefficient; SI units."""
+
+PWM_LOW_US, PWM_HIGH_US = 1100, 1900
+"""What a thruster file must cover."""
+
 # Matrices and unit vectors are typed by hand in files: more than this is an error, not rounding.
 _RELATIVE_TOLERANCE = 1e-6
 
@@ -17,6 +23,10 @@ _RELATIVE_TOLERANCE = 1e-6
 def _symmetric(value: Any, size: int) -> np.ndarray:
     """Turn a diagonal or a full matrix of a file into a symmetric array, or say what is wrong."""
     shape_hint = f"give {size} diagonal values or {size} rows of {size} values"
+    rows = value if isinstance(value, tuple | list) else ()
+    cells = [x for row in rows for x in (row if isinstance(row, tuple | list) else (row,))]
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in cells):
+        raise ValueError(f"every value must be a number; {shape_hint}")
     try:
         matrix = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -25,8 +35,8 @@ def _symmetric(value: Any, size: int) -> np.ndarray:
         matrix = np.diag(matrix)
     if matrix.shape != (size, size):
         raise ValueError(shape_hint)
-    if not np.all(np.isfinite(matrix)):
-        raise ValueError("every value must be finite")
+    if not np.all(np.abs(matrix) <= LARGEST):
+        raise ValueError(f"every value must be finite, {LARGEST:g} at most")
     if np.any(np.abs(matrix - matrix.T) > _RELATIVE_TOLERANCE * np.max(np.abs(matrix))):
         raise ValueError("must be symmetric; make entry [i][j] equal to entry [j][i]")
     return (matrix + matrix.T) / 2
@@ -40,8 +50,10 @@ def inertia(value: Any) -> Matrix:
     """Check rotational inertia (3 diagonal values or 3 x 3) and return the full matrix."""
     matrix = _symmetric(value, 3)
     low, middle, high = np.linalg.eigvalsh(matrix)
-    if low <= 0:
-        raise ValueError("must be positive definite; a principal moment is zero or negative")
+    if low < SMALLEST:
+        raise ValueError(
+            f"must be positive definite; a principal moment is below {SMALLEST:g}, or negative"
+        )
     if low + middle < high * (1 - _RELATIVE_TOLERANCE):
         raise ValueError(
             f"no rigid body has principal moments {low:.4g}, {middle:.4g}, {high:.4g}: "
@@ -61,15 +73,18 @@ def added_mass(value: Any) -> Matrix:
 
 def damping(value: tuple[float, ...]) -> tuple[float, ...]:
     """Check six damping coefficients."""
-    if len(value) != 6 or min(value) < 0:
-        raise ValueError("give six values for [u v w p q r], none of them negative")
+    if len(value) != 6 or min(value) < 0 or max(value) > LARGEST:
+        raise ValueError(
+            f"give six values for [u v w p q r], none of them negative or above {LARGEST:g}"
+        )
     return value
 
 
 def names_differ(kind: str, names: list[str]) -> None:
     """Check that no name occurs twice."""
     if len(set(names)) < len(names):
-        raise ValueError(f"{kind} names must differ; got {', '.join(names)}")
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise ValueError(f"{kind} names must differ; more than once: {', '.join(twice)}")
 
 
 def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -77,4 +92,11 @@ def unit_vector(value: tuple[float, float, float]) -> tuple[float, float, float]
     length = float(np.linalg.norm(value))
     if abs(length - 1) > _RELATIVE_TOLERANCE:
         raise ValueError(f"must be a unit vector; its length is {length:.6g}")
+    return value
+
+
+def positive(value: float) -> float:
+    """Check a number above zero that float32 can compute with."""
+    if not SMALLEST <= value <= LARGEST:
+        raise ValueError(f"must lie between {SMALLEST:g} and {LARGEST:g} (SI units)")
     return value

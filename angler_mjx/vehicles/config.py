@@ -8,17 +8,17 @@ about the centre of mass.
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Place, Sign
 from angler_mjx.vehicles import checks
 from angler_mjx.vehicles.checks import Matrix
 from angler_mjx.vehicles.rotor_config import Positive, Rotor, RotorResponse, Source
 
-type Vector3 = tuple[float, float, float]
-type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$")]
+type Vector3 = tuple[Place, Place, Place]
+type Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]+$", max_length=64)]
 type Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -26,14 +26,18 @@ class Capsule(FileModel):
     """A cylinder with half-spheres at its ends, in the base frame."""
 
     from_m: Vector3
+    """One end of the axis."""
     to_m: Vector3
+    """The other end."""
     radius_m: Positive
+    """Of the cylinder and its ends."""
 
 
 class Base(FileModel):
     """Where the centre of mass lies in the base frame."""
 
     center_of_mass_m: Vector3
+    """In the base frame."""
     source: Source
 
 
@@ -42,7 +46,8 @@ class Hull(FileModel):
 
     height_m: Positive
     """Height over which buoyancy fades from full to none as the hull leaves the water."""
-    capsules: Annotated[tuple[Capsule, ...], Field(min_length=1)]
+    capsules: Annotated[tuple[Capsule, ...], Field(min_length=1, max_length=64)]
+    """Together they are the hull; distances are to them."""
     source: Source
 
 
@@ -50,17 +55,20 @@ class Thruster(FileModel):
     """One thruster, in the base frame."""
 
     name: Name
+    """For faults of thrusters, and in tables."""
     position_m: Vector3
-    direction: Annotated[Vector3, AfterValidator(checks.unit_vector)]
+    """Of the rotor."""
+    direction: Annotated[tuple[float, float, float], AfterValidator(checks.unit_vector)]
     """Unit vector of the force on the vehicle at positive thrust (PWM above neutral)."""
-    spin: Literal[-1, 1]
+    spin: Sign
     """+1 if the rotor turns right-handed about ``direction`` at positive thrust."""
 
 
 class Thrusters(FileModel):
     """Where the thrusters are and where they push."""
 
-    layout: Annotated[tuple[Thruster, ...], Field(min_length=1)]
+    layout: Annotated[tuple[Thruster, ...], Field(min_length=1, max_length=64)]
+    """In the order of the signals."""
     source: Source
 
     @field_validator("layout")
@@ -72,7 +80,9 @@ class Thrusters(FileModel):
 
 class _Shape(FileModel):
     name: Name
+    """Of the geometry in the MuJoCo model."""
     rgba: tuple[Share, Share, Share, Share]
+    """Colour, and opacity."""
 
 
 class Box(_Shape):
@@ -80,7 +90,9 @@ class Box(_Shape):
 
     shape: Literal["box"]
     position_m: Vector3
+    """Centre."""
     size_m: tuple[Positive, Positive, Positive]
+    """Full edges."""
 
 
 class Cylinder(_Shape):
@@ -88,8 +100,11 @@ class Cylinder(_Shape):
 
     shape: Literal["cylinder"]
     from_m: Vector3
+    """One end of the axis."""
     to_m: Vector3
+    """The other end."""
     radius_m: Positive
+    """Of the cylinder."""
 
 
 class Sphere(_Shape):
@@ -97,7 +112,9 @@ class Sphere(_Shape):
 
     shape: Literal["sphere"]
     position_m: Vector3
+    """Centre."""
     radius_m: Positive
+    """Of the sphere."""
 
 
 type Shape = Annotated[Box | Cylinder | Sphere, Field(discriminator="shape")]
@@ -106,7 +123,8 @@ type Shape = Annotated[Box | Cylinder | Sphere, Field(discriminator="shape")]
 class Visual(FileModel):
     """What a viewer shows; nothing of it enters the physics."""
 
-    shapes: tuple[Shape, ...]
+    shapes: Annotated[tuple[Shape, ...], Field(max_length=256)]
+    """For viewers."""
     source: Source
 
     @field_validator("shapes")
@@ -120,6 +138,7 @@ class RigidBody(FileModel):
     """Dry mass and inertia, about the centre of mass."""
 
     mass_kg: Positive
+    """Dry mass."""
     inertia_kgm2: Annotated[Matrix, BeforeValidator(checks.inertia)]
     """Three diagonal values or a full 3 x 3 matrix."""
     source: Source
@@ -129,7 +148,9 @@ class Buoyancy(FileModel):
     """Displaced volume and where its centre lies, from the centre of mass."""
 
     volume_m3: Positive
+    """Fully submerged."""
     center_of_buoyancy_m: Vector3
+    """From the centre of mass."""
     source: Source
 
 
@@ -177,6 +198,7 @@ class ParameterSet(FileModel):
     """One published or identified set of coefficients of the vehicle."""
 
     description: str
+    """For people."""
     rigid_body: RigidBody
     buoyancy: Buoyancy
     added_mass: AddedMass
@@ -187,7 +209,9 @@ class VehicleConfig(FileModel):
     """A vehicle file."""
 
     name: Name
+    """Of the vehicle, in tables."""
     description: str
+    """For people."""
     default_set: str
     """The parameter set that is used where none is named."""
     base: Base
@@ -198,12 +222,14 @@ class VehicleConfig(FileModel):
     ardusub: ArduSub | None = None
     """None: no real ArduSub can steer it."""
     parameter_sets: Annotated[dict[Name, ParameterSet], Field(min_length=1)]
+    """By name."""
 
     @model_validator(mode="after")
     def _default_exists(self) -> Self:
         if self.default_set not in self.parameter_sets:
             raise ValueError(
-                f"default_set = {self.default_set!r} is none of {', '.join(self.parameter_sets)}"
+                f"default_set = {shown(self.default_set)} is none of "
+                + ", ".join(self.parameter_sets)
             )
         return self
 
@@ -216,7 +242,7 @@ class VehicleConfig(FileModel):
         chosen = self.default_set if name is None else name
         if chosen not in self.parameter_sets:
             raise ConfigError(
-                f"vehicle {self.name!r} has no parameter set {chosen!r}; "
+                f"vehicle {self.name!r} has no parameter set {shown(chosen)}; "
                 f"it has {', '.join(self.parameter_sets)}"
             )
         return self.parameter_sets[chosen]
@@ -248,7 +274,8 @@ class VehicleConfig(FileModel):
         for name, share in health.items():
             if name not in names:
                 raise ConfigError(
-                    f"vehicle {self.name!r} has no thruster {name!r}; it has {', '.join(names)}"
+                    f"vehicle {self.name!r} has no thruster {shown(name)}; it has "
+                    + ", ".join(names)
                 )
             if not 0.0 <= share <= 1.0:
                 raise ConfigError(
@@ -256,32 +283,3 @@ class VehicleConfig(FileModel):
                     "0 (dead) and 1 (sound)"
                 )
         return tuple(health.get(name, 1.0) for name in names)
-
-
-class ThrusterTable(FileModel):
-    """A thruster file: static thrust and electrical power against PWM and supply voltage."""
-
-    name: Name
-    description: str
-    source: Source
-    voltage_v: Annotated[tuple[Positive, ...], Field(min_length=2)]
-    pwm_us: Annotated[tuple[int, ...], Field(min_length=2)]
-    thrust_n: Matrix
-    """One row per PWM value, one column per voltage."""
-    power_w: Matrix
-    """As ``thrust_n``; electrical power, never negative."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        shape = (len(self.pwm_us), len(self.voltage_v))
-        for key in ("thrust_n", "power_w"):
-            rows: Matrix = getattr(self, key)
-            if len(rows) != shape[0] or any(len(row) != shape[1] for row in rows):
-                raise ValueError(f"{key} needs {shape[0]} rows of {shape[1]} values")
-        if np.any(np.diff(self.voltage_v) <= 0) or np.any(np.diff(self.pwm_us) <= 0):
-            raise ValueError("voltage_v and pwm_us must increase")
-        if np.any(np.diff(np.asarray(self.thrust_n), axis=0) < 0):
-            raise ValueError("thrust_n must not fall as PWM rises")
-        if np.any(np.asarray(self.power_w) < 0):
-            raise ValueError("power_w must not be negative")
-        return self

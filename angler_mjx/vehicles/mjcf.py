@@ -35,7 +35,7 @@ def to_spec(
     Args:
         config: Vehicle file.
         parameter_set: Name of one of its sets; None for its default.
-        shapes: Whether to add geoms and sites; the physics needs none.
+        shapes: Whether to add light, geoms and sites; the physics needs none.
 
     Raises:
         ConfigError: the vehicle has no such set.
@@ -48,7 +48,6 @@ def to_spec(
         "Dry rigid body only: water and thrust are not in this file."
     )
     spec.option.gravity = [0.0, 0.0, -GRAVITY_MPS2]
-    _add_light(spec)
     inertia = chosen.rigid_body.inertia_kgm2
     diagonal = [inertia[i][i] for i in range(3)]
     products = [inertia[0][1], inertia[0][2], inertia[1][2]]
@@ -60,6 +59,9 @@ def to_spec(
         explicitinertial=True,
     )
     body.add_freejoint(name=config.name)
+    if not shapes:
+        return spec
+    _add_light(spec)
     center = np.asarray(config.base.center_of_mass_m)
     _add_shapes(body, config, center)
     _add_thrusters(body, config, center)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.drive import drive, wrench_matrix
 from angler_mjx.vehicles.library import load_thruster
 from angler_mjx.vehicles.rotor import RotorFilter
 from angler_mjx.vehicles.rotor_config import RotorResponse
-from angler_mjx.vehicles.thrusters import FloatArray, tables_at
+from angler_mjx.vehicles.thrusters import tables_at
 
 
 @jax.tree_util.register_dataclass
@@ -58,13 +59,16 @@ class VehicleParams:
     radius_m: jax.Array
     """[] smallest sphere about the centre of mass that holds the hull."""
     terminal_speed_mps: jax.Array
-    """[3] surge, sway, heave at full thrust in still water; the slower of the two directions."""
+    """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
+    a way in which thrusters cannot push alone (see `angler_mjx.vehicles.drive`)."""
     thruster_exists: jax.Array
     """bool [n_t] False for padding and for dead thrusters: neither draws power."""
     thruster_health: jax.Array
     """[n_t] share of the table's thrust that each thruster gives: 1 sound, 0 dead."""
     rotor: RotorFilter | None = field(default=None, metadata={"static": True})
     """What thrusts follow their commands by; None for a lag of first order."""
+    steered: bool = field(default=False, metadata={"static": True})
+    """Whether some of these vehicles have no sway, so that controllers must look."""
 
 
 def build(
@@ -95,6 +99,7 @@ def build(
     B = wrench_matrix(config)
     D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
     D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    speed = drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
     center = np.asarray(config.base.center_of_mass_m)
     capsules = config.hull.capsules
     start = np.array([capsule.from_m for capsule in capsules]) - center
@@ -118,12 +123,11 @@ def build(
         capsule_b_m=_array(end),
         capsule_r_m=_array(radius),
         radius_m=_array(reach.max()),
-        terminal_speed_mps=_array(
-            terminal_speed(full_force(B[:3], thrust_n[0], thrust_n[-1]), D_l[:3], D_q[:3])
-        ),
+        terminal_speed_mps=_array(speed),
         thruster_exists=jnp.asarray(health > 0.0),
         thruster_health=_array(health),
         rotor=_rotor(config, rotor_response),
+        steered=bool(speed[1] == 0),
     )
 
 
@@ -138,60 +142,10 @@ def stack(variants: list[VehicleParams]) -> VehicleParams:
     """
     n_t = max(variant.B.shape[1] for variant in variants)
     n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
-    padded = [_pad(variant, n_t, n_capsule) for variant in variants]
+    steered = any(variant.steered for variant in variants)
+    padded = [replace(_pad(one, n_t, n_capsule), steered=steered) for one in variants]
     stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
     return stacked
-
-
-def wrench_matrix(config: VehicleConfig) -> FloatArray:
-    """Wrench at the centre of mass, in F, per newton of each thruster.
-
-    Column i is [d_i; r_i x d_i - s_i k d_i], r_i from the centre of mass, d_i the direction of
-    positive thrust, s_i the spin, k the reaction torque per newton (m).
-
-    Returns:
-        [6, n_t]; 1 (first three rows), m.
-    """
-    layout = config.thrusters.layout
-    arm = np.array([t.position_m for t in layout]) - np.asarray(config.base.center_of_mass_m)
-    direction = np.array([t.direction for t in layout])
-    spin = np.array([[t.spin] for t in layout], dtype=np.float64)
-    reaction = -config.rotor.reaction_torque.coefficient_m * spin * direction
-    wrench: FloatArray = np.concatenate([direction, np.cross(arm, direction) + reaction], axis=1).T
-    wrench[np.abs(wrench) < 1e-12] = 0.0  # cosines of right angles
-    return wrench
-
-
-def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArray:
-    """Largest force along each axis that is there in both directions.
-
-    Each thruster runs at the end of its table that helps: one that points backward pushes in
-    reverse to drive the vehicle forward.
-
-    Args:
-        rows: [k, n_t] rows of the wrench matrix.
-        reverse_n: Thrust at the lowest PWM, N (negative).
-        forward_n: Thrust at the highest PWM, N.
-
-    Returns:
-        [k] N.
-    """
-    positive = np.maximum(rows * forward_n, rows * reverse_n).sum(axis=1)
-    negative = np.maximum(-rows * forward_n, -rows * reverse_n).sum(axis=1)
-    both: FloatArray = np.minimum(positive, negative)
-    return both
-
-
-def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> FloatArray:
-    """Speed at which damping balances a force: the positive root of D_l v + D_q v^2 = F.
-
-    Still water, one axis at a time, net buoyancy left out.
-
-    Returns:
-        [k] m/s.
-    """
-    speed: FloatArray = 2 * force_n / (D_l + np.sqrt(D_l**2 + 4 * D_q * force_n))
-    return speed
 
 
 def _rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:

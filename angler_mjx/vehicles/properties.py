@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.vehicles.config import ParameterSet, VehicleConfig
+from angler_mjx.vehicles.drive import drive, wrench_matrix
 from angler_mjx.vehicles.library import load_thruster
-from angler_mjx.vehicles.params import full_force, terminal_speed, wrench_matrix
 from angler_mjx.vehicles.thrusters import FloatArray, tables_at
 
 GRAVITY_MPS2 = 9.81
@@ -46,7 +46,8 @@ def describe(config: VehicleConfig, parameter_set: str | None, voltage_v: float)
     B = wrench_matrix(config)
     linear = np.asarray(chosen.damping.linear[:3])
     quadratic = np.asarray(chosen.damping.quadratic[:3])
-    speed = terminal_speed(full_force(B[:3], thrust_n[0], thrust_n[-1]), linear, quadratic)
+    speed = drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
+    slope = linear + 2 * quadratic * speed
     M_A = np.asarray(chosen.added_mass.coefficients)
     virtual_mass = chosen.rigid_body.mass_kg + np.diag(M_A)[:3]
     return Properties(
@@ -56,7 +57,9 @@ def describe(config: VehicleConfig, parameter_set: str | None, voltage_v: float)
         buoyancy_n=_buoyancy_n(chosen),
         wrench_matrix=B,
         terminal_speed_mps=speed,
-        speed_time_constant_s=virtual_mass / (linear + 2 * quadratic * speed),
+        speed_time_constant_s=np.divide(
+            virtual_mass, slope, out=np.full(3, np.inf), where=slope > 0
+        ),
         roll_period_s=_period_s(chosen, 0),
         pitch_period_s=_period_s(chosen, 1),
         rotor_time_constant_s=config.rotor.lag.time_constant_s,

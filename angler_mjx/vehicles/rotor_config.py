@@ -2,26 +2,30 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from angler_mjx.files import FileModel
+from angler_mjx.vehicles import checks
 
 type RotorResponse = Literal["first_order", "third_order"]
-type Positive = Annotated[float, Field(gt=0)]
+type Positive = Annotated[float, Field(gt=0), AfterValidator(checks.positive)]
+type Number = Annotated[float, Field(ge=-checks.LARGEST, le=checks.LARGEST)]
 type Source = Annotated[str, Field(min_length=1)]
+"""Where the numbers come from."""
 
 
 class Lag(FileModel):
     """First-order lag of the rotors."""
 
     time_constant_s: Positive
+    """Of the thrust."""
     source: Source
 
 
 class ThirdOrder(FileModel):
     """Transfer function of the rotors from settled to present thrust, highest power of s first."""
 
-    numerator: tuple[float, float, float]
+    numerator: tuple[Number, Number, Number]
     """Of s^2, s and 1."""
     denominator: tuple[Positive, Positive, Positive, Positive]
     """Of s^3, s^2, s and 1."""
@@ -30,7 +34,7 @@ class ThirdOrder(FileModel):
     @model_validator(mode="after")
     def _settles(self) -> Self:
         a_3, a_2, a_1, a_0 = self.denominator
-        if a_2 * a_1 <= a_3 * a_0:
+        if not a_2 * a_1 > a_3 * a_0:
             raise ValueError(
                 f"denominator = {list(self.denominator)}: the rotor would swing for ever; "
                 "the product of the two middle numbers must exceed that of the outer ones"
@@ -46,7 +50,8 @@ class ThirdOrder(FileModel):
 class ReactionTorque(FileModel):
     """Torque about the rotor's axis per newton of thrust."""
 
-    coefficient_m: Annotated[float, Field(ge=0)]
+    coefficient_m: Annotated[float, Field(ge=0, le=100)]
+    """Newton metres for each newton."""
     source: Source
 
 

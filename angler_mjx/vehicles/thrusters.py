@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.vehicles.config import ThrusterTable
+from angler_mjx.vehicles import checks
+from angler_mjx.vehicles.thruster_config import ThrusterTable
 
-PWM_LOW_US = 1100
-PWM_HIGH_US = 1900
+PWM_LOW_US, PWM_HIGH_US = checks.PWM_LOW_US, checks.PWM_HIGH_US
 PWM_STEP_US = 4
 PWM_GRID_US = np.arange(PWM_LOW_US, PWM_HIGH_US + PWM_STEP_US, PWM_STEP_US)
 """[201] the grid of every thrust and power table; every PWM value of the T200 data lies on it."""
@@ -30,20 +30,15 @@ def tables_at(table: ThrusterTable, voltage_v: float) -> tuple[FloatArray, Float
         Thrust [201] N and power [201] W.
 
     Raises:
-        ConfigError: the voltage or the PWM grid lies outside the data.
+        ConfigError: the voltage lies outside the data.
     """
     volts = np.asarray(table.voltage_v, dtype=np.float64)
     if not volts[0] <= voltage_v <= volts[-1]:
         raise ConfigError(
-            f"voltage {voltage_v} V: thruster {table.name!r} has data from {volts[0]:g} V "
+            f"voltage {voltage_v:g} V: thruster {table.name!r} has data from {volts[0]:g} V "
             f"to {volts[-1]:g} V; choose a voltage in between"
         )
     pwm = np.asarray(table.pwm_us, dtype=np.float64)
-    if pwm[0] > PWM_LOW_US or pwm[-1] < PWM_HIGH_US:
-        raise ConfigError(
-            f"thruster {table.name!r}: pwm_us runs from {pwm[0]:g} to {pwm[-1]:g}; "
-            f"it must cover {PWM_LOW_US} to {PWM_HIGH_US}"
-        )
     return (
         _interpolate(pwm, volts, np.asarray(table.thrust_n, dtype=np.float64), voltage_v),
         _interpolate(pwm, volts, np.asarray(table.power_w, dtype=np.float64), voltage_v),

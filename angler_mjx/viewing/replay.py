@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from angler_mjx.errors import RunError, UnsupportedError
+from angler_mjx.storage.atomic import whole
 from angler_mjx.storage.folder import REPLAY, Run
 from angler_mjx.viewing import maps, scene, window
 from angler_mjx.viewing.choose import good_world, worst_world
@@ -36,17 +37,15 @@ def write(run: Run, worlds: Sequence[int] | None = None) -> Path:
     rr = _rerun(run, chosen[0])
     scenes = [scene.read(run, world) for world in chosen]
     path = run.path / REPLAY
-    written = path.with_suffix(".tmp")
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
     try:
-        recording.save(written)
-        window.activate(recording, _blueprint(scenes))
-        _log(recording, scenes)
-        recording.flush()
-        recording.disconnect()
-        written.replace(path)
+        with whole(path) as writing:
+            recording.save(writing)
+            window.activate(recording, _blueprint(scenes))
+            _log(recording, scenes)
+            recording.flush()
+            recording.disconnect()
     except OSError as error:
-        written.unlink(missing_ok=True)
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path
 

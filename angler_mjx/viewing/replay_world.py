@@ -47,7 +47,7 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
     space, times = f"{root}/space/{name}", [entities.times(scene.time_s)]
     entities.log_still(
         recording,
-        library.load(robot.vehicle),
+        library.load(robot.vehicle_file),
         robot.index,
         space,
         goal_m=robot.goal_m,

@@ -10,7 +10,9 @@ import pyarrow.compute as pc
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage import environments as store
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import TRAJECTORIES, Run
+from angler_mjx.storage.results import end_time_s
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
 
@@ -21,6 +23,8 @@ class RobotTrack:
 
     index: int
     vehicle: str
+    vehicle_file: str
+    """As `vehicles.library.load` takes it: the run's copy, where it has one."""
     parameter_set: str
     outcome: str
     end_time_s: float
@@ -92,14 +96,20 @@ def read(run: Run, world: int) -> Scene:
         world: global index.
 
     Raises:
-        ConfigError: the run stored no trajectories, or does not hold that world.
+        ConfigError: the run stored no trajectories, does not hold that world, or is damaged.
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()
     if not rows:
         raise ConfigError(f"world {world} is not in {run.path}")
+    with reading(run.path / TRAJECTORIES):
+        return _read(run, world, rows)
+
+
+def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
     stored: Any = run.trajectories
+    files = {label: run.vehicle_file(label) for label in {row["vehicle"] for row in rows}}
     environment = store.read(stored["environment"], world)
-    last = max(_end(row) for row in rows)
+    last = max(end_time_s(row) for row in rows)
     time = np.asarray(stored["time_s"])
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
     robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
@@ -108,11 +118,12 @@ def read(run: Run, world: int) -> Scene:
         RobotTrack(
             index=i,
             vehicle=row["vehicle"],
+            vehicle_file=files[row["vehicle"]],
             parameter_set=row["parameter_set"],
             outcome=row["outcome"],
-            end_time_s=_end(row),
+            end_time_s=end_time_s(row),
             failure_pair=row["failure_pair"],
-            failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"]),
+            failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"], float),
             plan_m=plan[i][np.r_[True, np.diff(plan_time[i]) > 0]],
             start_m=np.asarray(environment.start_m[i]),
             goal_m=np.asarray(environment.goal_m[i]),
@@ -129,9 +140,3 @@ def read(run: Run, world: int) -> Scene:
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
     )
-
-
-def _end(row: dict[str, Any]) -> float:
-    """When a robot's episode ended, s."""
-    arrived = row["outcome"] == "reached"
-    return float(row["time_to_goal_s"] if arrived else row["failure_time_s"])

@@ -27,7 +27,7 @@ def rows_of(episodes: pa.Table, kind: tuple[str, str]) -> pa.Table:
 
 
 def outcomes(episodes: pa.Table, name: str) -> Figure:
-    """Share of robots by outcome, with 95 % Wilson intervals, of all and of each kind.
+    """Share of robots by outcome, with 95 % intervals clustered by world, of all and of each kind.
 
     Args:
         episodes: rows of the run.
@@ -45,7 +45,7 @@ def outcomes(episodes: pa.Table, name: str) -> Figure:
             figure,
             f"{name}: {100 * all_rates['reached']['rate']:.0f} % of robots arrived",
             f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
-            "lines are 95 % Wilson intervals",
+            "lines are 95 % intervals, clustered by world",
         )
         top.set_title("All robots")
         _stacked_kinds(bottom, {kind: rates(rows_of(episodes, kind)) for kind in groups})

@@ -12,7 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
-from angler_mjx.errors import RunError
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.files import named
+from angler_mjx.storage.atomic import whole
 
 INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
 WATER = "#eef5f8"
@@ -110,8 +112,22 @@ def headline(figure: Figure, title: str, subtitle: str) -> None:
     figure.text(left, 1 - 0.38 * inch, subtitle, fontsize=9.5, color=QUIET, va="top")
 
 
+FORMATS = (".png", ".pdf", ".svg", ".jpg")
+"""Ends of the names of figures that can be written."""
+
+
+def require_format(path: Path) -> None:
+    """Refuse a name that says no format of figures, before anything is drawn.
+
+    Raises:
+        ConfigError: naming those that there are.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigError(f"--out {named(path)}: give a name that ends in {', '.join(FORMATS)}")
+
+
 def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
-    """Write a figure as PNG; returns the path.
+    """Write a figure, as PNG or what its name says; returns the path.
 
     Args:
         figure: to be written.
@@ -123,11 +139,11 @@ def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=160)
-        if palette is not None:
-            with Image.open(path) as drawn:
-                drawn.convert("RGB").quantize(palette).save(path, optimize=True)
+        with whole(path) as writing:
+            figure.savefig(writing, dpi=160)
+            if palette is not None:
+                with Image.open(writing) as drawn:
+                    drawn.convert("RGB").quantize(palette).save(writing, optimize=True)
     except OSError as error:
-        path.unlink(missing_ok=True)
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path

@@ -11,15 +11,15 @@ from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Length, Place, PositiveLength
 from angler_mjx.world import calibration, presets
 from angler_mjx.world.currents import CurrentConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import AutomatonRule, Rule, WallsRule
 
-type Vector = tuple[float, float, float]
+type Vector = tuple[Place, Place, Place]
 type Placement = Literal["cross", "parallel", "random", "given"]
 Cells = Annotated[int, Field(ge=2, le=128)]
-Positive = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
@@ -27,30 +27,38 @@ class WorldConfig(FileModel):
     """The world of a scenario: a preset and what differs from it; the rest is the preset's."""
 
     preset: str = "reef"
+    """Name of a world that ships: angler2024, sparse, reef, dense, corridor, open,
+    angler_nine_boxes."""
     density: Share | None = None
     """Share of cells that are occupied, on average over worlds."""
     fill: Share | None = None
     """Instead of density: share of walls before the rule is applied."""
     shape: tuple[Cells, Cells, Cells] | None = None
     """Number of cells along x, y, z."""
-    cell_m: Positive | None = None
-    depth_m: Annotated[float, Field(ge=0)] | None = None
+    cell_m: Annotated[float, Field(ge=0.01, le=1000)] | None = None
+    """Edge of a cell."""
+    depth_m: Length | None = None
     """Depth of the top of the grid below the surface."""
-    floor_depth_m: Positive | None = None
+    floor_depth_m: PositiveLength | None = None
     """Depth of the sea floor; the bottom of the grid if neither file nor preset says more."""
     rule: Rule | None = None
-    min_obstacles: Annotated[int, Field(ge=0)] | None = None
+    """How the cells of rock come about."""
+    min_obstacles: Annotated[int, Field(ge=0, le=128**3)] | None = None
     """Worlds with fewer occupied cells are drawn again."""
-    redraw_limit: Annotated[int, Field(ge=0)] = 100
+    redraw_limit: Annotated[int, Field(ge=0, le=1_000_000)] = 100
     """A world that has been drawn again this often and still cannot hold the fleet is given up."""
     placement: Placement | None = None
-    clearance_m: Annotated[float, Field(ge=0)] = 0.3
+    """Where robots start and go: each from another corner, side by side, anywhere, or as given."""
+    clearance_m: Length = 0.3
     """Free water between two robots at their starts, and at their goals."""
     start_m: tuple[Vector, ...] = ()
     """Starts of the robots, for placement = "given"."""
     goal_m: tuple[Vector, ...] = ()
+    """Their goals."""
     currents: tuple[CurrentConfig, ...] = ()
+    """Components of the current, which add up."""
     obstacles: ObstaclesConfig | None = None
+    """Obstacles beside the cells of rock."""
 
     @field_validator("preset")
     @classmethod

@@ -22,6 +22,7 @@ from angler_kernels.current_field import (
     smooth_knots,
 )
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Speed
 
 type Flow = tuple[jax.Array, jax.Array, jax.Array]
 """Velocity [3], its rate at the fixed point [3], its Jacobian [3, 3] (dv_i / dx_j); in W."""
@@ -108,7 +109,8 @@ def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
 
 
 type Span = tuple[float, float]
-type Vector = tuple[float, float, float]
+type SpeedSpan = tuple[Speed, Speed]
+type Vector = tuple[Speed, Speed, Speed]
 
 
 class UniformConfig(FileModel):
@@ -131,16 +133,19 @@ class GaussMarkovConfig(FileModel):
     """
 
     type: Literal["gauss_markov"] = "gauss_markov"
-    max_speed_mps: float = Field(gt=0)
+    max_speed_mps: Annotated[Speed, Field(gt=0)]
     """Faster knots are shortened to this speed, so it is never exceeded."""
-    std_mps: float | None = Field(default=None, gt=0)
+    std_mps: Annotated[Speed, Field(gt=0)] | None = None
     """Standard deviation per horizontal axis before clipping; max_speed_mps / 2.5 if left out, so
     that about one knot in twenty is clipped."""
     mean_mps: Vector = (0.0, 0.0, 0.0)
-    time_constant_s: float = Field(default=60.0, gt=0)
+    """East, north, up."""
+    time_constant_s: float = Field(default=60.0, gt=0, le=1e6)
+    """Of the process's memory."""
     vertical_share: float = Field(default=0.1, ge=0, le=1)
     """Standard deviation of the vertical velocity over the horizontal one's."""
-    knot_dt_s: float = Field(default=5.0, gt=0)
+    knot_dt_s: float = Field(default=5.0, ge=0.01, le=86400)
+    """Time between knots; a run has 100,000 of them at most."""
 
     @model_validator(mode="after")
     def _mean_below_maximum(self) -> Self:
@@ -171,8 +176,9 @@ class VorticesConfig(FileModel):
     """Lamb-Oseen vortices at random places of the region, turning either way."""
 
     type: Literal["vortices"] = "vortices"
-    count: int = Field(ge=1)
-    peak_speed_mps: Span
+    count: int = Field(ge=1, le=1000)
+    """Number of vortices."""
+    peak_speed_mps: SpeedSpan
     """Lowest and highest greatest speed of a vortex; drawn uniformly."""
     core_radius_m: Span = (1.0, 3.0)
     """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""

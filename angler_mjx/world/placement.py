@@ -155,26 +155,28 @@ def place(
         return _given(recipe, open_cell, start_gap.ravel(), radius_m)
     point = cell_centres(recipe).reshape(-1, 3).T[..., None]
 
-    def at_random(key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def at_random(key: jax.Array) -> tuple[jax.Array, ...]:
         noise_key, mirror_key = jax.random.split(key)
         # One field serves all robots: taking the least value left is drawing without putting back.
         noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
-        return noise, *_targets(recipe, n_robot, mirror_key)
+        # `split` gives what `fold_in` gives for 0 and 1.
+        from_here = jax.random.uniform(jax.random.fold_in(key, 2), (n_robot,), jnp.float32)
+        return noise, from_here.at[0].set(0.0), *_targets(recipe, n_robot, mirror_key)
 
-    noise, start_target, goal_target = jax.vmap(at_random, out_axes=-1)(keys)
+    noise, from_here, *targets = jax.vmap(at_random, out_axes=-1)(keys)
     least_way = 0.5 * max(recipe.size_m)
 
     def place_one(
-        gaps: tuple[jax.Array, jax.Array], robot: tuple[jax.Array, jax.Array, jax.Array]
+        gaps: tuple[jax.Array, jax.Array], robot: tuple[jax.Array, ...]
     ) -> tuple[tuple[jax.Array, jax.Array], tuple[jax.Array, jax.Array, jax.Array]]:
         start_gap, goal_gap = gaps
-        radius, near_start, near_goal = robot
+        radius, turned, near_start, near_goal = robot
         margin = radius + recipe.clearance_m
         may = open_cell & (start_gap >= margin)
-        start, fits = _cheapest(may, _score(recipe, point, near_start, noise[0]), point)
+        start, fits = _cheapest(may, _score(recipe, point, near_start, noise[0], turned), point)
         way = _distance(point, start)
         may = open_cell & (goal_gap >= margin) & (way >= least_way)
-        goal, fits_too = _cheapest(may, _score(recipe, point, near_goal, noise[1]), point)
+        goal, fits_too = _cheapest(may, _score(recipe, point, near_goal, noise[1], turned), point)
         start_gap = jnp.minimum(start_gap, way - radius)
         goal_gap = jnp.minimum(goal_gap, _distance(point, goal) - radius)
         return (start_gap, goal_gap), (start, goal, fits & fits_too)
@@ -182,7 +184,7 @@ def place(
     # Distance of each cell's centre to everything that a start, or a goal, must keep clear of.
     far = jnp.full(open_cell.shape, jnp.inf)
     gaps = jnp.minimum(start_gap.reshape(-1, 1), far), far
-    _, (start, goal, fits) = jax.lax.scan(place_one, gaps, (radius_m, start_target, goal_target))
+    _, (start, goal, fits) = jax.lax.scan(place_one, gaps, (radius_m, from_here, *targets))
     return start, goal, jnp.all(fits, axis=0)
 
 
@@ -251,10 +253,16 @@ def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Arr
     return lo + size * bits, lo + size * ~bits
 
 
-def _score(recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array) -> jax.Array:
-    """What a robot pays for each cell, [cells, n_world]; the cheapest is taken."""
+def _score(
+    recipe: WorldRecipe, point: jax.Array, target: jax.Array, noise: jax.Array, turned: jax.Array
+) -> jax.Array:
+    """What a robot pays for each cell, [cells, n_world]; the cheapest is taken.
+
+    At random each robot counts the field from a value of its own, ``turned`` [n_world], on. If all
+    began at 0, a cell that one robot may not have, near its start, would be the next one's.
+    """
     if recipe.placement == "random":
-        return noise
+        return (noise + turned) % 1.0
     jitter = _JITTER_CELLS[recipe.placement] * recipe.cell_m
     return _distance(point, target) + jitter * noise
 

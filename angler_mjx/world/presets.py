@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, parse, read_toml
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import Rule
@@ -47,6 +47,6 @@ def load(name: str) -> Preset:
         ConfigError: there is none of that name.
     """
     if name not in available():
-        raise ConfigError(f"{name!r} is no preset; there are {', '.join(available())}")
+        raise ConfigError(f"{shown(name)} is no preset; there are {', '.join(available())}")
     with resources.as_file(resources.files("angler_mjx.world") / _FOLDER / f"{name}.toml") as path:
         return parse(Preset, read_toml(path), source=f"preset {name}")

@@ -30,14 +30,17 @@ class AutomatonRule(FileModel):
     born_above: int = Field(ge=0, le=26)
     """A free cell with more neighbouring walls becomes a wall."""
     steps: int = Field(ge=0, le=20)
+    """How often this is done."""
 
 
 class WallsRule(FileModel):
     """Walls one cell thick across the grid, at right angles to x, each with one square gate."""
 
     type: Literal["walls"] = "walls"
-    count: int = Field(default=3, ge=1)
-    gate_cells: int = Field(default=3, ge=1)
+    count: int = Field(default=3, ge=1, le=128)
+    """Number of walls."""
+    gate_cells: int = Field(default=3, ge=1, le=128)
+    """Edge of a gate."""
 
     def check(self, shape: Shape) -> None:
         """Raise a ConfigError if the walls do not fit between the start and goal cells."""

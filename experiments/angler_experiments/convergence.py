@@ -75,7 +75,7 @@ def set_up(variants: Sequence[tuple[str, str]]) -> Setup:
     """Compile the vehicles and the current in JAX's present float type."""
     configs = [(library.load(vehicle), chosen) for vehicle, chosen in variants]
     engine, body = mjx_engine.build(
-        [mjcf.to_spec(config, chosen, shapes=False).compile() for config, chosen in configs]
+        [mjcf.to_spec(config, chosen, shapes=False) for config, chosen in configs]
     )
     core = jnp.array([1.5])
     vortex = Vortices(

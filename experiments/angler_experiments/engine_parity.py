@@ -126,6 +126,7 @@ def _tile(engines: list[Simulator], first: int) -> tuple[Any, Any, Any]:
     worlds = engines[0].worlds(first)
     runs = []
     for simulator in engines:
+        worlds = simulator.adopt(worlds)
         state, samples = simulator.reset(worlds), []
         for _ in range(simulator.segments):
             state, sample = simulator.segment(worlds, state)

@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from angler_mjx.sim.record import ESTIMATE
 from angler_mjx.storage.folder import Run
-from angler_mjx.storage.harvest import ESTIMATE
 
 
 @dataclass(frozen=True, kw_only=True)

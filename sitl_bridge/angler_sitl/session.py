@@ -263,7 +263,7 @@ class SitlSession:
         squad.advance()
         scene.judge()
         self._steps += 1
-        self._sight.keep(before, decision, squad)
+        self._sight.keep(before, decision)
 
     def _status(self) -> tuple[RobotStatus, ...]:
         """As of the desk, and how each autopilot stands."""

@@ -130,6 +130,11 @@ def test_what_came_again_during_a_pause_is_answered_once(rig, monkeypatch):
     rig.ask(frame=0)
     rig.lockstep.advance(1)
     assert [len(peer.answers()) for peer in rig.peers] == [1, 1]
+    # Nor later: what gathered is gone, and the next packet gets the next answer, once.
+    rig.ask(frame=1)
+    rig.lockstep.advance(1)
+    answers = [peer.answers() for peer in rig.peers]
+    assert [[clock(text) for text in got] for got in answers] == [[pytest.approx(2 * DT_S)]] * 2
 
 
 def test_what_is_no_servo_packet_is_passed_over(rig):

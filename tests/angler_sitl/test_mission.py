@@ -23,6 +23,7 @@ from angler_mjx.interop import joint_trajectory_file, mcap
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.storage.folder import Run
 from angler_mjx.teleop import driving, opening
+from angler_mjx.testing import referee
 from angler_sitl.missions import mission
 from angler_sitl.missions.mission import Settings
 from angler_sitl.session import SitlSession
@@ -151,6 +152,19 @@ def test_a_flight_is_a_run_like_any_other(session, scenario, tmp_path, program):
         if program == "ardusub":
             (own,) = (logs / "logs").glob("*.BIN")
             assert own.stat().st_size > 20_000  # 45 kB for each second
+
+
+@both
+def test_the_referee_agrees_with_what_was_judged(session, scenario, tmp_path, program):
+    timing = scenario.time.model_copy(update={"record_hz": 20.0})
+    fine = scenario.model_copy(update={"time": timing})
+    _, run = fly(fine, tmp_path / "run", Board(), duration_s=2.0)
+    verdict = referee.judge(run.path)
+    assert [one.line() for one in verdict.differences] == []
+    assert {count.exact for count in verdict.counts.values()} == {2}
+    assert verdict.counts["energy_j"].largest < 1e-5
+    if program == "ardusub":
+        assert min(run.episodes["energy_j"].to_pylist()) > 1.0
 
 
 @both

@@ -175,5 +175,5 @@ def test_a_line_that_is_none_is_named(tmp_path, line):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"none\.param: no parameter file to read"):
+    with pytest.raises(ConfigError, match=r"none\.param: cannot be read"):
         parameters.read(tmp_path / "none.param")

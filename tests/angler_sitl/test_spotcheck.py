@@ -222,7 +222,7 @@ def test_a_flight_is_read_as_it_was_written(run, tmp_path):
     assert json.dumps(again.rows) == json.dumps(known.rows)
     assert flight.recorded(run, 1, 1).p_m.shape == (301, 1, 3)
     (tmp_path / "a" / "one.npz").write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(ConfigError, match=r"one\.npz: is no flight"):
+    with pytest.raises(ConfigError, match=r"one\.npz: cannot be read"):
         flight.load(tmp_path / "a" / "one.npz")
 
 
@@ -338,7 +338,7 @@ def test_what_cannot_be_checked_is_refused(run, stand_in, tmp_path, capsys):
     for given, said in (
         ([str(tmp_path / "none"), "--episodes", "1"], "not a run folder"),
         ([str(run.path), "--episodes", "9"], "the run has 2 worlds"),
-        ([str(bare), "--episodes", "1"], "stored no trajectories"),
+        ([str(bare), "--episodes", "1"], "trajectories.zarr: is missing"),
         ([str(run.path), "--episodes", "1", "--robots", "5"], "the run has 4 robots"),
         ([str(run.path), "--episodes", "1", "--speed", "fast"], "--speed fast"),
         ([str(run.path), "--episodes", "1", "--resume"], "there is no spot check"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from angler_kernels import clearance, current_field, lanes, quaternion, rigid_body, thruster
+from angler_kernels.lanes import folding
 from angler_kernels.lanes.transform import RULES
 
 W = 64
@@ -319,6 +320,14 @@ def test_constants_give_what_numbers_give(constant):
     ours = lanes.join(lanes.apply(every, constant, lanes.split(jnp.asarray(x))))
     for got, wanted in zip(ours, every(constant, x), strict=True):
         np.testing.assert_allclose(np.broadcast_to(got, W), wanted, rtol=RTOL)
+
+
+def test_two_operands_of_which_one_is_a_number_are_lanes():
+    add = jax.jit(lambda x: folding.two(jax.lax.add_p, np.float64(2.0), x))
+    np.testing.assert_array_equal(add(jnp.array([1.0, 2.0, 3.0])), [3.0, 4.0, 5.0])
+    both = folding.two(jax.lax.mul_p, np.float64(2.0), np.float64(3.0))
+    assert isinstance(both, np.generic)
+    assert both == 6.0
 
 
 def test_repeats_a_body_on_lanes():

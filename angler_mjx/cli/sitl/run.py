@@ -66,14 +66,14 @@ def run(
     prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
+    from angler_mjx.cli.given import scenario_given
     from angler_mjx.cli.sitl.board import board
-    from angler_mjx.scenario.scenario import load_scenario
     from angler_sitl.missions import mission
     from angler_sitl.missions.choosing import scenario_of
     from angler_sitl.scene import motion
 
     motion.compute_inline()
-    loaded = load_scenario(scenario, **({} if seed is None else {"seed": seed}))
+    loaded = scenario_given(scenario, seed=seed)
     chosen = scenario_of(loaded, robots)
     settings = mission.Settings(
         out=out or Path("runs") / f"{chosen.name}-sitl",

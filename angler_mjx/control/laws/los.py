@@ -125,7 +125,9 @@ def step(
     arriving = last & ((length - along) * gains.position_per_s < speed + 1e-6)
     home = gains.position_per_s * (start + length * tangent - estimate.p)
     velocity = jnp.where(arriving, model.bounded(home, jnp.maximum(speed, 0.1)), velocity)
-    yaw, yaw_rate = _heading(gains, carry.yaw_rad, velocity, arriving, dt)
+    # Without sway the bow must point home as well.
+    holds = arriving & (vehicle.terminal_speed_mps[1] > 0) if vehicle.steered else arriving
+    yaw, yaw_rate = _heading(gains, carry.yaw_rad, velocity, holds, dt)
     turn = yaw_rate * quaternion.up(estimate.q) + gains.attitude_per_s * model.attitude_error(
         estimate.q, yaw
     )
@@ -159,10 +161,10 @@ def _geometry(
 
 
 def _heading(
-    gains: LosGains, yaw: jax.Array, velocity: jax.Array, arriving: jax.Array, dt: float
+    gains: LosGains, yaw: jax.Array, velocity: jax.Array, holds: jax.Array, dt: float
 ) -> tuple[jax.Array, jax.Array]:
     """Heading reference [] rad that turns towards the course, and its rate [] rad/s."""
-    moves = (velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2) & ~arriving
+    moves = (velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2) & ~holds
     course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
     most = gains.yaw_rate_radps
     rate = jnp.where(moves, jnp.clip(wrap(course - yaw) / dt, -most, most), 0.0)

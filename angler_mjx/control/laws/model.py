@@ -11,6 +11,10 @@ from angler_mjx.vehicles.params import VehicleParams
 
 SPEED_SHARE = 0.9
 """No law asks for more than this share of the vehicle's slowest terminal speed."""
+TURN_RAD = 0.5
+"""A vehicle without sway turns towards where it must go as if that were no farther off its bow."""
+MOVES_MPS = 0.05
+"""Told to go slower than this over the ground, it keeps the heading that it was asked for."""
 
 
 def per_axis(linear: float, angular: float, like: jax.Array) -> jax.Array:
@@ -34,8 +38,28 @@ def bounded(vector: jax.Array, limit: jax.Array) -> jax.Array:
 
 
 def speed_limit(vehicle: VehicleParams) -> jax.Array:
-    """Speed [] m/s up to which a vehicle can be told to go in any direction."""
-    return SPEED_SHARE * jnp.min(vehicle.terminal_speed_mps)
+    """Speed [] m/s up to which a vehicle can be told to go, any way in which it can be driven."""
+    speed = vehicle.terminal_speed_mps
+    if vehicle.steered:
+        speed = jnp.where(speed > 0, speed, jnp.max(speed))
+    return SPEED_SHARE * jnp.min(speed)
+
+
+def heading(
+    vehicle: VehicleParams, estimate: Estimate, velocity: jax.Array, yaw: jax.Array
+) -> jax.Array:
+    """Heading [] rad to hold while going at ``velocity`` [3] over ground, in W.
+
+    ``yaw`` [] is the one asked for. A vehicle without sway turns its bow to where it must go, by
+    `TURN_RAD` at a time; nearly at rest it does as asked.
+    """
+    if not vehicle.steered:
+        return yaw
+    moves = velocity[0] ** 2 + velocity[1] ** 2 > MOVES_MPS**2
+    course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
+    now = quaternion.yaw(estimate.q)
+    turned = now + jnp.clip(wrap(course - now), -TURN_RAD, TURN_RAD)
+    return jnp.where(moves & (vehicle.terminal_speed_mps[1] <= 0), turned, yaw)
 
 
 def velocity_reference(
@@ -47,13 +71,18 @@ def velocity_reference(
 ) -> jax.Array:
     """Velocity over ground [6], in F, that closes the errors of pose and moves with the target.
 
-    v = v_d + k_p (p_d - p), bounded by `speed_limit`; omega = omega_d + k_a (attitude error).
+    v = v_d + k_p (p_d - p), bounded by `speed_limit`; omega = omega_d + k_a (attitude error),
+    of the heading that `heading` gives.
     """
     velocity = target.velocity_mps + position_per_s * (target.position_m - estimate.p)
-    velocity = quaternion.rotate_inverse(estimate.q, bounded(velocity, speed_limit(vehicle)))
+    velocity = bounded(velocity, speed_limit(vehicle))
+    yaw = heading(vehicle, estimate, velocity, target.yaw_rad)
     turn = target.yaw_rate_radps * quaternion.up(estimate.q)
     return jnp.concatenate(
-        [velocity, turn + attitude_per_s * attitude_error(estimate.q, target.yaw_rad)]
+        [
+            quaternion.rotate_inverse(estimate.q, velocity),
+            turn + attitude_per_s * attitude_error(estimate.q, yaw),
+        ]
     )
 
 

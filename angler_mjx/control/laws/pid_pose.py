@@ -101,6 +101,7 @@ def step(
         jnp.asarray(gains.integral_limit_mps, error.dtype),
         dt,
     )
-    turn = gains.attitude_per_s * model.attitude_error(estimate.q, command.yaw_rad)
+    yaw = model.heading(vehicle, estimate, velocity, command.yaw_rad)
+    turn = gains.attitude_per_s * model.attitude_error(estimate.q, yaw)
     nu = jnp.concatenate([quaternion.rotate_inverse(estimate.q, velocity), turn])
     return PidPoseCarry(integral_mps=integral), BodyTwist(nu=nu)

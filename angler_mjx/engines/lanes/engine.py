@@ -5,7 +5,8 @@ rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obs
 worlds, so the worlds lie side by side in memory.
 """
 
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -14,11 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_mjx.control import stack
-from angler_mjx.control.stack import Command
+from angler_mjx.control.stack import Command, ControlParams
 from angler_mjx.engines.lanes import judge as lane_judge
 from angler_mjx.engines.lanes import pairs as pair_search
-from angler_mjx.engines.lanes import steps as lane_steps
 from angler_mjx.engines.lanes.layout import (
     Given,
     Moving,
@@ -34,22 +33,32 @@ from angler_mjx.engines.lanes.layout import (
     vehicles_of,
     world_state,
 )
-from angler_mjx.engines.lanes.search import Met, Others
+from angler_mjx.engines.lanes.search import Others
+from angler_mjx.engines.lanes.steps import Cells, OnLanes, Shape
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import episode, senses
+from angler_mjx.sim import aboard, start
+from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.state import Belief, Sample, SimSpec, World, WorldState
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.sim.phase import Phase, Slots, run
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Belief, Sample
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
+from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
 
 class FusedEngine:
     """Closed-form rigid bodies on lanes, in plain JAX."""
 
-    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
         """See `Engine.reset`."""
-        one = partial(episode.reset, spec, ClosedForm(gravity_mps2=spec.water.gravity_mps2))
+        engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
+        one = partial(start.reset, spec, engine, policy=policy)
         state: WorldState = jax.vmap(one)(worlds.control.vehicle, worlds)
         return state
 
@@ -60,16 +69,18 @@ class FusedEngine:
         worlds: World,
         state: WorldState,
         command: Command | None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         scene, number = scene_of(fleet, worlds), state.step[0]
-        sensed, belief = state.senses, None
-        if spec.crews:
-            sensed, belief = senses.step_tile(spec, worlds, sensed, number, state.vehicles)
+        policy = aboard.asked(policy, command)
+        minds, told = Minds.of(state), Told()
+        if aboard.tells(spec, policy):
+            minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, state.vehicles)
         moving = moving_of(fleet, state)
-        after, sample = _control_step(spec, scene, moving, number, command, belief)
-        seen: Sample = replace(to_arrays(sample, 2), belief=belief)
-        return world_state(after, state.step + 1, sensed), seen
+        after, seen = _control_step(spec, scene, moving, number, command, told)
+        sample = Sample(**told.record, **to_arrays(seen, 2))
+        return world_state(after, state.step + 1, minds), sample
 
     def segment(
         self,
@@ -81,188 +92,213 @@ class FusedEngine:
         n_sample: int,
         steps_per_sample: int,
         command: Command | None = None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        scene = scene_of(fleet, worlds)
+        scene, policy = scene_of(fleet, worlds), aboard.asked(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []
 
         @jax.jit  # traced once, for the types of its results and for the loop
-        def step(row: list[jax.Array], sensed: Any, number: jax.Array) -> tuple[Any, Any, Any]:
-            moving, belief = rebuild(row), None
-            if spec.crews:
+        def fly(row: list[jax.Array], minds: Minds, number: jax.Array) -> tuple[Any, Any, Any]:
+            moving, told = rebuild(row), Told()
+            if aboard.tells(spec, policy):
                 there = vehicles_of(moving)
-                sensed, belief = senses.step_tile(spec, worlds, sensed, number, there)
-            after, sample = _control_step(spec, scene, moving, number, command, belief)
+                minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, there)
+            after, sample = _control_step(spec, scene, moving, number, command, told)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
             both = zip(lanes.flatten(after)[0], row, strict=True)
-            return [lanes.spread(x, old) for x, old in both], sensed, (now, belief)
+            return [lanes.spread(x, old) for x, old in both], minds, (now, told.record)
 
-        template = jax.eval_shape(step, row, state.senses, state.step[0])[2]
+        begun = Minds.of(state)
+        template = jax.eval_shape(fly, row, begun, state.step[0])[2]
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
         def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
-            row, sensed, kept, number = carry
-            row, sensed, now = step(row, sensed, number)
+            row, minds, kept, number = carry
+            row, minds, now = fly(row, minds, number)
             kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
-            return (row, sensed, kept, number + 1), None
+            return (row, minds, kept, number + 1), None
 
         def recorded(carry: Any, _: None) -> tuple[Any, Any]:
-            row, sensed, step = carry
-            (row, sensed, kept, step), _ = jax.lax.scan(
-                one, (row, sensed, nothing, step), jnp.arange(steps_per_sample)
+            row, minds, number = carry
+            (row, minds, kept, number), _ = jax.lax.scan(
+                one, (row, minds, nothing, number), jnp.arange(steps_per_sample)
             )
-            return (row, sensed, step), kept
+            return (row, minds, number), kept
 
-        start = (row, state.senses, state.step[0])
-        (row, sensed, _), (kept, belief) = jax.lax.scan(recorded, start, length=n_sample)
-        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, sensed)
-        belief = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), belief)
-        seen: Sample = replace(to_arrays(rebuilds[0](kept), 3), belief=belief)
-        return after, seen
+        (row, minds, _), (kept, record) = jax.lax.scan(
+            recorded, (row, begun, state.step[0]), length=n_sample
+        )
+        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, minds)
+        record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
+        return after, Sample(**record, **to_arrays(rebuilds[0](kept), 3))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Everywhere(OnLanes):
+    """Obstacles of all worlds of a scene; see `phase.Here`."""
+
+    spec: SimSpec
+    scene: Scene
+    t: jax.Array
+    shape: Shape
+    _flows: list[tuple[VehicleState, Any]] = field(default_factory=list, init=False)
+
+    @property
+    def current(self) -> Current:
+        """See `OnLanes`."""
+        current: Current = self.scene.current
+        return current
+
+    @property
+    def cells(self) -> Cells:
+        """See `OnLanes`."""
+        return self.scene.cells
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """See `OnLanes`."""
+        return self.scene.obstacles
+
+    def flow(self, vehicle: VehicleState) -> Any:
+        """See `phase.Here`."""
+        for known, flow in self._flows:  # controllers and the record ask for the same
+            if known is vehicle:
+                return flow
+        self._flows.append((vehicle, super().flow(vehicle)))
+        return self._flows[-1][1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfGroup(Everywhere):
+    """Robots of a group, of all worlds."""
+
+    given: Given
+    said: Any = None
+    """Instead of their paths."""
+    met: tuple[Others, list[Others]] | None = None
+    """Obstacles, and robots of every group, when all have moved."""
+
+    @property
+    def params(self) -> ControlParams:
+        """See `phase.Here`."""
+        return self.given.params
+
+    @property
+    def command(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.path if self.said is None else self.said
+
+    @property
+    def goal_m(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.goal_m
+
+    def contact(self, now: Slots) -> Contact:
+        """See `phase.Here`."""
+        if self.met is None:
+            raise RuntimeError("a phase that meets others began before they had moved")
+        group, (obstacles, robots) = self.given.group, self.met
+        return lane_judge.contact(
+            self.shape,
+            self.params.vehicle,
+            self.cells,
+            now["tally"],
+            now["vehicle"],
+            obstacles,
+            robots if self.scene.n_robot > 1 else [],
+            group.first + np.arange(group.count)[:, None],
+            pair_search.among_listed,
+        )
 
 
 def _control_step(
     spec: SimSpec,
     scene: Scene,
     moving: Moving,
-    step: jax.Array,
+    number: jax.Array,
     command: Command | None,
-    belief: Belief | None,
-) -> tuple[Moving, Sample]:
-    """One control step of all worlds.
+    told: Told,
+) -> tuple[Moving, dict[str, Any]]:
+    """One control step of all worlds, and its part of the sample.
 
-    ``command`` [W, R, ...] stands in for the paths, ``belief`` [W, R, ...] for what the controllers
-    know.
+    ``command`` [W, R, ...] stands in for the paths, and for the policy's; ``told`` [W, R, ...] is
+    what the phases of worlds gave.
     """
     like = moving.groups[0].vehicle.p[0]
-    t = jnp.asarray(step, like.dtype) * spec.control_dt_s
-    moved, samples = [], []
+    t = jnp.asarray(number, like.dtype) * spec.control_dt_s
+    where: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
+    said = told.command if command is None else command
+    groups, records = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
+        place = partial(OfGroup, **where, given=given)
         with jax.named_scope("robots"):
-            after, said = lanes.shared(
-                partial(_advance, spec, scene, given, robots, t, command, belief)
-            )
-        moved.append(after)
-        samples.append(said)
-    obstacles = moving.obstacles
-    if scene.n_obstacle > 0:
-        with jax.named_scope("obstacles"):
-            obstacles = lanes.shared(
-                partial(
-                    lane_steps.advance_obstacles,
-                    spec,
-                    scene.shape,
-                    scene.obstacles,
-                    obstacles,
-                    scene.current,
-                    scene.cells,
-                    t,
-                )
-            )
-    others = [
+            now, record = lanes.shared(partial(_alone, place, robots, said, told.known))
+        groups.append(now)
+        records.append(record)
+    sample = side_by_side(records)
+    obstacles, seen = _obstacles(Everywhere(**where), moving.obstacles)
+    sample |= seen
+    met = _all_met(scene, groups, obstacles)
+    after, records = [], []
+    for given, now in zip(scene.groups, groups, strict=True):
+        place = OfGroup(**where, given=given, met=met)
+        judged, record = lanes.shared(partial(_run, place, MEETING, now))
+        after.append(Robots(**{name: judged[name] for name in KEPT}))
+        records.append(record)
+    sample |= side_by_side(records)
+    return Moving(groups=tuple(after), obstacles=obstacles), sample
+
+
+def _alone(
+    make: Callable[..., OfGroup], robots: Robots, said: Command | None, told: Belief | None
+) -> tuple[Any, Any]:
+    """What the robots of a group do by themselves.
+
+    ``said`` and ``told`` [W, R, ...] are their commands, and what they know if not the truth.
+    """
+    place, slots = make(), {**vars(robots), "known": robots.vehicle}
+    group = place.given.group
+    if said is not None:
+        place = make(said=to_lanes(of_group(said, group), 2))
+    if told is not None:
+        slots["known"] = to_lanes(of_group(told, group), 2)
+    return _run(place, ALONE, slots)
+
+
+def _run(place: OfGroup, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
+    """Phases of a group: the slots that anybody reads after them, and the record."""
+    now, record = run(place, phases, slots)
+    like = slots["vehicle"].p[0]
+    # What a controller sets to a number is one number for all lanes.
+    now["memory"], record = jax.tree.map(
+        lambda leaf: spread_out(leaf, like), (now["memory"], record)
+    )
+    return {name: now[name] for name in LASTING if name in now}, record
+
+
+def _obstacles(place: Everywhere, obstacles: ObstacleState) -> tuple[ObstacleState, Any]:
+    """The obstacles after a step, and their record; rows of padding stay where they are."""
+    slots = {"obstacles": obstacles}
+    if place.scene.n_obstacle == 0:
+        return obstacles, OBSTACLES.run(place, slots).record()
+    now, record = lanes.shared(partial(run, place, (OBSTACLES,), slots))
+    return now["obstacles"], record
+
+
+def _all_met(
+    scene: Scene, groups: Sequence[Slots], obstacles: ObstacleState
+) -> tuple[Others, list[Others]]:
+    """What robots can meet when all have moved: obstacles, and robots of every group."""
+    robots = [
         Others(
             count=given.group.count,
-            load=partial(_met_robot, given.params.vehicle, vehicle),
+            load=partial(pair_search.met_robot, given.params.vehicle, now["vehicle"]),
             first=given.group.first,
         )
-        for given, (vehicle, *_) in zip(scene.groups, moved, strict=True)
+        for given, now in zip(scene.groups, groups, strict=True)
     ]
-    met = partial(_met_obstacle, scene.obstacles, scene.reach, obstacles)
-    groups = []
-    for given, before, (vehicle, carry, power, broken) in zip(
-        scene.groups, moving.groups, moved, strict=True
-    ):
-        with jax.named_scope("detection"):
-            tally = lanes.shared(
-                partial(
-                    lane_judge.judge,
-                    spec,
-                    scene.shape,
-                    given.params.vehicle,
-                    given.goal_m,
-                    scene.cells,
-                    before.tally,
-                    before.vehicle.p,
-                    vehicle,
-                    power,
-                    broken,
-                    Others(count=scene.n_obstacle, load=met),
-                    others if scene.n_robot > 1 else [],
-                    given.group.first + np.arange(given.group.count)[:, None],
-                    t,
-                    pair_search.among_listed,
-                )
-            )
-        groups.append(Robots(vehicle=vehicle, carry=carry, tally=tally))
-    sample = Sample(
-        **side_by_side(samples),
-        obstacle_p=moving.obstacles.p,
-        obstacle_q=moving.obstacles.q,
-    )
-    return Moving(groups=tuple(groups), obstacles=obstacles), sample
-
-
-def _advance(
-    spec: SimSpec,
-    scene: Scene,
-    given: Given,
-    robots: Robots,
-    t: jax.Array,
-    command: Command | None,
-    belief: Belief | None,
-) -> tuple[Any, dict[str, Any]]:
-    """Controller and physics of a group: what it comes to, and its part of the sample."""
-    before, outcome = robots.vehicle, robots.tally.outcome
-    told = given.path if command is None else to_lanes(of_group(command, given.group), 2)
-    flow = lane_steps.flow_at(scene.current, before.p, t)
-    known, felt = before, flow if stack.wants_flow(spec.stages) else None
-    if belief is not None:
-        known = to_lanes(of_group(belief, given.group), 2)
-        felt = known.flow
-    carry, decision = lane_steps.control_robots(
-        spec,
-        given.params,
-        known,
-        robots.carry,
-        told,
-        felt,
-    )
-    vehicle, broken = lane_steps.move_robots(
-        spec, given.params.vehicle, scene.current, before, outcome, decision.thrust_n, t
-    )
-    sample = {
-        "p": before.p,
-        "q": before.q,
-        "nu": before.nu,
-        "pwm_us": decision.pwm_us,
-        "target_m": decision.target_m,
-        "current_mps": flow,
-        "outcome": outcome,
-    }
-    like = before.p[0]
-    spread = {name: spread_out(leaf, like) for name, leaf in sample.items()}
-    # What a controller sets to a number is one number for all lanes.
-    carry = jax.tree.map(lambda leaf: spread_out(leaf, like), carry)
-    return (vehicle, carry, decision.power_w, broken), spread
-
-
-def _met_robot(params: VehicleParams, state: VehicleState, index: Any) -> Met:
-    """Robots of a group, at an index of lanes [n, W]."""
-    vehicle, now = pair_search.pick((params, state), index)
-    return Met(
-        p=now.p,
-        reach=vehicle.radius_m[()],
-        details=lambda: (vehicle, now.q, lane_judge.velocity(now.q, now.nu)),
-    )
-
-
-def _met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: Any) -> Met:
-    """Obstacles, at an index of lanes [n, W]."""
-    body, radius, now = pair_search.pick((obstacles, lanes.pack([reach], ()), state), index)
-    return Met(
-        p=now.p,
-        reach=radius[()],
-        details=lambda: (body, now.q, lane_judge.velocity(now.q, now.nu)),
-    )
+    met = partial(pair_search.met_obstacle, scene.obstacles, scene.reach, obstacles)
+    return Others(count=scene.n_obstacle, load=met), robots

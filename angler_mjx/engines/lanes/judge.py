@@ -1,4 +1,4 @@
-"""Detection and the tally on lanes: how robots, obstacles and cells meet.
+"""Detection on lanes: how robots, obstacles and cells meet.
 
 Distances that cannot matter are left out: a robot's tally keeps its least clearance, so a shape
 whose bounding sphere is farther than the least clearance so far is not looked at, nor is a cell.
@@ -26,48 +26,35 @@ from angler_mjx.engines.lanes.search import (
 )
 from angler_mjx.engines.lanes.steps import Cells, Lanes, Shape
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import robot
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
-from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
+from angler_mjx.sim.state import Outcome, Tally, Touched
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.obstacles import Obstacles
 from angler_mjx.world.obstacles.types import STATIC, bounding_radius
 
 
-def judge(
-    spec: SimSpec,
+def contact(
     shape: Shape,
     vehicle: VehicleParams,
-    goal_m: Lanes,
     cells: Cells,
     tally: Tally,
-    before_m: Lanes,
     state: VehicleState,
-    power_w: Lanes,
-    broken: Lanes,
     obstacles: Others,
     robots: Sequence[Others],
     row: Any,
-    t: jax.Array,
     search: Search | None = None,
-) -> Any:
-    """Contact detection and the tally of one control step.
+) -> Contact:
+    """The nearest thing to each robot, as far as it can matter to its tally.
 
     Args:
-        spec: settings.
         shape: of the grid.
         vehicle: parameters of the robots.
-        goal_m: of the robots.
         cells: of their worlds.
         tally: so far.
-        before_m: positions before the step.
-        state: of the robots after it.
-        power_w: of their thrusters in it.
-        broken: which of them diverged in it.
+        state: of the robots after the step.
         obstacles: of the same world, after the step.
         robots: all robots of the same world after the step; none if there is but one.
         row: which of its world's robots each lane is.
-        t: [] s at the beginning of the step.
         search: how the nearest shape is found; `of_lanes` if None.
     """
     a, b = lanes.apply(_hull, vehicle, state.p, state.q)
@@ -101,20 +88,8 @@ def judge(
     limit = jnp.minimum(tally.min_separation_m[()], SEPARATION_RADIUS_M)
     for some in robots:
         other = look(replace(me, limit_m=one([limit])), some, _to_robot, other, row)
-    contact = lanes.apply(_contact, to_cells, to_floor, *_tree(obstacle), *_tree(other), v)
-    return lanes.apply(
-        partial(robot.account, spec),
-        goal_m,
-        cells.lo,
-        cells.hi,
-        tally,
-        before_m,
-        state.p,
-        contact,
-        power_w,
-        broken,
-        t,
-    )
+    found: Contact = lanes.apply(_contact, to_cells, to_floor, *_tree(obstacle), *_tree(other), v)
+    return found
 
 
 def _to_obstacle(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:

@@ -16,9 +16,10 @@ from angler_mjx.engines.lanes import judge as lane_judge
 from angler_mjx.engines.lanes import steps as lane_steps
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import episode
+from angler_mjx.sim import start
+from angler_mjx.sim.aboard import Minds
 from angler_mjx.sim.fleet import Fleet, Group
-from angler_mjx.sim.state import Senses, Tally, World, WorldState
+from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -29,7 +30,8 @@ class Robots:
     """What changes from step to step of the robots of a group, as lanes."""
 
     vehicle: VehicleState
-    carry: Memory
+    memory: Memory
+    """Of the controllers."""
     tally: Tally
 
 
@@ -130,7 +132,7 @@ def moving_of(fleet: Fleet, state: WorldState) -> Moving:
     """The state of worlds as lanes."""
 
     def of(group: Group) -> Robots:
-        robots = Robots(vehicle=state.vehicles, carry=state.carry, tally=state.tally)
+        robots = Robots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
         lanes_of: Robots = to_lanes(of_group(robots, group), 2)
         return lanes_of
 
@@ -145,16 +147,16 @@ def vehicles_of(moving: Moving) -> VehicleState:
     return vehicles
 
 
-def world_state(moving: Moving, step: jax.Array, senses: tuple[Senses | None, ...]) -> WorldState:
+def world_state(moving: Moving, step: jax.Array, minds: Minds) -> WorldState:
     """The inverse of `moving_of`; ``step`` [W]."""
     robots = to_arrays(side_by_side(moving.groups), 2)
     return WorldState(
         vehicles=robots.vehicle,
-        carry=robots.carry,
+        carry=robots.memory,
         obstacles=to_arrays(moving.obstacles, 2),
         tally=robots.tally,
         step=step,
-        senses=senses,
+        **vars(minds),
     )
 
 
@@ -199,7 +201,7 @@ def scene_of(fleet: Fleet, worlds: World) -> Scene:
 def _cells(worlds: World) -> Cells:
     environment, neighbours = worlds.environment, packed_cells(worlds)
     grid = environment.grid
-    lo, hi = jax.vmap(episode.region)(environment)
+    lo, hi = jax.vmap(start.region)(environment)
     return Cells(
         neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1),
         origin_m=to_lanes(grid.origin_m, 1),

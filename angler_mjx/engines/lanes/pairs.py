@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_mjx.engines.lanes.search import (
-    Exact,
-    Nearest,
-    Others,
-    Seeker,
-)
+from angler_mjx.engines.lanes import judge as lane_judge
+from angler_mjx.engines.lanes.search import Exact, Met, Nearest, Others, Seeker
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
 CHUNK = 128
 """Pairs whose distances are worked out at once: few cost as much as this many."""
@@ -34,6 +33,26 @@ def pick(tree: Any, index: Any) -> Any:
         return lanes.pack(items, leaf.shape)
 
     return jax.tree.map(one, tree)
+
+
+def met_robot(params: VehicleParams, state: VehicleState, index: Any) -> Met:
+    """Robots of a group, at an index of lanes [n, W]."""
+    vehicle, now = pick((params, state), index)
+    return Met(
+        p=now.p,
+        reach=vehicle.radius_m[()],
+        details=lambda: (vehicle, now.q, lane_judge.velocity(now.q, now.nu)),
+    )
+
+
+def met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, index: Any) -> Met:
+    """Obstacles, at an index of lanes [n, W]."""
+    body, radius, now = pick((obstacles, lanes.pack([reach], ()), state), index)
+    return Met(
+        p=now.p,
+        reach=radius[()],
+        details=lambda: (body, now.q, lane_judge.velocity(now.q, now.nu)),
+    )
 
 
 def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:

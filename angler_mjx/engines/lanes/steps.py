@@ -1,9 +1,10 @@
-"""Control, motion and obstacles on lanes: every function here works on any number side by side.
+"""The phases of a control step on lanes: every function here works on any number side by side.
 
-The physics and the controller are those of one robot (`angler_kernels.lanes` turns them into
+The physics and the controllers are those of one robot (`angler_kernels.lanes` turns them into
 lanes). Where the lanes come from is not known here: from arrays, or from the memory of a kernel.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -12,12 +13,11 @@ import jax
 
 from angler_kernels import clearance, lanes
 from angler_kernels.table import take
-from angler_mjx.control.stack import Command, ControlParams, Memory
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState, Water
-from angler_mjx.sim import robot
-from angler_mjx.sim.state import Belief, SimSpec
+from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world import currents
 from angler_mjx.world.currents import Current
@@ -50,78 +50,72 @@ class Cells:
 type Shape = tuple[int, int, int]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Decision:
-    """What a controller decides."""
+class OnLanes:
+    """What `angler_mjx.sim.step.Here` asks for, of lanes; where they come from is the engine's.
 
-    pwm_us: Lanes
-    target_m: Lanes
-    thrust_n: Lanes
-    power_w: Lanes
-
-
-def control_robots(
-    spec: SimSpec,
-    params: ControlParams,
-    vehicle: VehicleState | Belief,
-    carry: Memory,
-    command: Command,
-    flow: Lanes | None,
-) -> tuple[Memory, Decision]:
-    """The controllers' part of a control step.
-
-    Args:
-        spec: settings.
-        params: of the robots.
-        vehicle: state, or what is believed of it.
-        carry: memory of the controllers.
-        command: to the controllers: the robots' paths, or what drives them instead.
-        flow: velocity [3] of the water where the robots are, if the controllers want it.
-    """
-    carry, target, pwm = lanes.apply(
-        partial(robot.decide, spec), params, carry, vehicle, command, flow
-    )
-    settled, power = lanes.apply(robot.thrust_and_power, params.vehicle, pwm)
-    return carry, Decision(pwm_us=pwm.pwm_us, target_m=target, thrust_n=settled, power_w=power)
-
-
-def move_robots(
-    spec: SimSpec,
-    params: VehicleParams,
-    current: Current,
-    vehicle: VehicleState,
-    outcome: Lanes,
-    thrust_n: Lanes,
-    t: jax.Array,
-) -> tuple[VehicleState, Lanes]:
-    """The physics of a control step.
-
-    Args:
-        spec: settings.
-        params: of the robots.
-        current: of their worlds.
-        vehicle: state.
-        outcome: int32 before the step.
-        thrust_n: [n_thruster] what the thrusters settle at.
-        t: [] s.
-
-    Returns:
-        The state one control period later, and which robots diverged.
+    Whoever has robots adds ``params``, ``command``, ``goal_m`` and ``contact``; whoever has
+    obstacles adds ``obstacles``.
     """
 
-    def one(i: jax.Array, state: VehicleState) -> Any:
-        now = t + i.astype(t.dtype) * spec.physics_dt_s
-        step = partial(physics_step, spec.physics_dt_s, spec.water)
-        return lanes.apply(step, params, state, thrust_n, current, now)
+    spec: SimSpec
+    t: jax.Array
+    shape: Shape
+    """Of the grid."""
 
-    after = lanes.repeat(spec.physics_steps, one, vehicle)
-    held, broken = lanes.apply(robot.hold_if_ended, outcome, vehicle, after)
-    return held, broken
+    @property
+    def params(self) -> ControlParams:
+        """Of the robots."""
+        raise NotImplementedError
 
+    @property
+    def current(self) -> Current:
+        """Of their worlds."""
+        raise NotImplementedError
 
-def flow_at(current: Current, p: Lanes, t: jax.Array) -> Lanes:
-    """Velocity [3] of the water at points."""
-    return lanes.apply(currents.velocity, current, p, t)
+    @property
+    def cells(self) -> Cells:
+        """Of their worlds."""
+        raise NotImplementedError
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What they are."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> tuple[Lanes, Lanes]:
+        """Of the region."""
+        return self.cells.lo, self.cells.hi
+
+    def flow(self, vehicle: VehicleState) -> Lanes:
+        """Velocity [3] of the water at the robots."""
+        return lanes.apply(currents.velocity, self.current, vehicle.p, self.t)
+
+    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+        """A function of one body for all lanes."""
+        return lanes.apply(function, *bodies, *shared)
+
+    def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
+        """``body(i, tree)`` a number of times."""
+        return lanes.repeat(times, body, tree)
+
+    def physics_step(
+        self,
+        params: ControlParams,
+        vehicle: VehicleState,
+        thrust_n: Lanes,
+        current: Current,
+        t: jax.Array,
+    ) -> Any:
+        """One physics step of all robots."""
+        step = partial(physics_step, self.spec.physics_dt_s, self.spec.water)
+        return lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
+
+    def advance(self, obstacles: ObstacleState) -> Any:
+        """One control step of obstacles."""
+        return advance_obstacles(
+            self.spec, self.shape, self.obstacles, obstacles, self.current, self.cells, self.t
+        )
 
 
 def physics_step(

@@ -1,10 +1,12 @@
 """The fused engine as Pallas kernels, lowered by Triton: a control period in registers.
 
-Four kernels make a control step: controller, physics steps, obstacles, and detection with the
-tally. A program works on neighbouring worlds of one robot of the fleet; its state stays in
-registers over all physics steps of the control period, and it writes the record itself. Other
-shapes are read from memory, so fleets of any size fit. Robots of one vehicle share a program.
-Instruments and navigation filters, where robots have any, are plain JAX between the kernels.
+Four kernels make a control step: one for each phase of robots (controllers, physics steps,
+detection with the tally), and the obstacles. A program works on neighbouring worlds of one robot of
+the fleet; its state stays in registers over all physics steps of the control period, and it writes
+the record itself. Other shapes are read from memory, so fleets of any size fit. Robots of one
+vehicle share a program.
+Phases of worlds, where there are any (instruments and filters, policies), are plain JAX between
+the kernels.
 """
 
 from collections.abc import Callable
@@ -15,7 +17,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.lanes.planes import Layout
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.triton import launch as triton
@@ -23,9 +24,12 @@ from angler_mjx.engines.triton.kernels import Kernels, Launch
 from angler_mjx.engines.triton.segment import AHEAD, Arrays, Segment
 from angler_mjx.engines.triton.tile import Tile
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import senses
+from angler_mjx.sim import aboard
+from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.state import Belief, Sample, SimSpec, World, WorldState
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import SimSpec, World, WorldState
 
 UNROLLED = 10
 """Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
@@ -47,9 +51,11 @@ class TritonEngine:
         """
         self._program = triton.Program(lanes=lanes, warps=warps, interpret=interpret)
 
-    def reset(self, spec: SimSpec, fleet: Fleet, worlds: World) -> WorldState:
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
         """See `Engine.reset`."""
-        return FusedEngine().reset(spec, fleet, worlds)
+        return FusedEngine().reset(spec, fleet, worlds, policy)
 
     def control_step(
         self,
@@ -58,9 +64,10 @@ class TritonEngine:
         worlds: World,
         state: WorldState,
         command: Command | None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command)
+        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy)
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
     def segment(
@@ -73,22 +80,21 @@ class TritonEngine:
         n_sample: int,
         steps_per_sample: int,
         command: Command | None = None,
+        policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
 
-        def plain(
-            fleet: Fleet, worlds: World, state: WorldState, command: Command | None
-        ) -> tuple[WorldState, Sample]:
-            return FusedEngine().segment(spec, fleet, worlds, state, command=command, **count)
+        def plain(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
+            command, policy = driven
+            plan: dict[str, Any] = {**count, "command": command, "policy": policy}
+            return FusedEngine().segment(spec, fleet, worlds, state, **plan)
 
-        def fast(
-            fleet: Fleet, worlds: World, state: WorldState, command: Command | None
-        ) -> tuple[WorldState, Sample]:
-            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, command)
+        def fast(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
+            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, *driven)
 
         both = triton.with_gradient_of(plain, fast)
-        after: tuple[WorldState, Sample] = both(fleet, worlds, state, command)
+        after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))
         return after
 
     def _segment(
@@ -100,6 +106,7 @@ class TritonEngine:
         n_sample: int,
         steps_per_sample: int,
         command: Command | None,
+        policy: Policy | None,
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
         count = state.step.shape[0]
@@ -109,14 +116,15 @@ class TritonEngine:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
 
         worlds, state, command = jax.tree.map(fill, (worlds, state, command))
-        sense, belief = partial(senses.step_tile, spec, worlds), None
-        if spec.crews:
-            _, belief = jax.eval_shape(sense, state.senses, state.step[0], state.vehicles)
+        policy = aboard.asked(policy, command)
+        tell, told = partial(aboard.tell_tile, spec, policy, worlds), None
+        if aboard.tells(spec, policy):
+            _, told = jax.eval_shape(tell, Minds.of(state), state.step[0], state.vehicles)
         tile = Tile(fleet, worlds)
-        part = Segment(tile, state, n_sample, steps_per_sample, command, belief)
+        part = Segment(tile, state, n_sample, steps_per_sample, command, told)
         kernels = Kernels(self._program, spec, part)
-        if part.known is not None:
-            end = _fly_looped(kernels, part, partial(_look, sense, part, part.known))
+        if told is not None:
+            end = _fly_looped(kernels, part, partial(_tell, tell, part))
         elif self._program.interpret:
             end = _fly_looped(kernels, part, None)
         else:
@@ -125,28 +133,33 @@ class TritonEngine:
         return cut
 
 
-def _look(
-    sense: Callable[[Any, jax.Array, VehicleState], tuple[Any, Belief]],
+def _tell(
+    tell: Callable[[Minds, jax.Array, VehicleState], tuple[Minds, Told]],
     part: Segment,
-    layout: Layout,
     base: jax.Array,
     k: jax.Array,
     x: Arrays,
 ) -> Arrays:
-    """What the controllers are told in control step ``base + k``, and its record: no kernel."""
+    """The phases of worlds in control step ``base + k``, and their record: no kernel."""
     tile, count = part.tile, base[0] + k[0]
-    vehicles = part.vehicle.unpack(x.robots, (tile.worlds, tile.robots))
-    sensed, belief = sense(x.senses, part.first[0] + count, vehicles)
+    vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], (tile.worlds, tile.robots))
+    minds, told = tell(x.minds, part.first[0] + count, vehicles)
     place, is_sample = count // part.every, count % part.every == 0
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
         return kept.at[place].set(jnp.where(is_sample, new, kept[place]))
 
+    given = {"known": told.known, "command": told.command}
+    packed = {
+        name: part.layouts[name].pack(tree, tile.dtype)
+        for name, tree in given.items()
+        if tree is not None
+    }
     return replace(
         x,
-        senses=sensed,
-        known=layout.pack(belief, tile.dtype),
-        believed=jax.tree.map(record, x.believed, belief),
+        minds=minds,
+        slots={**x.slots, **packed},
+        told=jax.tree.map(record, x.told, told.record),
     )
 
 
@@ -165,14 +178,14 @@ def _fly(kernels: Kernels, part: Segment) -> Arrays:
     return _chunks(steps, UNROLLED, part)
 
 
-def _fly_looped(kernels: Kernels, part: Segment, look: Launch | None) -> Arrays:
-    """As `_fly`, with ``look`` before the robots act, and the long body once in the program."""
+def _fly_looped(kernels: Kernels, part: Segment, tell: Launch | None) -> Arrays:
+    """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
     obstacles, robots = kernels.launches()
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
         def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
-            seen = x if look is None else look(base, k[None], x)
-            return robots(base, k[None], seen), None
+            told = x if tell is None else tell(base, k[None], x)
+            return robots(base, k[None], told), None
 
         x = obstacles(base, jnp.zeros(1, jnp.int32), x)
         return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]

@@ -7,61 +7,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.lanes.planes import Layout
+from angler_kernels.lanes.planes import Layout, Shelf
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.triton.tile import Tile
-from angler_mjx.sim.state import Belief, Sample, Senses, WorldState
+from angler_mjx.sim import record, step
+from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim.phase import Phase
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import SimSpec, WorldState
+from angler_mjx.sim.step import ALONE, KEPT, MEETING, OBSTACLES
 
 AHEAD = 5
 """Control steps that obstacles are moved ahead of the robots."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Order:
-    """What the controller hands to the physics and the tally."""
-
-    thrust_n: Any
-    power_w: Any
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Deed:
-    """What the physics hands to the tally."""
-
-    before_m: Any
-    broken: Any
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class ControlSample:
-    """The controller's part of a `Sample`."""
-
-    pwm_us: Any
-    target_m: Any
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class MotionSample:
-    """The physics' part of a `Sample`."""
-
-    p: Any
-    q: Any
-    nu: Any
-    current_mps: Any
-    outcome: Any
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class ObstacleSample:
-    """The obstacles' part of a `Sample`."""
-
-    obstacle_p: Any
-    obstacle_q: Any
 
 
 @jax.tree_util.register_dataclass
@@ -79,29 +36,19 @@ class Drift:
 class Arrays:
     """Flat arrays that change from launch to launch."""
 
-    robots: jax.Array
-    """`VehicleState`."""
-    memory: jax.Array
-    """The controllers'."""
-    tally: jax.Array
-    order: jax.Array
-    deed: jax.Array
-    said: jax.Array
-    """Record of the controllers."""
-    moved: jax.Array
-    """Record of the motion."""
+    slots: dict[str, jax.Array]
+    """What the phases of robots read and give, by name; see `angler_mjx.sim.step.Slots`. Also
+    ``known`` where robots are not told the truth, and ``command`` where one drives them."""
     bodies: jax.Array
     """`ObstacleState`, as far ahead as they were moved."""
     track: jax.Array
     """`Drift` of `AHEAD` steps."""
-    seen: jax.Array
-    """Record of the obstacles."""
-    senses: tuple[Senses | None, ...]
-    """As in `WorldState`, [W] leads: what robots know of themselves is not the kernels' work."""
-    known: jax.Array | None
-    """`Belief`, for the controllers; None where they are told the truth."""
-    believed: Belief | None
-    """Record of it, [samples, W, R, ...]."""
+    records: dict[str, jax.Array]
+    """What each phase of robots and obstacles recorded, by the phase's name."""
+    minds: Minds
+    """[W] leads: what robots know of themselves is not the kernels' work."""
+    told: dict[str, Any]
+    """Record of the phases of worlds, [samples, W, ...]."""
 
 
 class Segment:
@@ -113,10 +60,9 @@ class Segment:
         every: control steps from one sample to the next.
         first: int32 [1] control steps taken before.
         start: arrays at the beginning.
-        vehicle, memory, tally, bodies, order, deed, drift: layouts of their parts.
-        command: what drives the controllers instead of the paths, and its layout; if there is.
-        said, moved, seen: shelves of the samples.
-        known: layout of what the controllers are told, from shapes of it; if it is not the truth.
+        layouts: of the slots, by name.
+        bodies, drift: layouts of the obstacles.
+        shelves: of the samples, by the phase that records them.
     """
 
     def __init__(
@@ -126,77 +72,114 @@ class Segment:
         n_sample: int,
         every: int,
         command: Command | None,
-        belief: Belief | None,
+        told: Told | None,
     ) -> None:
+        """Lay everything out.
+
+        Args:
+            tile: constants of the worlds.
+            state: of the worlds.
+            n_sample: samples of each.
+            every: control steps from one sample to the next.
+            command: what drives the controllers instead of the paths; if anything does.
+            told: shapes of what the phases of worlds give; if they give anything.
+        """
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
         self.first = state.step[:1]
-        self.vehicle, robots = tile.pack(state.vehicles, 2)
-        self.memory, memory = tile.pack(state.carry, 2)
-        self.tally, tally = tile.pack(state.tally, 2)
+        given = {"vehicle": state.vehicles, "memory": state.carry, "tally": state.tally}
+        if command is not None:
+            given["command"] = command
+        packed = {name: tile.pack(tree, 2) for name, tree in given.items()}
         self.bodies, bodies = tile.pack(state.obstacles, 2)
-        self.command = [] if command is None else [tile.pack(command, 2)]
-        number, three, four = tile.shape(), tile.shape(3), tile.shape(4)
-        each = tile.shape(state.vehicles.thrust.shape[-1])
-        broken = jax.ShapeDtypeStruct((), jnp.bool_)
-        self.order = tile.layout(Order(thrust_n=each, power_w=number), tile.robots)
-        self.deed = tile.layout(Deed(before_m=three, broken=broken), tile.robots)
+        self.layouts = {name: layout for name, (layout, _) in packed.items()}
+        self.layouts |= self._scratch(told)
+        three, four = tile.shape(3), tile.shape(4)
         self.drift = tile.layout(Drift(p=three, q=four, v=three), tile.obstacles)
-        motion = MotionSample(
-            p=three,
-            q=four,
-            nu=tile.shape(6),
-            current_mps=three,
-            outcome=jax.ShapeDtypeStruct((), jnp.int32),
-        )
-        control = ControlSample(pwm_us=each, target_m=three)
-        obstacle = ObstacleSample(obstacle_p=three, obstacle_q=four)
-        self.said = tile.shelf(tile.layout(control, tile.robots), n_sample)
-        self.moved = tile.shelf(tile.layout(motion, tile.robots), n_sample)
-        self.seen = tile.shelf(tile.layout(obstacle, tile.obstacles), n_sample)
-        self.known = None if belief is None else Layout.of(belief, 2)
+        self.shelves = {
+            phase.name: shelf
+            for phase in (*ALONE, OBSTACLES, *MEETING)
+            if (shelf := self._shelf(phase)) is not None
+        }
         # Written before it is read: it need not be filled.
         room = partial(_room, dtype=tile.dtype)
         self.start = Arrays(
-            robots=robots,
-            memory=memory,
-            tally=tally,
-            order=room(self.order.size),
-            deed=room(self.deed.size),
-            said=room(self.said.size),
-            moved=room(self.moved.size),
+            slots={
+                name: packed[name][1] if name in packed else room(layout.size)
+                for name, layout in self.layouts.items()
+            },
             bodies=bodies,
             track=room(AHEAD * self.drift.size if tile.some_obstacle else 1),
-            seen=room(self.seen.size if tile.some_obstacle else 1),
-            senses=state.senses,
-            known=None if self.known is None else room(self.known.size),
-            believed=jax.tree.map(
-                lambda leaf: jnp.zeros((n_sample, *leaf.shape), leaf.dtype), belief
+            records={name: room(shelf.size) for name, shelf in self.shelves.items()},
+            minds=Minds.of(state),
+            told={}
+            if told is None
+            else jax.tree.map(
+                lambda leaf: jnp.zeros((n_sample, *leaf.shape), leaf.dtype), told.record
             ),
         )
+
+    def layout(self, slot: str) -> tuple[str, Layout]:
+        """The slot that one is read from, and its layout: what is known may be the truth."""
+        name = "vehicle" if slot == "known" and slot not in self.layouts else slot
+        return name, self.layouts[name]
+
+    def time(self, count: Any, spec: SimSpec) -> jax.Array:
+        """[] s when so many control steps were taken."""
+        t: jax.Array = count.astype(self.tile.dtype) * spec.control_dt_s
+        return t
+
+    def ring(self, count: Any) -> Any:
+        """Where in the track a control step begins, counted from the segment's first."""
+        return count % AHEAD * self.drift.size
 
     def result(self, end: Arrays) -> tuple[WorldState, Sample]:
         """The state after all steps, and the samples."""
         tile, state = self.tile, self._state
         of_robot, of_body = (tile.worlds, tile.robots), (tile.worlds, tile.obstacles)
-        if tile.some_obstacle:
-            seen = self.seen.unpack(end.seen)
-        else:  # rows of padding stay where they are
-            seen = ObstacleSample(
-                obstacle_p=_repeated(state.obstacles.p, self._samples),
-                obstacle_q=_repeated(state.obstacles.q, self._samples),
-            )
+        kept = {name: self.layouts[name].unpack(end.slots[name], of_robot) for name in KEPT}
         after = WorldState(
-            vehicles=self.vehicle.unpack(end.robots, of_robot),
-            carry=self.memory.unpack(end.memory, of_robot),
+            vehicles=kept["vehicle"],
+            carry=kept["memory"],
             obstacles=self.bodies.unpack(end.bodies, of_body),
-            tally=self.tally.unpack(end.tally, of_robot),
+            tally=kept["tally"],
             step=state.step + self.steps,
-            senses=end.senses,
+            **vars(end.minds),
         )
-        said, moved = self.said.unpack(end.said), self.moved.unpack(end.moved)
-        belief = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.believed)
-        return after, Sample(**vars(said), **vars(moved), **vars(seen), belief=belief)
+        seen = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), end.told)
+        for name, shelf in self.shelves.items():
+            seen |= shelf.unpack(end.records[name])
+        if not tile.some_obstacle:  # rows of padding stay where they are
+            repeated = partial(_repeated, times=self._samples)
+            seen |= jax.tree.map(repeated, step.record_obstacles(state.obstacles))
+        return after, Sample(**seen)
+
+    def _scratch(self, told: Told | None) -> dict[str, Layout]:
+        """Layouts of what is made anew in every step."""
+        tile = self.tile
+        thrusters = tile.shape(self._state.vehicles.thrust.shape[-1])
+        shapes = step.handed_on(tile.shape(), thrusters)
+        found = {name: tile.layout(shape, tile.robots) for name, shape in shapes.items()}
+        if told is not None and told.known is not None:
+            found["known"] = Layout.of(told.known, 2)
+        if told is not None and told.command is not None:
+            found["command"] = Layout.of(told.command, 2)
+        return found
+
+    def _shelf(self, phase: Phase) -> Shelf | None:
+        """Room for what a phase records, if it records anything."""
+        tile, fields = self.tile, record.of_phase(phase.name)
+        if not fields or (phase.of == "obstacle" and not tile.some_obstacle):
+            return None
+        rows = tile.obstacles if phase.of == "obstacle" else tile.robots
+        sizes = {"thruster": self._state.vehicles.thrust.shape[-1]}
+        shapes = {
+            field.path[0]: jax.ShapeDtypeStruct(
+                field.of_one(sizes), jnp.int32 if field.about.whole else tile.dtype
+            )
+            for field in fields
+        }
+        return tile.shelf(tile.layout(shapes, rows), self._samples)
 
 
 def _room(size: int, dtype: Any) -> jax.Array:

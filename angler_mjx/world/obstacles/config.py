@@ -9,10 +9,16 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from angler_mjx.files import FileModel
+from angler_mjx.quantities import Place, PositiveLength, Speed
 
-type Vector = tuple[float, float, float]
-type Span = tuple[float, float]
-Positive = Annotated[float, Field(gt=0)]
+type Vector = tuple[Place, Place, Place]
+type Velocity = tuple[Speed, Speed, Speed]
+type Span = tuple[PositiveLength, PositiveLength]
+type SpeedSpan = tuple[Speed, Speed]
+type Component = Annotated[float, Field(ge=-1e6, le=1e6)]
+type Axis = tuple[Component, Component, Component]
+type Angle = Annotated[float, Field(ge=-36_000, le=36_000)]
+type Period = Annotated[float, Field(ge=0.01, le=1e6)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -26,7 +32,7 @@ class DriftMotion(FileModel):
     """Moves as the water moves it."""
 
     type: Literal["drift"] = "drift"
-    relative_velocity_mps: Vector = (0.0, 0.0, 0.0)
+    relative_velocity_mps: Velocity = (0.0, 0.0, 0.0)
     """Velocity at the start relative to the water there; zero: it starts with the water."""
 
 
@@ -34,7 +40,8 @@ class StraightMotion(FileModel):
     """Moves at constant speed and is thrown back by the bounds of the world."""
 
     type: Literal["straight"] = "straight"
-    velocity_mps: Vector
+    velocity_mps: Velocity
+    """At the start; east, north, up."""
 
 
 class SineMotion(FileModel):
@@ -42,20 +49,27 @@ class SineMotion(FileModel):
 
     type: Literal["sine"] = "sine"
     amplitude_m: Vector
-    period_s: Positive
-    phase_deg: float = 0.0
+    """East, north, up."""
+    period_s: Period
+    """Of a whole swing."""
+    phase_deg: Angle = 0.0
+    """At t = 0; 0 in the middle."""
 
 
 class CircleMotion(FileModel):
     """Goes round its position, anticlockwise about the axis."""
 
     type: Literal["circle"] = "circle"
-    radius_m: Positive
-    period_s: Positive
+    radius_m: PositiveLength
+    """Of the circle."""
+    period_s: Period
+    """Of a whole turn."""
     clockwise: bool = False
-    phase_deg: float = 0.0
+    """The other way round."""
+    phase_deg: Angle = 0.0
     """Angle at t = 0, from east (from north where the axis is nearly east)."""
-    axis: Vector = (0.0, 0.0, 1.0)
+    axis: Axis = (0.0, 0.0, 1.0)
+    """About which it goes, in W; of any length."""
 
     @model_validator(mode="after")
     def _axis_has_direction(self) -> Self:
@@ -73,10 +87,11 @@ type Motion = Annotated[
 class _Placed(FileModel):
     position_m: Vector
     """Centre at the start; of the swing or circle for those motions."""
-    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw: turned about x, then y, then z of the world."""
     motion: Motion = StaticMotion()
-    mass_kg: Positive | None = None
+    """How it moves."""
+    mass_kg: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """As heavy as the water it displaces if left out; matters for drifting ones only."""
 
 
@@ -84,22 +99,26 @@ class SphereConfig(_Placed):
     """A sphere."""
 
     type: Literal["sphere"] = "sphere"
-    radius_m: Positive
+    radius_m: PositiveLength
+    """Of the sphere."""
 
 
 class BoxConfig(_Placed):
     """A box; ``size_m`` is its full length along its own x, y and z."""
 
     type: Literal["box"] = "box"
-    size_m: tuple[Positive, Positive, Positive]
+    size_m: tuple[PositiveLength, PositiveLength, PositiveLength]
+    """Full edges."""
 
 
 class CapsuleConfig(_Placed):
     """A capsule along its own z; ``length_m`` is that of the axis, without the caps."""
 
     type: Literal["capsule"] = "capsule"
-    radius_m: Positive
-    length_m: Positive
+    radius_m: PositiveLength
+    """Of the caps."""
+    length_m: PositiveLength
+    """Of the axis."""
 
 
 type ExplicitConfig = Annotated[
@@ -110,7 +129,8 @@ type ExplicitConfig = Annotated[
 class DynamicConfig(FileModel):
     """Drifting spheres and cubes, drawn anew for each world."""
 
-    count: int = Field(default=0, ge=0)
+    count: int = Field(default=0, ge=0, le=4096)
+    """Number in each world."""
     radius_m: Span = (0.4, 0.75)
     """Lowest and highest radius, of the sphere or of the sphere around the cube."""
     cube_share: Share = 0.5
@@ -119,7 +139,7 @@ class DynamicConfig(FileModel):
     """Probability of one lighter than water."""
     sink_share: Share = 0.2
     """Probability of one heavier than water; the rest are neutral."""
-    vertical_speed_mps: Span = (0.02, 0.1)
+    vertical_speed_mps: SpeedSpan = (0.02, 0.1)
     """Lowest and highest steady speed at which the light ones rise and the heavy ones sink; it
     sets their mass. (Density would be an awkward knob: a sphere of 0.5 m radius that is 0.1 %
     lighter than water already rises at 0.17 m/s.)"""
@@ -141,4 +161,6 @@ class ObstaclesConfig(FileModel):
     """The obstacles of a scenario beside the cells of its grid."""
 
     dynamic: DynamicConfig = DynamicConfig()
+    """Those that are drawn."""
     explicit: tuple[ExplicitConfig, ...] = ()
+    """Those that stand where the file says."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError, UnsupportedError
 from angler_mjx.files import parse, read_toml
+from angler_mjx.storage import atomic
 from angler_sitl.firmware import fetch, probe
 from angler_sitl.firmware.binary import (
     PROGRAM,
@@ -108,12 +109,11 @@ def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> B
         sha256=found,
     )
     program, noted = part.with_name(PROGRAM), part.with_name(RECORD)
-    fresh = noted.with_name(f"{RECORD}.{os.getpid()}")
     # JSON's strings and whole numbers are TOML's.
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in record.model_dump().items()]
-    fresh.write_text("".join(lines), encoding="utf-8")
-    part.replace(program)
-    fresh.replace(noted)
+    with atomic.whole(noted) as fresh:
+        fresh.write_text("".join(lines), encoding="utf-8")
+        part.replace(program)
     return Binary(path=program, version=said.version, sha256=found)
 
 

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import named, read_text
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_sitl.firmware import airframe
 
@@ -28,6 +29,7 @@ RENAMED = {"GPS1_TYPE": "GPS_TYPE", "SYSID_THISMAV": "MAV_SYSID"}
 """Names of 4.6 and what other versions call them. Both are written; one has to be known."""
 
 LONGEST_NAME = 16
+_MOST_BYTES = 1 << 20
 """Letters of a parameter's name, of MAVLink."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
@@ -105,10 +107,7 @@ def read(path: Path) -> dict[str, float]:
     Raises:
         ConfigError: there is no such file, or a line says something else.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: no parameter file to read: {error}") from error
+    lines = read_text(path, _MOST_BYTES).splitlines()
     found = {}
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].replace(",", " ").split()
@@ -120,7 +119,7 @@ def read(path: Path) -> dict[str, float]:
         except (IndexError, ValueError):
             usable = False
         if not usable:
-            raise ConfigError(f"{path}:{number}: {line.strip()!r}: write NAME,VALUE")
+            raise ConfigError(f"{named(path)}:{number}: {shown(line.strip())}: write NAME,VALUE")
         found[name] = value
     return found
 

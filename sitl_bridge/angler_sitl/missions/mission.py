@@ -102,7 +102,9 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
         station = None
         if settings.gcs is not None:
             station = stack.enter_context(GroundStation(settings.gcs))
-        recording = stack.enter_context(SessionRecording(settings.out, scenario, settings.world))
+        recording = stack.enter_context(
+            SessionRecording(settings.out, scenario, settings.world, _inputs(settings))
+        )
         tell(f"{scenario.name}: world {settings.world}, compiling, then booting {count} ArduSub")
         begun = time.perf_counter()
         session = stack.enter_context(_open(scenario, settings, given, recording.building))
@@ -139,6 +141,14 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, board: Board) -> tup
             )
         )
     return _result(flight, kept)
+
+
+def _inputs(settings: Settings) -> list[tuple[str, Path]]:
+    """Files that a flight takes beside those of its scenario."""
+    given = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
+    if settings.parameters is not None:
+        given.append(("parameters", settings.parameters))
+    return given
 
 
 def _open(

@@ -1,12 +1,11 @@
 """What a control period came to, for every robot of one world: as the simulator itself judges it.
 
-The second half of a control step of `angler_mjx.sim.episode`, for vehicles that somebody else has
-moved: obstacles, contact, and the account of each robot.
+The phases of a control step (`angler_mjx.sim.step`) that follow when somebody else has moved the
+vehicles: obstacles, and the judgement of each robot.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import jax
@@ -14,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.engines.mjx import OneWorld
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import episode, robot
-from angler_mjx.sim.detection import detect
+from angler_mjx.sim import robot
+from angler_mjx.sim.phase import run
 from angler_mjx.sim.state import SimSpec, World, WorldState
-from angler_mjx.world import obstacles as obstacle_motion
+from angler_mjx.sim.step import MEETING, OBSTACLES
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import (
     INPUTS,
@@ -32,10 +32,13 @@ from angler_sitl.scene.motion import (
 class Judging:
     """`judge`, compiled for worlds of one shape, with few arrays in and out."""
 
-    step: Callable[[Arrays, Arrays, NDArray[Any], NDArray[np.int32]], Arrays]
-    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step: to state."""
+    step: Callable[[Arrays, Arrays, NDArray[Any], NDArray[np.int32]], tuple[Arrays, Arrays]]
+    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step: to state and
+    record."""
     world: Flat
     state: Flat
+    record: Flat
+    """What the phases record, by field; [1] leads there."""
 
     def constants(self, world: World) -> Arrays:
         """What has to be known of a world; [1] leads there."""
@@ -64,9 +67,13 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
     thrusters = world.control.vehicle.B.shape[-1]
     like = motion.told(motion.begin(state.vehicles))
 
-    def step(world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array) -> Arrays:
+    records: list[Flat] = []
+
+    def step(
+        world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array
+    ) -> tuple[Arrays, Arrays]:
         # One world is not batched: that would make tracing it take half as long again.
-        judged = judge(
+        judged, record = judge(
             spec,
             jax.tree.map(lambda x: x[0], of_world.unpack(world)),
             jax.tree.map(lambda x: x[0], of_state.unpack(state)),
@@ -74,12 +81,14 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
             inputs[:, :thrusters],
             told[:, 0] > 0,
         )
-        return of_state.pack(judged)
+        record = jax.tree.map(lambda x: x[None], record)
+        records.append(Flat.of(record))
+        return of_state.pack(judged), records[-1].pack(record)
 
     inputs = jax.ShapeDtypeStruct((len(like), INPUTS), jnp.int32)
     lowered = jax.jit(step).lower(of_world.like, of_state.like, like, inputs)
     compiled: Any = lowered.compile(ONE_THREAD)
-    return Judging(step=compiled, world=of_world, state=of_state)
+    return Judging(step=compiled, world=of_world, state=of_state, record=records[-1])
 
 
 def judge(
@@ -89,7 +98,7 @@ def judge(
     vehicles: VehicleState,
     pulses: jax.Array,
     broken: jax.Array,
-) -> WorldState:
+) -> tuple[WorldState, dict[str, Any]]:
     """One world at the end of a control period.
 
     Args:
@@ -99,26 +108,29 @@ def judge(
         vehicles: [N] at its end.
         pulses: int32 [N, n_thruster] us, as the autopilots sent them last; for the energy.
         broken: bool [N] who diverged in it.
+
+    Returns:
+        The state at the end of it, and what the phases recorded.
     """
-    environment, params = world.environment, world.control.vehicle
-    lo, hi = episode.region(environment)
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s
-    moving = obstacle_motion.step(
-        environment.obstacles,
-        state.obstacles,
-        environment.current,
-        t,
-        spec.control_dt_s,
-        lo,
-        hi,
-        environment.grid,
-        spec.water.density_kgpm3,
-        spec.water.gravity_mps2,
+    here = OneWorld(spec=spec, world=world, t=t)
+    sent = signals(pulses, before.p.dtype)
+    _, power = here.each(robot.thrust_and_power, here.params.vehicle, sent)
+    slots = {
+        "vehicle": vehicles,
+        "obstacles": state.obstacles,
+        "tally": state.tally,
+        "before_m": before.p,
+        "power_w": power,
+        "broken": broken,
+    }
+    now, record = run(here, (OBSTACLES, *MEETING), slots)
+    after = replace(
+        state,
+        vehicles=vehicles,
+        obstacles=now["obstacles"],
+        tally=now["tally"],
+        step=state.step + 1,
     )
-    contact = detect(environment, params, vehicles, moving)
-    _, power = jax.vmap(robot.thrust_and_power)(params, signals(pulses, before.p.dtype))
-    tally = jax.vmap(partial(robot.account, spec), (0, None, None, 0, 0, 0, 0, 0, 0, None))(
-        environment.goal_m, lo, hi, state.tally, before.p, vehicles.p, contact, power, broken, t
-    )
-    return replace(state, vehicles=vehicles, obstacles=moving, tally=tally, step=state.step + 1)
+    return after, record

@@ -6,6 +6,7 @@ autopilots, 400 times a second; what came of it is judged once a control period.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,7 @@ class Scene:
         worlds: the world; [1] leads.
         state: as it was last judged; [1] leads. Memory of controllers in it is not kept up.
         judged: the same as few arrays on the device.
+        record: what the last judgement recorded, by field; [1] leads. Empty before the first.
         states: the vehicles now.
         dt_s: length of a step.
         period: steps in a control period.
@@ -118,6 +120,7 @@ class Scene:
         self._inputs = np.zeros((self._rows.shape[0], motion.INPUTS), np.int32)
         self._ticks, self._steps = 0, 0
         self.state, self.moored = self._start, True
+        self.record: dict[str, Any] = {}
         # Whoever has failed is held where it is: so everybody's state at rest is known.
         self._inputs[:, motion.OUTCOME] = Outcome.OUT_OF_BOUNDS
         held = np.asarray(self._motion.step(self._constants, self._rows, self._inputs))
@@ -134,6 +137,11 @@ class Scene:
     def time_s(self) -> float:
         """The autopilots' clock, s; it runs while the vehicles are moored too."""
         return self._ticks * self.dt_s
+
+    @property
+    def pulses(self) -> NDArray[np.int32]:
+        """[N, 16] us, of the last step: those that the account of a period goes by."""
+        return self._inputs[:, : motion.PULSES].copy()
 
     def step(self, pwm: NDArray[np.int32]) -> States:
         """One step of all vehicles.
@@ -158,7 +166,8 @@ class Scene:
         after every `period` steps, but for those in which the vehicles were moored.
         """
         told = self._motion.told(self._rows)
-        self.judged = self._judging.step(self._known, self.judged, told, self._inputs)
+        self.judged, record = self._judging.step(self._known, self.judged, told, self._inputs)
+        self.record = self._judging.record.unpack(tuple(map(np.asarray, record)))
         self.state = self._judging.end(self.judged)
         self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.control.joint_tolerance import Tolerances
@@ -15,7 +16,9 @@ from angler_mjx.session.desk import Desk
 from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Floats, Observation, RobotStatus
 from angler_mjx.session.view import View, Watched, believed, look, shown
-from angler_mjx.sim.state import Belief, Sample, World, WorldState
+from angler_mjx.sim import step
+from angler_mjx.sim.record import Belief, Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import HIGH_US, LOW_US
 from angler_sitl.scene.scene import Scene
@@ -65,7 +68,8 @@ class Sight:
             watched = Watched(
                 trajectory=desk.board.slot(JointTrajectory), allowed=self._allowed, before=before
             )
-        given = (scene.worlds, scene.judged, helm.memory, self._signals(squad), watched)
+        signals = self._signals(squad.lockstep.pwm)
+        given = (scene.worlds, scene.judged, helm.memory, signals, watched)
         if self._layout is None:
             self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
         arrays = _look_flat(scene.layout, *given)
@@ -74,27 +78,20 @@ class Sight:
         self.belief = trusting(vehicles) if self._truth else belief_of(squad.motion(), vehicles.p)
         self.view, self.seen = view, believed(view, self.belief)
 
-    def keep(self, before: WorldState, decision: Decision, squad: Squad) -> None:
-        """Keep a record of a step.
+    def keep(self, before: WorldState, decision: Decision) -> None:
+        """Keep a record of a step, with the pulses that its energy was counted by.
 
         Args:
             before: the state that it began with.
             decision: what was decided then.
-            squad: after it.
         """
         self.target_m = np.asarray(decision.target_m)[0]
-        self.sample = Sample(
-            p=before.vehicles.p,
-            q=before.vehicles.q,
-            nu=before.vehicles.nu,
-            pwm_us=self._signals(squad),
-            target_m=decision.target_m,
-            current_mps=decision.current_mps,
-            outcome=before.tally.outcome,
-            obstacle_p=before.obstacles.p,
-            obstacle_q=before.obstacles.q,
-            belief=None if self._truth else self.belief,
-        )
+        record = {
+            **step.record_decided(self._signals(self._scene.pulses), decision.target_m),
+            **step.record_motion(before.vehicles, before.tally.outcome, decision.current_mps),
+            **self._scene.record,
+        }
+        self.sample = Sample(**record, belief=None if self._truth else self.belief)
 
     def observation(self, time_s: float, status: tuple[RobotStatus, ...]) -> Observation:
         """As sessions show it.
@@ -113,9 +110,9 @@ class Sight:
             status=status,
         )
 
-    def _signals(self, squad: Squad) -> Any:
-        """[1, R, n_thruster] pulse widths, neutral where there is no pulse."""
-        pwm = squad.lockstep.pwm[None, :, : self._facts.thrusters]
+    def _signals(self, pulses: NDArray[np.int32]) -> Any:
+        """[1, R, n_thruster] pulse widths of [R, 16], neutral where there is no pulse."""
+        pwm = pulses[None, :, : self._facts.thrusters]
         pulse = (pwm >= LOW_US) & (pwm <= HIGH_US)
         return np.where(pulse, pwm, NEUTRAL_US).astype(self._scene.state.vehicles.p.dtype)
 

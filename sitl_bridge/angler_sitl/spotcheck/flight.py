@@ -5,7 +5,6 @@ autopilots. In a file it is an ``.npz``; rows of the robots are those of ``episo
 """
 
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +15,12 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.sim.state import Sample, World, WorldState
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World, WorldState
 from angler_mjx.storage import harvest, results
 from angler_mjx.storage.atomic import replacing
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import TRAJECTORIES, Run
 from angler_mjx.storage.harvest import FinishedTile
 
 type Floats = NDArray[np.floating[Any]]
@@ -45,7 +45,7 @@ class Flight:
     @property
     def end_s(self) -> Floats:
         """[R] when each robot's episode ended."""
-        return np.array([end_s(row) for row in self.rows])
+        return np.array([results.end_time_s(row) for row in self.rows])
 
     def place(self, robot: int, time_s: float) -> Floats:
         """[3] where a robot was, between two samples on a straight line."""
@@ -53,28 +53,23 @@ class Flight:
         return np.array([np.interp(time_s, self.time_s, path[:, axis]) for axis in range(3)])
 
 
-def end_s(row: dict[str, Any]) -> float:
-    """When a robot's episode ended."""
-    reached = row["outcome"] == "reached"
-    return float(row["time_to_goal_s"] if reached else row["failure_time_s"])
-
-
 def recorded(run: Run, world: int, robots: int) -> Flight:
     """What a run recorded of its first so many robots.
 
     Raises:
-        ConfigError: it stored no trajectories.
+        ConfigError: it stored no trajectories, or is damaged.
     """
     rows = run.episodes.filter(pc.field("world") == world).to_pylist()[:robots]
     stored: Any = run.trajectories
-    p = np.asarray(stored["p_m"][world], float)[:, :robots]
-    there = np.isfinite(p).all(axis=(1, 2))
-    return Flight(
-        time_s=np.asarray(stored["time_s"], float)[there],
-        p_m=p[there],
-        pwm_us=np.asarray(stored["pwm_us"][world], np.int64)[:, :robots][there],
-        rows=tuple(rows),
-    )
+    with reading(run.path / TRAJECTORIES):
+        p = np.asarray(stored["p_m"][world], float)[:, :robots]
+        there = np.isfinite(p).all(axis=(1, 2))
+        return Flight(
+            time_s=np.asarray(stored["time_s"], float)[there],
+            p_m=p[there],
+            pwm_us=np.rint(stored["pwm_us"][world, :, :robots][there]).astype(np.int64),
+            rows=tuple(rows),
+        )
 
 
 def flown(
@@ -102,7 +97,7 @@ def flown(
         first=world,
         kept=1,
         constants=jax.tree.map(np.asarray, harvest.constants(worlds, recorded=False)),
-        end=jax.tree.map(np.asarray, harvest.end(state)),
+        end=jax.tree.map(np.asarray, harvest.end(state, recorded=False)),
         parts=[],
     )
     rows = results.episode_table(harvest.tile_result(tile), variants, seed).to_pylist()
@@ -141,15 +136,13 @@ def load(path: Path) -> Flight:
     Raises:
         ConfigError: it is damaged.
     """
-    try:
-        with np.load(path, allow_pickle=False) as found:
-            return Flight(
-                time_s=found["time_s"],
-                p_m=found["p_m"],
-                pwm_us=found["pwm_us"],
-                rows=tuple(json.loads(str(found["rows"]))),
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError(
-            f"{path}: is no flight ({error}); remove it and go on with --resume"
-        ) from error
+    with (
+        reading(path, "remove it and go on with --resume"),
+        np.load(path, allow_pickle=False) as found,
+    ):
+        return Flight(
+            time_s=found["time_s"],
+            p_m=found["p_m"],
+            pwm_us=found["pwm_us"],
+            rows=tuple(json.loads(str(found["rows"]))),
+        )

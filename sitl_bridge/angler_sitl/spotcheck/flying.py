@@ -9,8 +9,10 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.scenario import ControllerConfig, Scenario
-from angler_mjx.sim.state import Outcome, Sample, World
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.tables import ControllerConfig
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, World
 from angler_mjx.simulator.simulator import Simulator
 from angler_sitl.firmware.parameters import Source
 from angler_sitl.missions.choosing import scenario_of
@@ -101,7 +103,7 @@ class BatchFlyer:
             state,
             samples,
             world=index,
-            variants=simulator.variants(),
+            variants=simulator.labels(),
             seed=simulator.scenario.seed,
             sample_dt_s=sample_dt_s,
         )
@@ -156,7 +158,7 @@ class SitlFlyer:
             inside.state,
             samples,
             world=index,
-            variants=inside.simulator.variants(),
+            variants=inside.simulator.labels(),
             seed=self._scenario.seed,
             sample_dt_s=timing.steps_per_sample * timing.control_dt_s,
         )

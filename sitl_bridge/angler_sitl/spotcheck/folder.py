@@ -10,7 +10,9 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage.atomic import replacing
+from angler_mjx.storage.damage import read_table, reading
 
+ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"
 
 
@@ -64,10 +66,13 @@ def read(out: Path) -> dict[str, Any]:
         ConfigError: it is damaged.
     """
     path = out / TABLE
-    try:
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    table = read_table(path, ADVICE)
+    with reading(path, ADVICE):
+        if not isinstance(table["complete"], bool) or not isinstance(table["asked"], dict):
+            raise TypeError("complete or asked are not what they should be")
+        for one in table["picks"]:
+            if not isinstance(one["world"], int) or not isinstance(one["why"], str):
+                raise TypeError("picks holds something else than worlds")
     return table
 
 

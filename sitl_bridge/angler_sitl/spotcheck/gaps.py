@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.storage.results import wilson
+from angler_mjx.storage.intervals import clustered
 from angler_sitl.spotcheck.flight import Flight, Floats
 
 
@@ -141,7 +141,9 @@ def _to_way(points: Floats, way: Floats) -> Floats:
 def add_up(gaps: Sequence[Gap]) -> Sum:
     """What gaps come to; at least one."""
     agree = sum(gap.agrees for gap in gaps)
-    low, high = wilson(agree, len(gaps))
+    same = np.array([gap.agrees for gap in gaps])
+    shares = clustered({"same": same, "another": ~same}, np.array([gap.world for gap in gaps]))
+    low, high = shares["same"].low, shares["same"].high
     ratios = [gap.effort_us / gap.other_effort_us for gap in gaps if gap.other_effort_us > 0]
     arrival = [gap.arrival_s for gap in gaps]
     return Sum(

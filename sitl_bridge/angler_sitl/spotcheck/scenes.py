@@ -12,7 +12,8 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import environments as store
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import TRAJECTORIES, Run
 
 TOLERANCE = 1e-3
 """Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind
@@ -62,8 +63,14 @@ def compare(run: Run, index: int, worlds: World) -> Likeness:
         worlds: made again; [1] leads.
 
     Raises:
+        ConfigError: what the run recorded is damaged.
         RunError: it is another world.
     """
+    with reading(run.path / TRAJECTORIES):
+        return _compare(run, index, worlds)
+
+
+def _compare(run: Run, index: int, worlds: World) -> Likeness:
     stored: Any = run.trajectories
     made = {f"environment/{name}": leaf for name, leaf in store.leaves(worlds.environment).items()}
     made["plan_time_s"], made["plan_m"] = worlds.path.time_s, worlds.path.position_m

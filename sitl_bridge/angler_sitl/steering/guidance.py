@@ -14,7 +14,8 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Memory
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import robot
-from angler_mjx.sim.state import Belief, SimSpec, World, WorldState
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import currents
 from angler_sitl.steering.pilot import Motion
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.session.interface import RobotInfo
-from angler_mjx.sim.state import Belief, SimSpec
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import Level
 from angler_sitl.scene.scene import Scene
 from angler_sitl.steering import sticks

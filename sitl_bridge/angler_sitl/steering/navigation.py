@@ -15,7 +15,8 @@ import numpy as np
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.session.interface import Floats
 from angler_mjx.sim import senses
-from angler_mjx.sim.state import Belief, Senses, SimSpec, World
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import Senses, SimSpec, World
 from angler_sitl.scene.scene import Scene
 from angler_sitl.steering.pilot import Fix
 
@@ -36,12 +37,12 @@ class Navigation:
         """Switch the instruments on, at the vehicles' starts."""
         scene, self._looks = self._scene, 0
         self._memory: Memory = (
-            self._begin(scene.worlds, scene.state.vehicles) if self._spec.crews else ()
+            self._begin(scene.worlds, scene.state.vehicles) if self._spec.instrumented else ()
         )
 
     def fixes(self) -> list[Fix]:
         """What each robot is told now; once in a control period."""
-        if not self._spec.crews:
+        if not self._spec.instrumented:
             states = self._scene.states
             none = np.zeros_like(states.p_ned)
             told: tuple[Floats, ...]

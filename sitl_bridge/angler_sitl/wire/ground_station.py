@@ -11,7 +11,7 @@ from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.session.interface import Observation
 from angler_sitl.session import SitlSession
 
@@ -30,9 +30,10 @@ def parse(text: str) -> tuple[str, int]:
     kind, _, rest = text.partition(":")
     host, _, number = rest.rpartition(":")
     # int() takes more than people mean by a number.
-    port = int(number) if number.isascii() and number.isdecimal() else 0
+    plain = number.isascii() and number.isdecimal() and len(number) <= 5
+    port = int(number) if plain else 0
     if kind != "udp" or not host or not 0 < port < 65_536:
-        raise ConfigError(f"--gcs {text}: give udp:HOST:PORT, as in udp:127.0.0.1:14550")
+        raise ConfigError(f"--gcs {shown(text)}: give udp:HOST:PORT, as in udp:127.0.0.1:14550")
     return host, port
 
 

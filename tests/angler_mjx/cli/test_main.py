@@ -1,13 +1,16 @@
 """The `angler` command as a person meets it: help at once, one message for a fault, exit code 2."""
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
+import angler_mjx
 from angler_mjx.cli.main import COMMANDS, GROUPS, main
 from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.scenario import shipped
 from angler_mjx.storage.folder import Run
 
 
@@ -55,6 +58,16 @@ FAULTS = {
     "not a run folder": (["figures", "."], "not a run folder"),
     "too many devices": (["rollout", "open_water_current", "--devices", "99"], "--devices 99"),
     "no devices": (["rollout", "open_water_current", "--devices", "0"], "--devices 0"),
+    "flag of no scenario's": (["rollout", "reef_fleet", "--record-hz", "3"], "--record-hz: time"),
+    "worlds without end": (["rollout", "reef_fleet", "--worlds", "9" * 30], "--worlds = 9999"),
+    "no picture": (["env", "show", "none.zarr", "--out", "x.xyz"], "--out x.xyz"),
+    "index without end": (
+        ["export", ".", "--mcap", "x.mcap", "--worlds", "9" * 20],
+        "no run holds so many",
+    ),
+    "too many to draw": (["env", "make", "--out", "x.zarr", "--count", "9" * 20], "--count 9999"),
+    "scenario of control characters": (["rollout", "a\x1b[2J.toml"], r"a\x1b[2J.toml"),
+    "value without end": (["rollout", "x" * 10_000], "xxx..."),
     "half of a shared run": (["rollout", "reef_fleet", "--processes", "2"], "--distributed"),
 }
 
@@ -69,6 +82,65 @@ def test_fault_is_one_message_and_exit_code_2(fault, capsys):
     assert shown.out == ""
     assert shown.err.count("angler:") == 1
     assert word in shown.err
+    assert "\x1b" not in shown.err
+    assert len(shown.err) < 1000
+
+
+def test_version_is_that_of_the_package(capsys):
+    main(["--version"])
+    assert capsys.readouterr().out == f"angler {angler_mjx.__version__}\n"
+
+
+def test_a_scenario_can_be_printed_and_used(capsys, tmp_path):
+    main(["scenarios", "show", "reef_fleet"])
+    text = capsys.readouterr().out
+    assert text == shipped()["reef_fleet"].read_text()
+    (tmp_path / "mine.toml").write_text(text)
+    main(["scenarios", "show", str(tmp_path / "mine.toml")])
+    assert capsys.readouterr().out == text
+
+
+def test_scenarios_alone_lists_them(capsys):
+    main(["scenarios"])
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in shipped())
+
+
+def test_public_names_are_in_dir():
+    assert set(angler_mjx.__all__) <= set(dir(angler_mjx))
+    assert len(angler_mjx.__all__) == 18
+
+
+CACHE = """
+import jax, sys
+jax.jit(lambda x: x + 1)(1.0)  # JAX has looked at its settings by now
+from angler_mjx.simulator import cache
+cache.switch_on()
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+jax.jit(lambda x: 3 * x + 1)(1.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("given", "folder"),
+    [
+        ({}, "home/angler-mjx/xla"),
+        ({"ANGLER_COMPILE_CACHE": "0"}, None),
+        ({"JAX_COMPILATION_CACHE_DIR": "{}/mine"}, "mine"),
+    ],
+)
+def test_python_keeps_programs_unless_told_otherwise(given, folder, tmp_path):
+    names = ("JAX_COMPILATION_CACHE_DIR", "ANGLER_COMPILE_CACHE")
+    kept = {name: value for name, value in os.environ.items() if name not in names}
+    own = {name: value.format(tmp_path) for name, value in given.items()}
+    subprocess.run(
+        [sys.executable, "-c", CACHE],
+        env={**kept, "XDG_CACHE_HOME": str(tmp_path / "home"), **own},
+        check=True,
+        timeout=120,
+    )
+    found = {path.parent.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*-cache")}
+    assert found == ({folder} if folder else set())
 
 
 def test_missing_gpu_is_said_without_a_traceback(tmp_path):

@@ -222,6 +222,7 @@ def test_a_command_that_no_stage_takes_is_refused():
 
 def test_a_batch_of_commands_must_be_for_every_robot():
     made, _ = stages.build(stages.CONTROLLERS["cascade"], {})
-    stack.check_command(made, BodyTwist(nu=jnp.zeros((5, 2, 6))), (5, 2))
-    with pytest.raises(ConfigError, match=r"BodyTwist: .* shape \(2, 6\).*begin with \(5, 2\)"):
-        stack.check_command(made, BodyTwist(nu=jnp.zeros((2, 6))), (5, 2))
+    stack.check_command(made, BodyTwist(nu=jnp.zeros((5, 2, 6))), (5, 2), 8)
+    wanted = r"BodyTwist: nu has the shape \[2, 6\]: must be \[5, 2, 6\], for \[world, robot, 6\]"
+    with pytest.raises(ConfigError, match=wanted):
+        stack.check_command(made, BodyTwist(nu=jnp.zeros((2, 6))), (5, 2), 8)

@@ -60,12 +60,12 @@ def skewed() -> VehicleConfig:
 
 
 def build(chosen: list[tuple[VehicleConfig, str]]) -> Plants:
-    models = [mjcf.to_spec(c, name, shapes=False).compile() for c, name in chosen]
-    engine, body = mjx_engine.build(models)
+    specs = [mjcf.to_spec(c, name, shapes=False) for c, name in chosen]
+    engine, body = mjx_engine.build(specs)
     return Plants(
         names=[f"{config.name}/{name}" for config, name in chosen],
         configs=chosen,
-        models=models,
+        models=[spec.compile() for spec in specs],
         engine=engine,
         body=body,
         params=params.stack([params.build(config, name, 16.0) for config, name in chosen]),

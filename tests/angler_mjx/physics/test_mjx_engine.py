@@ -4,12 +4,16 @@ import subprocess
 import sys
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
 from angler_mjx.physics import mjx_engine
+from angler_mjx.physics.closed_form import ClosedForm
+from angler_mjx.vehicles import mjcf
 
+from ..compiling import quickly
 from . import plants as plant_module
 
 K = 25
@@ -116,13 +120,51 @@ def test_rigid_body_against_pinocchio(plants, kicked, deviation):
             deviation.close("pinocchio.inverse_dynamics", inverse, wrench[i, k], **near)
 
 
+def test_gravity_is_that_of_the_water(plants):
+    """A `SimSpec` may say another one than MuJoCo's model: both engines take its."""
+    state = [jnp.asarray(x[0, 0]) for x in plant_module.random_states(7, (1, 1))]
+    body, vehicle = (plant_module.pick(x, -1) for x in (plants.body, plants.params))
+
+    @quickly
+    def both(gravity):
+        ours = plants.engine.under(gravity).inertia_and_force(body, *state)
+        return ours, ClosedForm(gravity_mps2=gravity).inertia_and_force(vehicle, *state)
+
+    for gravity in (1.62, 9.81):
+        for x, y in zip(*both(gravity), strict=True):
+            # The same sums in another order, on numbers up to 1e2.
+            np.testing.assert_allclose(x, y, rtol=1e-11, atol=1e-11)
+
+
+def test_models_that_mjx_compiles_otherwise_are_refused(plants):
+    """Numbers may differ, what is compiled in must not: here the integrator."""
+    specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs[:2]]
+    specs[1].option.timestep = 0.5
+    assert "opt.timestep" in mjx_engine.build(specs)[1].fields
+    specs[1].option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    with pytest.raises(ValueError, match=r"differ in MuJoCo's opt\.integrator.*fused"):
+        mjx_engine.build(specs)
+
+
+def test_every_field_in_which_models_differ_differs(plants):
+    """Each variant's model, put together again, is the model that it would have alone."""
+    specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs]
+    for i, spec in enumerate(specs):
+        alone, nothing = mjx_engine.build([spec])
+        assert nothing.fields == {}
+        mine = {name: leaf[i] for name, leaf in plants.body.fields.items()}
+        found = plants.engine.model.tree_replace(mine)
+        assert jax.tree.structure(found) == jax.tree.structure(alone.model)
+        jax.tree.map(np.testing.assert_array_equal, found, alone.model)
+
+
 def test_only_single_free_bodies_are_taken():
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body()
     body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE)
     body.add_geom(size=[0.1, 0, 0])
     with pytest.raises(ValueError, match="one free body"):
-        mjx_engine.build([spec.compile()])
+        mjx_engine.build([spec])
 
 
 def test_mjx_is_loaded_by_those_who_compute_with_it_alone():

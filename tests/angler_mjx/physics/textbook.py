@@ -121,7 +121,7 @@ class Vehicle:
             ]
         )
 
-    def solve(self, state, commands, hold_s):
+    def solve(self, state, commands, hold_s, rtol=1e-10):
         """States after each command, each held for ``hold_s``, by DOP853."""
         out = []
         for command in commands:
@@ -130,8 +130,8 @@ class Vehicle:
                 (0, hold_s),
                 state,
                 method="DOP853",
-                rtol=1e-10,
-                atol=1e-12,
+                rtol=rtol,
+                atol=rtol / 100,
             )
             state = solution.y[:, -1]
             state[3:7] /= np.linalg.norm(state[3:7])

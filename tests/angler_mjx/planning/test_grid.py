@@ -319,6 +319,56 @@ def test_closed_goal_fails_alone(planner, worlds):
     assert team_gap(plans.position_m[0], plans.time_s[0]) >= CONFIG.margin_m - 2e-3
 
 
+@pytest.fixture(scope="module")
+def passing():
+    """A function (starts, goals, config) -> world and plans of two robots in open water."""
+    run = jax.jit(plan, static_argnums=3)
+    config = GridPlannerConfig(margin_m=0.9)
+
+    def call(starts, goals):
+        world = make_world(np.zeros((9, 7, 7), bool), starts, goals)
+        path = run(world, jnp.asarray(RADIUS[:2]), jnp.asarray(SPEED[:2]), config)
+        return jax.tree.map(np.asarray, path), config
+
+    return call
+
+
+# The straight way leads past the one that stays at a distance of a cell, 1.5 m: clear of the hulls
+# (0.4 m and 0.45 m), but not by the margin of 0.9 m as well.
+LANE = (1, 3, 3), (7, 3, 3)
+BESIDE = (4, 4, 3)
+
+
+@pytest.mark.parametrize("first_stays", [True, False])
+def test_robots_keep_the_margin_beyond_their_radii(passing, first_stays):
+    ways = [(BESIDE, BESIDE), LANE] if first_stays else [LANE, (BESIDE, BESIDE)]
+    path, config = passing(*(np.array(cells) for cells in zip(*ways, strict=True)))
+    assert path.found.all()
+    gap = team_gap(path.position_m, path.time_s, RADIUS[:2])
+    # As for all teams: 2 mm for rounding and for looking at times 20 ms apart.
+    assert gap >= config.margin_m - 2e-3
+
+
+def test_ends_nearer_to_rock_than_the_margin_are_met_at_cruise_speed():
+    """There the last leg keeps to the timetable of the search, and that has to count it."""
+    occupied = np.zeros((8, 7, 7), bool)
+    occupied[1, 4, 3] = occupied[6, 4, 3] = True
+    world = make_world(occupied, [[1, 3, 3]], [[6, 3, 3]])
+    # 0.45 m from the rock's face: the hull has 5 cm to spare, the margin is 20 cm.
+    towards = np.float32([[0.0, 0.3, 0.0]])
+    start, goal = world.start_m + towards, world.goal_m + towards
+    moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
+    config = GridPlannerConfig(margin_m=0.2)
+    path = jax.jit(plan, static_argnums=3)(moved, RADIUS[:1], SPEED[:1], config)
+    assert path.found[0]
+    np.testing.assert_array_equal(path.position_m[0, 0], start[0])
+    np.testing.assert_array_equal(path.position_m[0, -1], goal[0])
+    span = np.diff(np.asarray(path.time_s[0]))
+    way = np.linalg.norm(np.diff(np.asarray(path.position_m[0]), axis=0), axis=-1)
+    # 1 mm, as for all paths.
+    assert (way <= SPEED[0] * span + 1e-3).all()
+
+
 def test_goal_past_the_horizon_is_not_found():
     world = make_world(np.zeros(SHAPE, bool), STARTS[:1], GOALS[:1])
     needed = float(np.linalg.norm(world.goal_m[0] - world.start_m[0]) / SPEED[0])

@@ -5,15 +5,10 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.sim.state import Sample
+from angler_mjx.sim.record import FIELDS, Sample
 from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
-from angler_mjx.storage.harvest import (
-    Constants,
-    End,
-    FinishedTile,
-    arrays,
-)
+from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
 from angler_mjx.storage.recorder import Recorder, Shape
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
@@ -35,23 +30,15 @@ def make_tile(environment, first, kept, rng):
     """A tile that had ended after five of six samples."""
 
     def part(n):
-        def of(*tail):
-            return rng.normal(size=(TILE, n, *tail)).astype(np.float32)
-
-        robot, obstacle = (ROBOTS,), (OBSTACLES,)
-        pwm = 1500 + 100 * of(*robot, 8)
+        values = {}
+        for field in (field for field in FIELDS if not field.optional):
+            lead = (TILE, n, *field.shape(SHAPE.sizes))
+            values[field.path[0]] = rng.normal(size=lead).astype(np.float32)
+            if field.about.whole:
+                values[field.path[0]] = rng.integers(0, 8, lead).astype(np.int32)
+        pwm = 1500 + 100 * values["pwm_us"]
         pwm[0, 0, 0, 1] = np.nan
-        return Sample(
-            p=of(*robot, 3),
-            q=of(*robot, 4),
-            nu=of(*robot, 6),
-            pwm_us=pwm,
-            target_m=of(*robot, 3),
-            current_mps=of(*robot, 3),
-            outcome=rng.integers(0, 8, (TILE, n, ROBOTS)).astype(np.int32),
-            obstacle_p=of(*obstacle, 3),
-            obstacle_q=of(*obstacle, 4),
-        )
+        return Sample(**{**values, "pwm_us": pwm})
 
     constants = Constants(
         valid=None,
@@ -62,7 +49,16 @@ def make_tile(environment, first, kept, rng):
         plan_time_s=rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),
         plan_m=rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
     )
-    end = End(tally=None, p=None)
+    last = Last(
+        step=np.full(TILE, 5, np.int32),
+        p=rng.normal(size=(TILE, ROBOTS, 3)).astype(np.float32),
+        q=rng.normal(size=(TILE, ROBOTS, 4)).astype(np.float32),
+        nu=rng.normal(size=(TILE, ROBOTS, 6)).astype(np.float32),
+        outcome=rng.integers(1, 8, (TILE, ROBOTS)).astype(np.int32),
+        obstacle_p=rng.normal(size=(TILE, OBSTACLES, 3)).astype(np.float32),
+        obstacle_q=rng.normal(size=(TILE, OBSTACLES, 4)).astype(np.float32),
+    )
+    end = End(tally=None, p=None, last=last)
     parts = [part(3), part(2)]
     return FinishedTile(first=first, kept=kept, constants=constants, end=end, parts=parts)
 
@@ -98,9 +94,38 @@ def test_zarr_reads_what_was_written(written):
         np.testing.assert_array_equal(group["outcome"][here, :5], outcome)
         np.testing.assert_array_equal(group["outcome"][here, 5], outcome[:, 4])
         pwm = np.concatenate([part.pwm_us[: tile.kept] for part in tile.parts], axis=1)
-        expected = np.where(np.isnan(pwm), 0, np.rint(np.nan_to_num(pwm)))
+        expected = np.where(np.isnan(pwm), 0, pwm)  # to the last bit: half a us is 2 % of its power
         np.testing.assert_array_equal(group["pwm_us"][here, :5], expected)
         np.testing.assert_array_equal(group["plan_m"][here], tile.constants.plan_m[: tile.kept])
+
+
+def test_the_state_after_the_last_sample_is_kept(written):
+    path, tiles, _ = written
+    group = zarr.open_group(path, mode="r")
+    for tile in tiles:
+        here, last = slice(tile.first, tile.first + tile.kept), tile.end.last
+        for name, values in {
+            "step": last.step,
+            "p_m": last.p,
+            "q": last.q,
+            "nu": last.nu,
+            "outcome": last.outcome,
+            "obstacle_p_m": last.obstacle_p,
+            "obstacle_q": last.obstacle_q,
+        }.items():
+            np.testing.assert_array_equal(group[f"end/{name}"][here], values[: tile.kept], name)
+
+
+def test_arrays_say_what_they_hold(written):
+    path, _, _ = written
+    group = zarr.open_group(path, mode="r")
+    pwm = group["pwm_us"]
+    assert pwm.metadata.dimension_names == ("world", "time", "robot", "thruster")
+    assert (pwm.dtype, pwm.attrs["unit"]) == (np.float32, "us")
+    assert group["obstacle_q"].metadata.dimension_names == ("world", "time", "obstacle", "wxyz")
+    assert group["outcome"].attrs["description"].startswith("0 running, 1 reached")
+    assert group["plan_m"].metadata.dimension_names == ("world", "robot", "way_point", "xyz")
+    assert "estimate" not in group
 
 
 def test_environments_are_what_the_store_would_have_written(written, environment, tmp_path):

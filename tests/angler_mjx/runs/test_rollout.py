@@ -1,9 +1,14 @@
 """Whole runs: the same bytes for any chunking and after any interruption, and what they hold."""
 
+import hashlib
 import json
+import os
+import re
 import resource
+import shutil
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import chex
 import jax
@@ -11,14 +16,17 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.engines import mjx
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.sim import episode
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.folder import partial_path
+from angler_mjx.storage import folder, inputs
+from angler_mjx.storage.folder import Run, partial_path
 from angler_mjx.storage.results import EPISODE_SCHEMA, OUTCOMES
+from angler_mjx.testing import referee
+from angler_mjx.vehicles import library
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +52,7 @@ def leaves(group):
 
 
 def assert_same(one, other):
-    assert one.episodes.schema == other.episodes.schema
-    for name in one.episodes.column_names:
-        # numpy's comparison takes NaN as equal to NaN; Arrow's does not.
-        np.testing.assert_array_equal(
-            one.episodes[name].to_numpy(), other.episodes[name].to_numpy(), err_msg=name
-        )
+    assert one.episodes.equals(other.episodes, check_metadata=True)
     first, second = leaves(one.trajectories), leaves(other.trajectories)
     assert first.keys() == second.keys()
     different = [name for name in first if first[name] != second[name]]
@@ -68,6 +71,29 @@ def test_holds_one_row_per_robot_per_world(run, scenario):
     assert run.scenario == scenario.model_copy(update={"tile": 2, "kernels": "xla"})
     environment = json.loads((run.path / "environment.json").read_text())
     assert environment["versions"]["mujoco"] == environment["versions"]["mujoco-mjx"]
+
+
+def test_the_referee_agrees_as_far_as_two_samples_a_second_say(run):
+    verdict = referee.judge(run.path)
+    assert [one.line() for one in verdict.differences] == []
+    assert verdict.robots == 10
+    assert verdict.counts["outcome"].bounded == 10
+
+
+def test_the_state_after_the_last_sample_is_where_the_rows_say(run, scenario):
+    end = run.trajectories["end"]
+    assert set(end["step"][...]) <= set(range(1, scenario.time.control_steps + 1))
+    failed = 0
+    for row in run.episodes.to_pylist():
+        where = row["world"], row["robot"]
+        outcome = Outcome[row["outcome"].upper()]
+        running = outcome == Outcome.TIMEOUT
+        assert end["outcome"][where] == (Outcome.RUNNING if running else outcome)
+        if outcome != Outcome.REACHED:
+            failed += 1
+            place = [row[f"failure_{axis}_m"] for axis in "xyz"]
+            np.testing.assert_array_equal(end["p_m"][where], np.float32(place))
+    assert failed > 0
 
 
 def test_rows_agree_with_the_trajectories(run):
@@ -101,17 +127,29 @@ def test_chunking_changes_no_byte(run, scenario, simulator, tmp_path):
     assert_same(run, rollout(scenario, out=out, chunk=100, simulator=simulator))
 
 
+class Stop(Silent):
+    """Presses Ctrl-C in the middle of the second tile."""
+
+    def __init__(self):
+        self.done, self.told = 0.0, []
+
+    def advance(self, worlds, vehicle_steps):
+        self.done += worlds
+        if self.done > 2.5:
+            raise KeyboardInterrupt
+
+
+class Listen(Silent):
+    """Keeps what it is told."""
+
+    def __init__(self):
+        self.told = []
+
+    def tell(self, text):
+        self.told.append(text)
+
+
 def test_interrupted_and_resumed_is_the_same_run(run, scenario, simulator, tmp_path):
-    class Stop(Silent):
-        """Presses Ctrl-C in the middle of the second tile."""
-
-        done = 0.0
-
-        def advance(self, worlds, vehicle_steps):
-            self.done += worlds
-            if self.done > 2.5:
-                raise KeyboardInterrupt
-
     out = tmp_path / "cut"
     cut = rollout(scenario, out=out, chunk=100, progress=Stop(), simulator=simulator)
     assert not cut.summary["complete"]
@@ -210,7 +248,7 @@ def test_a_control_step_is_traced_once_for_all_worlds(simulator):
 
     @chex.assert_max_traces(n=1)
     def control_step(engine, world, state):
-        return episode.control_step(simulator.spec, engine, world, state)
+        return mjx.control_step(simulator.spec, engine, world, state)
 
     step = jax.jit(jax.vmap(control_step, (None, 0, 0)))
     for first in (0, 2):
@@ -261,3 +299,179 @@ def test_triton_kernels_without_a_gpu_are_refused(scenario):
     fused = scenario.model_copy(update={"engine": "fused", "kernels": "triton"})
     with pytest.raises(ConfigError, match='use kernels = "xla"'):
         Simulator(fused)
+
+
+def test_what_takes_the_name_meanwhile_costs_nothing(run, scenario, simulator, tmp_path):
+    class Squat(Silent):
+        """Puts something of another under the run's name, which was empty."""
+
+        def compiled(self, took):
+            assert list((tmp_path / "mine").iterdir()) == []
+            (tmp_path / "mine" / "of_another.txt").write_text("other")
+
+    out = tmp_path / "mine"
+    with pytest.raises(RunError, match=r"what was made is whole in .*\.mine\.partial"):
+        rollout(scenario, out=out, progress=Squat(), simulator=simulator)
+    assert (out / "of_another.txt").read_text() == "other"
+    partial_path(out).rename(tmp_path / "moved")
+    assert_same(run, Run(tmp_path / "moved"))
+
+
+def test_names_that_cannot_be_are_refused_before_anything_is_computed(scenario, tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="exists as a link to nothing"):
+        rollout(scenario, out=tmp_path / "link")
+    for length in (247, 300, 5000):
+        with pytest.raises(ConfigError, match=r"247 bytes, 246 are the most|bytes|too long"):
+            rollout(scenario, out=tmp_path / ("x" * length))
+    assert [path.name for path in tmp_path.iterdir()] == ["link"]
+
+
+def test_a_living_run_is_not_resumed(scenario, simulator, tmp_path):
+    out = tmp_path / "alive"
+
+    class Twice(Silent):
+        """Tries the same run from another process's place."""
+
+        said = ""
+
+        def compiled(self, took):
+            for again in (lambda: resume(out), lambda: rollout(scenario, out=out)):
+                with pytest.raises(ConfigError, match=rf"another process.*{os.getpid()}") as caught:
+                    again()
+                self.said = str(caught.value)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        rollout(scenario, out=out, progress=Twice(), simulator=simulator)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def cut(scenario, simulator, tmp_path_factory):
+    out = tmp_path_factory.mktemp("cut") / "run"
+    rollout(scenario, out=out, chunk=100, progress=Stop(), simulator=simulator)
+    return out
+
+
+def test_another_scenario_is_not_resumed(cut, scenario):
+    other = scenario.model_copy(update={"name": "other"})
+    with pytest.raises(ConfigError, match="run of 'small', not of 'other'"):
+        resume(cut, scenario=other)
+    nearer = scenario.model_copy(update={"goal_tolerance_m": 0.1})
+    with pytest.raises(ConfigError, match="goal_tolerance_m"):
+        resume(cut, scenario=nearer)
+    assert not Run(cut).summary["complete"]
+
+
+def damaged_part(building):
+    place = building / "parts" / "before.parquet"
+    place.write_bytes(place.read_bytes()[:-40])
+
+
+def missing_array(building):
+    shutil.rmtree(building / "trajectories.zarr" / "p_m")
+
+
+def missing_shard(building):
+    (building / "trajectories.zarr" / "q" / "c" / "0" / "0" / "0" / "0").unlink()
+
+
+def cut_environment(building):
+    place = building / "trajectories.zarr" / "environment" / "goal_m" / "c" / "0" / "0" / "0"
+    place.write_bytes(place.read_bytes()[:-3])
+
+
+def cut_description(building):
+    place = building / "trajectories.zarr" / "nu" / "zarr.json"
+    place.write_text(place.read_text()[:100])
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (damaged_part, "worlds are computed again"),
+        (missing_array, "p_m.*computed again"),
+        (missing_shard, "/q: worlds 0 and on"),
+        (cut_environment, "goal_m: worlds 0 and on"),
+        (cut_description, "nu/zarr.json: was missing or damaged"),
+    ],
+)
+def test_what_is_damaged_is_computed_again(run, cut, scenario, simulator, tmp_path, damage, told):
+    out = tmp_path / "run"
+    shutil.copytree(cut, out)
+    folder.reopen(out, print).release()
+    damage(partial_path(out))
+    listener = Listen()
+    assert_same(run, resume(out, scenario=scenario, simulator=simulator, progress=listener))
+    assert any(re.search(told, text) for text in listener.told), listener.told
+    log = (out / "run.log").read_text()
+    assert "5 of 5 worlds are finished" in log
+    assert re.match(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d[+-]\d{4} 5 worlds$", log.splitlines()[0])
+
+
+def test_an_unreadable_config_is_refused(cut, tmp_path):
+    out = tmp_path / "run"
+    shutil.copytree(cut, out)
+    (out / "config.json").write_text("{")
+    with pytest.raises(ConfigError, match=r"config\.json: cannot be read"):
+        resume(out)
+    assert (out / "episodes.parquet").is_file()
+
+
+def test_every_array_names_its_dimensions(run):
+    for name, node in run.trajectories.members(max_depth=None):
+        if not isinstance(node, zarr.Array):
+            continue
+        dims = node.metadata.dimension_names
+        assert len(dims) == node.ndim, name
+        assert len(set(dims)) == node.ndim, name
+        assert all(dims), name
+    # What xarray asks of a group: a dimension has one size.
+    for group in (run.trajectories, *[n for _, n in run.trajectories.members(max_depth=None)]):
+        sizes = {}
+        for _, array in group.arrays() if isinstance(group, zarr.Group) else ():
+            for dim, size in zip(array.metadata.dimension_names, array.shape, strict=True):
+                assert sizes.setdefault(dim, size) == size
+    assert run.trajectories["p_m"].metadata.dimension_names == ("world", "time", "robot", "xyz")
+
+
+def test_the_inputs_lie_in_the_folder_and_edited_ones_are_refused(cut, tmp_path, scenario_file):
+    used = {(one.role, one.named): one for one in inputs.read_inputs(cut)}
+    assert set(used) == {
+        ("vehicle", "bluerov2_heavy"),
+        ("vehicle", "bluerov2"),
+        ("thruster", "t200"),
+    }
+    for one in used.values():
+        source = Path(one.source).read_bytes()
+        assert hashlib.sha256(source).hexdigest() == one.sha256
+    for named, copy in inputs.copies(cut).items():
+        assert library.load(str(copy)).rotor.model.startswith(str(cut.resolve()))
+        assert library.load(str(copy)).parameter_sets == library.load(named).parameter_sets
+
+
+def test_a_vehicle_of_ones_own_is_copied_and_an_edit_is_noticed(tmp_path, monkeypatch):
+    home, away, run_path = tmp_path / "home", tmp_path / "away", tmp_path / "run"
+    for place in (home, away, run_path):
+        place.mkdir()
+    text = library.locate("bluerov2").read_text()
+    thruster = library.locate_thruster("t200").read_text()
+    (home / "own.toml").write_text(
+        text.replace('"t200"', '"props.toml"').replace('name = "bluerov2"', 'name = "mine"')
+    )
+    (home / "props.toml").write_text(thruster)
+    monkeypatch.chdir(home)
+    inputs.take(run_path, ["own.toml"], [("plan", home / "props.toml")])
+    assert inputs.stand_ins(run_path) == {}
+    inputs.require_unchanged(run_path, flag="--resume")
+    monkeypatch.chdir(away)  # where no such file is
+    copy = inputs.stand_ins(run_path)["own.toml"]
+    assert library.load(copy).name == "mine"
+    assert inputs.vehicle_file(run_path, "mine") == copy
+    inputs.require_unchanged(run_path, flag="--resume")
+    monkeypatch.chdir(home)
+    (home / "props.toml").write_text(thruster + "\n# edited\n")
+    with pytest.raises(ConfigError, match=r"own\.toml or its thruster file was edited"):
+        inputs.require_unchanged(run_path, flag="--resume")
+    assert [one.role for one in inputs.read_inputs(run_path)] == ["thruster", "vehicle", "plan"]

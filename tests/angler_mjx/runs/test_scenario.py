@@ -73,7 +73,7 @@ FAULTS = {
     ),
     "negative weight": (
         '[[fleet]]\nvehicle = "bluerov2"\nparameter_mix = { blue_gazebo = -1.0 }',
-        ["fleet", "parameter_mix", "positive"],
+        ["fleet", "parameter_mix", "greater than 0"],
     ),
     "steps that do not fit": (
         "[time]\nphysics_dt_s = 0.03\ncontrol_dt_s = 0.05",

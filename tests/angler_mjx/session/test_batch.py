@@ -12,7 +12,8 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.view import believed, covariance, look
-from angler_mjx.sim.state import Belief, Outcome
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import Outcome
 from angler_mjx.testing.driving import heading, pose, position, run, twist
 
 

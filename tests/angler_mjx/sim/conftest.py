@@ -12,8 +12,8 @@ import pytest
 
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.engines.base import MjxEngine
 from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Fleet, Member, Variant
 from angler_mjx.sim.state import SimSpec, World
@@ -177,6 +177,12 @@ STEPS = 200
 def engines_by_name():
     """The engines that are compared."""
     return {"mjx": MjxEngine(), "fused": FusedEngine()}
+
+
+@pytest.fixture(scope="session")
+def members():
+    """The robots of the scenes that name none."""
+    return every_variant()
 
 
 @pytest.fixture(scope="session")

@@ -16,8 +16,7 @@ from angler_mjx.control import stack, stages
 from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.control.joint_trajectory import from_path
 from angler_mjx.control.laws.targets import as_tracking
-from angler_mjx.engines.lanes import steps as lane_steps
-from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.lanes.engine import FusedEngine, OfGroup
 from angler_mjx.engines.lanes.layout import (
     moving_of,
     scene_of,
@@ -27,7 +26,7 @@ from angler_mjx.engines.lanes.layout import (
 )
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim import robot
+from angler_mjx.sim import robot, step
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world import currents
 
@@ -75,13 +74,12 @@ def on_lanes(spec, kinds, worlds, state):
     """Memory and signals of the controllers, as the fused engine has them decide."""
     scene, moving = scene_of(kinds, worlds), moving_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
-    flow = lane_steps.flow_at(scene.current, robots.vehicle.p, time_of(spec, state))
-    carry, decision = lane_steps.control_robots(
-        spec, given.params, robots.vehicle, robots.carry, given.path, flow
-    )
+    t = time_of(spec, state)
+    here = OfGroup(spec=spec, scene=scene, t=t, shape=scene.shape, given=given)
+    done = step.decide(here, {"known": robots.vehicle, "memory": robots.memory})
     like = robots.vehicle.p[0]
-    wide = jax.tree.map(lambda leaf: spread_out(leaf, like), (carry, decision.pwm_us))
-    return to_arrays(wide, 2)
+    given_back = (done.slots()["memory"], done.record()["pwm_us"])
+    return to_arrays(jax.tree.map(lambda leaf: spread_out(leaf, like), given_back), 2)
 
 
 def mapped(spec, kinds, worlds, state):

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.testing import referee
 
 from ..compiling import quickly
+from .stored import store
 
 # Asked for; found is 1e-13, on numbers of up to 1e3 (forces) and after 1,000 physics steps.
 TOLERANCE = 1e-9
@@ -60,6 +62,27 @@ def test_the_worlds_are_worth_comparing(pair, double):
     moving = np.asarray(double.worlds.environment.obstacles.motion)
     assert len(np.unique(moving)) == 5
     assert np.ptp(samples.obstacle_p, axis=0).max() > 0.5
+
+
+@pytest.mark.parametrize("engine", ["mjx", "fused"])
+def test_the_referee_agrees_with_every_account(engine, pair, double, members, tmp_path):
+    """Outcomes, times, ways, energies, distances and touches, worked out anew from the samples.
+
+    Stored in float32, judged in float64, and decided in float64: nothing is left to rounding but
+    what lies within it.
+    """
+    _, mjx, fused = pair
+    after, samples = {"mjx": mjx, "fused": fused}[engine]
+    path = store(tmp_path / "run", double, members, after, samples)
+    verdict = referee.judge(path)
+    assert [one.line() for one in verdict.differences] == []
+    assert verdict.robots == after.tally.outcome.size
+    counts = verdict.counts
+    bounded = counts.pop("impact_speed_mps").bounded  # of touches with what moves
+    assert bounded == np.sum(after.tally.outcome == Outcome.COLLISION_DYNAMIC)
+    assert {count.exact for count in counts.values()} == {verdict.robots}
+    assert counts["path_length_m"].largest < 1e-4
+    assert counts["energy_j"].largest < 1e-5
 
 
 def test_a_mixed_fleet_is_grouped_by_vehicle(double):

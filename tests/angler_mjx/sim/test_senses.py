@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from angler_mjx.control import stages
-from angler_mjx.engines.base import MjxEngine
 from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
-from angler_mjx.scenario import crews
+from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.world.grid import Grid, height_above_bottom
 
@@ -33,11 +33,11 @@ def tell(scene, told, controller="cascade"):
         spec,
         stages=controllers,
         gains=gains,
-        crews=crews.build(robots, spec.control_dt_s, spec.water.gravity_mps2),
+        instrumented=instrumented.build(robots, spec.control_dt_s, spec.water.gravity_mps2),
     )
     keys = jax.random.split(jax.random.key(5), (WORLDS, len(robots)))
-    worlds = replace(scene.worlds, sensing_key=jax.random.key_data(keys)) if spec.crews else None
-    return replace(scene, spec=spec, worlds=worlds or scene.worlds)
+    keyed = replace(scene.worlds, sensing_key=jax.random.key_data(keys))
+    return replace(scene, spec=spec, worlds=keyed if spec.instrumented else scene.worlds)
 
 
 def fly(engine, scene, samples=SAMPLES):
@@ -148,13 +148,13 @@ def test_in_float32_engines_differ_by_rounding(exact):
 def test_truth_without_noise_is_the_truth():
     told = [("truth", {}), ("noisy", EXACT), ("noisy", {}), ("ekf", EXACT), ("ekf", {})]
     robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
-    built = crews.build(robots, 0.05, 9.81)
-    assert [(crew.first, crew.count, crew.source) for crew in built] == [
+    built = instrumented.build(robots, 0.05, 9.81)
+    assert [(group.first, group.count, group.source) for group in built] == [
         (2, 1, "noisy"),
         (3, 1, "ekf"),
         (4, 1, "ekf"),
     ]
-    assert [crew.params.sensors.noise for crew in built] == [True, False, True]
+    assert [group.params.sensors.noise for group in built] == [True, False, True]
 
 
 def test_height_above_bottom_is_that_of_the_first_rock_below():

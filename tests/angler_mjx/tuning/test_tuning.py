@@ -216,9 +216,10 @@ def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp
         tune.tune(wanted, out)
     with pytest.raises(ConfigError, match=r"another seed \(1 there, 2 here\)"):
         tune.tune(dataclasses.replace(wanted, seed=2), out, resume=True)
-    building, table = folder.reopen(out)
+    claimed, table = folder.reopen(out)
     assert table["generations"] == []
-    assert building.name == ".early.partial"
+    assert claimed.building.name == ".early.partial"
+    claimed.release()
 
 
 COMMENTS = ("one", "two")

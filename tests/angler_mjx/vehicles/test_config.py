@@ -11,8 +11,9 @@ import pytest
 import angler_mjx.vehicles
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
-from angler_mjx.vehicles.config import ThrusterTable, VehicleConfig
+from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.library import available, load, load_thruster
+from angler_mjx.vehicles.thruster_config import ThrusterTable
 
 DATA = Path(angler_mjx.vehicles.__file__).parent / "data"
 HEAVY = tomllib.loads((DATA / "bluerov2_heavy.toml").read_text())

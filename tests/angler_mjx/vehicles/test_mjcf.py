@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from angler_mjx.vehicles.drive import wrench_matrix
 from angler_mjx.vehicles.library import available, load
 from angler_mjx.vehicles.mjcf import to_spec, to_xml
-from angler_mjx.vehicles.params import wrench_matrix
 
 
 @pytest.fixture(scope="module", params=available())

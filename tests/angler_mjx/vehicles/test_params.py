@@ -8,8 +8,9 @@ import pytest
 
 from angler_mjx import frames
 from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.drive import full_force, terminal_speed, wrench_matrix
 from angler_mjx.vehicles.library import load
-from angler_mjx.vehicles.params import build, full_force, stack, terminal_speed, wrench_matrix
+from angler_mjx.vehicles.params import build, stack
 
 # Wrench of one newton of each thruster of the Heavy that blue's own geometry gives: x forward,
 # y starboard, z down, moments about the centre of mass. As published: rounded.

@@ -1,7 +1,6 @@
 """A small run made by hand: what the pictures are drawn from, without simulating anything."""
 
 import json
-import math
 from functools import partial
 
 import jax
@@ -108,6 +107,7 @@ def make_scene(seed=0):
             RobotTrack(
                 index=i,
                 vehicle="bluerov2_heavy" if i < 2 else "bluerov2",
+                vehicle_file="bluerov2_heavy" if i < 2 else "bluerov2",
                 parameter_set="blue_gazebo",
                 outcome=outcome,
                 end_time_s=end,
@@ -204,15 +204,15 @@ def _episodes(world, scene):
                 "parameter_set": robot.parameter_set,
                 "planned": True,
                 "outcome": robot.outcome,
-                "time_to_goal_s": end if arrived else math.nan,
+                "time_to_goal_s": end if arrived else None,
                 "path_length_m": 30.0,
                 "energy_j": 1000.0,
                 "min_clearance_m": 0.4 if arrived else 0.0,
                 "min_separation_m": 1.0,
-                "failure_time_s": math.nan if arrived else end,
-                **{f"failure_{axis}_m": value for axis, value in place.items()},
+                "failure_time_s": None if arrived else end,
+                **{f"failure_{x}_m": None if arrived else value for x, value in place.items()},
                 "failure_pair": robot.failure_pair,
-                "impact_speed_mps": math.nan,
+                "impact_speed_mps": None,
                 "redraws": 0,
             }
         )

@@ -5,7 +5,8 @@ import pyarrow as pa
 import pytest
 from matplotlib.patches import Rectangle
 
-from angler_mjx.storage.results import OUTCOMES, wilson
+from angler_mjx.storage.intervals import clustered
+from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing import statistics, style
 
 KINDS = (("bluerov2", "blue_gazebo"), ("bluerov2_heavy", "wu2018"))
@@ -40,10 +41,11 @@ def episodes():
 def test_bars_are_the_rates_and_lines_their_intervals(episodes):
     axes = statistics.outcomes(episodes, "name").axes[0]
     bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    ended = np.array(episodes["outcome"].to_pylist())
+    rates = clustered({name: ended == name for name in OUTCOMES}, episodes["world"].to_numpy())
     for bar, line, outcome in zip(bars, axes.lines, OUTCOMES, strict=True):
-        count = COUNTS.get(outcome, 0)
-        assert bar.get_width() == pytest.approx(count / 20)
-        assert line.get_xdata() == pytest.approx(wilson(count, 20))
+        assert bar.get_width() == pytest.approx(COUNTS.get(outcome, 0) / 20)
+        assert line.get_xdata() == pytest.approx((rates[outcome].low, rates[outcome].high))
 
 
 def test_bars_of_a_kind_fill_the_whole(episodes):

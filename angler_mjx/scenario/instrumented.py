@@ -1,4 +1,4 @@
-"""Crews of a fleet: neighbouring robots whose controllers are not told the truth."""
+"""The robots of a fleet whose controllers are not told the truth: neighbours alike in a group."""
 
 import itertools
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.sensing import params
 from angler_mjx.sensing.config import SensorsConfig
-from angler_mjx.sim.state import Crew
+from angler_mjx.sim.state import InstrumentedRobots
 
 type Source = Literal["truth", "noisy", "ekf"]
 """What controllers are told: the true state, that with white noise, or a filter's estimate."""
@@ -24,7 +24,7 @@ def told_truth(source: Source, config: SensorsConfig) -> bool:
 
 def build(
     robots: Sequence[tuple[Source, SensorsConfig]], control_dt_s: float, gravity_mps2: float
-) -> tuple[Crew, ...]:
+) -> tuple[InstrumentedRobots, ...]:
     """Compile the instruments of a fleet (host side).
 
     Args:
@@ -35,13 +35,13 @@ def build(
     Raises:
         ConfigError: see `angler_mjx.sensing.params.check`.
     """
-    crews, first = [], 0
+    groups, first = [], 0
     for (source, true, _), members in itertools.groupby(robots, _alike):
         row = [params.build(config, control_dt_s, gravity_mps2) for _, config in members]
         if source != "truth" and not true:
             sensors: params.SensorParams = jax.tree.map(lambda *x: jnp.stack(x), *row)
-            crews.append(
-                Crew(
+            groups.append(
+                InstrumentedRobots(
                     first=first,
                     count=len(row),
                     source=source,
@@ -49,11 +49,11 @@ def build(
                 )
             )
         first += len(row)
-    return tuple(crews)
+    return tuple(groups)
 
 
 def _alike(robot: tuple[Source, SensorsConfig]) -> tuple[Source, bool, bool]:
-    """What the robots of a crew have in common."""
+    """What the robots of a group have in common."""
     source, config = robot
     return source, told_truth(source, config), config.noise
 

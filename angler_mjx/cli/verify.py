@@ -1,0 +1,89 @@
+"""`angler verify`: a run judged anew from its trajectories, and compared with its results."""
+
+import json as text
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from angler_mjx.cli.export import indices
+
+if TYPE_CHECKING:
+    from angler_mjx.testing.referee import Verdict
+
+EXIT_DISAGREES = 1
+
+SHOWN = 100
+"""Differences that are printed; the JSON object holds all."""
+
+
+def verify(
+    run: Annotated[Path, tyro.conf.Positional],
+    worlds: str | None = None,
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Judge a run anew from its trajectories, and say what does not agree with its results.
+
+    A second judge, which shares nothing with the simulator, works out every robot's outcome, times,
+    path, energy, clearance and touch. Record at the control rate (--record-hz 20 where control_dt_s
+    is 0.05) to have all of them worked out; of other runs it says what can only be bounded. Exits
+    with 0 when all agrees, with 1 when something does not, with 2 when the run cannot be judged.
+
+    Args:
+        run: Run folder.
+        worlds: Indices, as in 0,3; all that are finished if left out.
+        json: Print one JSON object instead of the table.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.testing import referee
+
+    chosen = None if worlds is None else indices(worlds)
+    columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
+        task = bar.add_task("worlds", total=None)
+        verdict = referee.judge(
+            run, chosen, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    if json:
+        print(text.dumps(verdict.table()))
+    else:
+        _report(verdict)
+    if not verdict.agrees:
+        sys.exit(EXIT_DISAGREES)
+
+
+def _report(verdict: "Verdict") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.testing.referee import QUANTITIES
+
+    for one in verdict.differences[:SHOWN]:
+        print(one.line())
+    if (more := len(verdict.differences) - SHOWN) > 0:
+        print(f"... and {more} more; --json holds all of them")
+    if verdict.finished_worlds < verdict.planned_worlds:
+        print(f"{verdict.finished_worlds} of {verdict.planned_worlds} worlds have results")
+    table = Table(
+        "quantity",
+        "exact",
+        "bounded",
+        "not checked",
+        "undecided",
+        "disagree",
+        "largest deviation that agrees",
+        title=f"{verdict.run}: {verdict.worlds} worlds, {verdict.robots} robots, "
+        f"sampled {verdict.sampled}",
+    )
+    for name, unit in QUANTITIES.items():
+        count = verdict.counts[name]
+        numbers = (count.exact, count.bounded, count.unchecked, count.undecided, count.disagrees)
+        unit = "of it" if name == "energy_j" else unit
+        largest = f"{count.largest:.2g} {unit}" if unit and count.exact else ""
+        table.add_row(name, *map(str, numbers), largest)
+    Console().print(table)
+    wrong = sum(count.disagrees for count in verdict.counts.values())
+    print("agrees" if verdict.agrees else f"does not agree: {wrong} findings")

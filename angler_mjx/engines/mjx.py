@@ -1,0 +1,291 @@
+"""MuJoCo MJX: multibody models, the phases of one world, and one ``vmap`` over worlds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.stack import Command, ControlParams
+from angler_mjx.errors import UnsupportedError
+from angler_mjx.physics import mjx_engine
+from angler_mjx.physics import step as physics
+from angler_mjx.physics.step import Multibody, VehicleState
+from angler_mjx.sim import aboard, start
+from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim.detection import Contact, detect
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.phase import Slots, run
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
+from angler_mjx.world import currents
+from angler_mjx.world import obstacles as obstacle_motion
+from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import ObstacleState
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneWorld:
+    """Robots [R] and obstacles [n] of one world, as phases want them; see `phase.Here`."""
+
+    spec: SimSpec
+    world: World
+    t: jax.Array
+    engine: Any = None
+    """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
+    given: Command | None = None
+    """Instead of the paths."""
+    _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
+
+    @property
+    def params(self) -> ControlParams:
+        """See `phase.Here`."""
+        return self.world.control
+
+    @property
+    def command(self) -> Any:
+        """See `phase.Here`."""
+        return self.world.path if self.given is None else self.given
+
+    @property
+    def current(self) -> Current:
+        """See `phase.Here`."""
+        return self.world.environment.current
+
+    @property
+    def goal_m(self) -> jax.Array:
+        """See `phase.Here`."""
+        return self.world.environment.goal_m
+
+    @cached_property
+    def corners(self) -> tuple[jax.Array, jax.Array]:
+        """See `phase.Here`."""
+        return start.region(self.world.environment)
+
+    def flow(self, vehicle: VehicleState) -> jax.Array:
+        """See `phase.Here`."""
+        for known, flow in self._flows:  # controllers and the record ask for the same
+            if known is vehicle:
+                return flow
+        flow = jax.vmap(currents.velocity, (None, 0, None))(self.current, vehicle.p, self.t)
+        self._flows.append((vehicle, flow))
+        return flow
+
+    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+        """See `phase.Here`."""
+        axes = (0,) * len(bodies) + (None,) * len(shared)
+        return jax.vmap(function, axes)(*bodies, *shared)
+
+    def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
+        """See `phase.Here`; with derivatives backwards."""
+
+        def one(now: Any, i: jax.Array) -> tuple[Any, None]:
+            return body(i, now), None
+
+        return jax.lax.scan(one, tree, jnp.arange(times))[0]
+
+    def physics_step(
+        self,
+        params: ControlParams,
+        vehicle: VehicleState,
+        thrust_n: Any,
+        current: Current,
+        t: jax.Array,
+    ) -> VehicleState:
+        """See `phase.Here`."""
+        moved: VehicleState = jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
+            self.engine,
+            self.world.body,
+            params.vehicle,
+            vehicle,
+            thrust_n,
+            current,
+            t,
+            self.spec.physics_dt_s,
+            self.spec.water,
+        )
+        return moved
+
+    def advance(self, obstacles: ObstacleState) -> ObstacleState:
+        """See `phase.Here`."""
+        environment = self.world.environment
+        return obstacle_motion.step(
+            environment.obstacles,
+            obstacles,
+            environment.current,
+            self.t,
+            self.spec.control_dt_s,
+            *self.corners,
+            environment.grid,
+            self.spec.water.density_kgpm3,
+            self.spec.water.gravity_mps2,
+        )
+
+    def contact(self, now: Slots) -> Contact:
+        """See `phase.Here`."""
+        vehicles = self.world.control.vehicle
+        return detect(self.world.environment, vehicles, now["vehicle"], now["obstacles"])
+
+
+def control_step(
+    spec: SimSpec,
+    engine: Multibody,
+    world: World,
+    state: WorldState,
+    command: Command | None = None,
+    policy: Policy | None = None,
+    number: jax.Array | None = None,
+) -> tuple[WorldState, Sample]:
+    """One control step of one world.
+
+    Args:
+        spec: settings.
+        engine: of the fleet.
+        world: constants of the world.
+        state: of the world.
+        command: to the controllers instead of the paths, [R] leading.
+        policy: that commands them, if one does.
+        number: ``state.step``, as one number for all worlds of a batch: a policy with a period is
+            then called in its steps alone.
+
+    Returns:
+        The state one control period later, and the sample of the state before with its command.
+    """
+    t = state.step.astype(state.vehicles.p.dtype) * spec.control_dt_s
+    minds, told = Minds.of(state), Told()
+    policy = aboard.asked(policy, command)
+    if aboard.tells(spec, policy):
+        count = state.step if number is None else number
+        minds, told = aboard.tell(spec, policy, world, minds, count, state.vehicles)
+    here = OneWorld(
+        spec=spec,
+        world=world,
+        t=t,
+        engine=engine,
+        given=told.command if command is None else command,
+    )
+    slots = {
+        "vehicle": state.vehicles,
+        "known": state.vehicles if told.known is None else told.known,
+        "memory": state.carry,
+        "tally": state.tally,
+        "obstacles": state.obstacles,
+    }
+    now, record = run(here, (*ALONE, OBSTACLES, *MEETING), slots)
+    after = WorldState(
+        vehicles=now["vehicle"],
+        carry=now["memory"],
+        obstacles=now["obstacles"],
+        tally=now["tally"],
+        step=state.step + 1,
+        **vars(minds),
+    )
+    return after, Sample(**told.record, **record)
+
+
+def segment(
+    spec: SimSpec,
+    engine: Multibody,
+    world: World,
+    state: WorldState,
+    n_sample: int,
+    steps_per_sample: int,
+    command: Command | None = None,
+    policy: Policy | None = None,
+    number: jax.Array | None = None,
+) -> tuple[WorldState, Sample]:
+    """``n_sample * steps_per_sample`` control steps of one world, all with one command.
+
+    Returns:
+        The state at the end, and samples with a leading axis [n_sample].
+    """
+    # One control step stands in the program, not one for recorded and one for other steps: it is
+    # most of what there is to compile.
+    fly = partial(control_step, spec, engine, world, command=command, policy=policy)
+    shapes = jax.eval_shape(fly, state)[1]
+    nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+
+    def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
+        state, number, kept = carry
+        state, sample = fly(state, number=number)
+        kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), sample, kept)
+        return (state, None if number is None else number + 1, kept), None
+
+    def recorded(now: Any, _: None) -> tuple[Any, Sample]:
+        (*now, kept), _ = jax.lax.scan(one, (*now, nothing), jnp.arange(steps_per_sample))
+        return tuple(now), kept
+
+    (after, _), samples = jax.lax.scan(recorded, (state, number), length=n_sample)
+    return after, samples
+
+
+class MjxEngine:
+    """MuJoCo MJX on worlds [tile]."""
+
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
+        """See `Engine.reset`."""
+        one = partial(start.reset, spec, _multibody(spec, fleet, worlds), policy=policy)
+        state: WorldState = jax.vmap(one)(worlds.body, worlds)
+        return state
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None,
+        policy: Policy | None = None,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.control_step`."""
+        one = partial(control_step, spec, policy=policy, number=_number(state, policy))
+        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
+            _multibody(spec, fleet, worlds), worlds, state, command
+        )
+        return after
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+        command: Command | None = None,
+        policy: Policy | None = None,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.segment`."""
+        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
+        fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
+
+        def one(world: World, state: WorldState, command: Command | None) -> Any:
+            return fly(_multibody(spec, fleet, worlds), world, state, command=command)
+
+        after: tuple[WorldState, Sample] = jax.vmap(one)(worlds, state, command)
+        return after
+
+
+def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:
+    """Control steps that all worlds have taken, where a policy wants to know."""
+    return None if policy is None else state.step[0]
+
+
+def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:
+    if fleet.engine is None:
+        raise UnsupportedError(
+            "the fleet was built without multibody models: engine mjx needs them"
+        )
+    if worlds.body.fields.keys() != fleet.body.fields.keys():
+        raise UnsupportedError(
+            "the worlds were drawn of a fleet without the multibody fields of this one: engine mjx "
+            "needs them (`Simulator.adopt` gives them)"
+        )
+    return fleet.engine.under(spec.water.gravity_mps2)

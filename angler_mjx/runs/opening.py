@@ -1,0 +1,119 @@
+"""The folder of a run at its beginning: a new one, or one that is taken up again."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import sizes
+from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.provenance import describe_environment, write_policy
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage import claims, folder, mending
+from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.recorder import Recorder
+from angler_mjx.vehicles import library
+
+
+def begin(simulator: Simulator, place: Path) -> Claim:
+    """Make the folder of a new run, with what is known before the first world."""
+    scenario, shape = simulator.scenario, sizes.shape_of(simulator)
+    chosen = scenario.model_copy(update=resolved(simulator))
+    if scenario.time.record_hz > 0:
+        folder.require_space(place, scenario.worlds * shape.bytes_per_world())
+    claimed = folder.create(place)
+    try:
+        folder.begin(claimed.building, chosen, describe_environment())
+        write_policy(claimed.building, simulator.policy)
+        if scenario.time.record_hz > 0:
+            _describe(simulator, claimed.building / folder.TRAJECTORIES)
+    except OSError as error:
+        claimed.withdraw()
+        raise RunError(f"--out {place}: cannot be written ({error.strerror or error})") from error
+    except BaseException:
+        claimed.withdraw()
+        raise
+    return claimed
+
+
+def _describe(simulator: Simulator, path: Path) -> None:
+    """Make the group of trajectories, with nothing in it yet."""
+    Recorder.create(
+        path,
+        sizes.shape_of(simulator),
+        simulator.world_shape().environment,
+        tile=simulator.tile,
+        sample_dt_s=1.0 / simulator.scenario.time.record_hz,
+    )
+
+
+def require_same(place: Path, scenario: Scenario) -> None:
+    """Refuse to go on with a run of another scenario than the one that was named.
+
+    What a run may override stands in its folder, and is not compared.
+    """
+    building = claims.partial_path(place)
+    where = building if (building / folder.CONFIG).is_file() else place
+    if not (where / folder.CONFIG).is_file():
+        return  # and `folder.reopen` says that there is no run
+    stored = folder.read_scenario(where)
+    if stored.name != scenario.name:
+        raise ConfigError(
+            f"--resume {place}: is a run of {stored.name!r}, not of {scenario.name!r}; name "
+            "that scenario, or the folder of another run with --out"
+        )
+    now, before = (_fixed(one) for one in (scenario, stored))
+    differing = [key for key in now if now[key] != before[key]]
+    if differing:
+        raise ConfigError(
+            f"--resume {place}: the scenario {scenario.name!r} was edited since the run began "
+            f"({', '.join(differing)}): undo that, or begin a new run"
+        )
+
+
+def _fixed(scenario: Scenario) -> dict[str, Any]:
+    """What no flag of a run changes; a vehicle's copy stands for it."""
+    table = scenario.model_dump(
+        exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
+    )
+    table["time"].pop("record_hz")
+    for entry in table["fleet"]:
+        entry["vehicle"] = library.load(entry["vehicle"]).name
+    return table
+
+
+def mend(simulator: Simulator, building: Path, told: Progress) -> None:
+    """Put back descriptions of arrays that are missing; their tiles are then found wanting."""
+    fresh = building / ".described"
+    shutil.rmtree(fresh, ignore_errors=True)
+    try:
+        _describe(simulator, fresh)
+        for name in mending.mend(building / folder.TRAJECTORIES, fresh):
+            told.tell(
+                f"{building / folder.TRAJECTORIES / name}: was missing or damaged, made again"
+            )
+    except OSError as error:
+        raise RunError(f"{building}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+@contextmanager
+def held(claimed: Claim, *, new: bool) -> Iterator[None]:
+    """Part from a folder at the end; take it away if it is new and nothing was computed into it."""
+    try:
+        yield
+    except BaseException:
+        if new and claimed.handle is not None and not folder.holds_results(claimed.building):
+            claimed.withdraw()
+        raise
+    finally:
+        claimed.release()
+
+
+def resolved(simulator: Simulator) -> dict[str, Any]:
+    """What the simulator chose where the scenario said nothing."""
+    return {"tile": simulator.tile, "kernels": simulator.kernels}

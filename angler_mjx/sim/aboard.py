@@ -1,0 +1,175 @@
+"""The phases of worlds: what goes on aboard the robots before their controllers act.
+
+Plain arrays with robots leading, in every engine: filters and policies are matrix arithmetic, which
+lanes have nothing to offer for. The fused engines run them between their own phases.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+
+from angler_mjx.control import stack
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim import senses
+from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
+from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.world import currents
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aboard:
+    """Where phases of worlds are run: in plain arrays, [R] leading, in every engine."""
+
+    spec: SimSpec
+    policy: Policy | None
+    world: World
+    number: jax.Array
+    """int32 [] control steps taken."""
+    vehicles: VehicleState
+
+    @property
+    def t(self) -> jax.Array:
+        """[] s."""
+        return self.number.astype(self.vehicles.p.dtype) * self.spec.control_dt_s
+
+    @property
+    def flow(self) -> jax.Array | None:
+        """[R, 3] true current at the robots, m/s, in W; None where nobody wants it."""
+        if self.policy is None and not stack.wants_flow(self.spec.stages):
+            return None
+        current = self.world.environment.current
+        flow: jax.Array = jax.vmap(currents.velocity, (None, 0, None))(
+            current, self.vehicles.p, self.t
+        )
+        return flow
+
+    def known(self, belief: Belief | None) -> Known:
+        """What the robots know, for a policy.
+
+        Args:
+            belief: what they are told of their motion; None for the truth.
+        """
+        return Known(
+            belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
+            time_s=self.t,
+            goal_m=self.world.environment.goal_m,
+            path=self.world.path,
+            params=self.world.control,
+        )
+
+
+def sense(here: Aboard, now: Slots) -> Done:
+    """Instruments read the truth, filters take the readings in."""
+    if not here.spec.instrumented:
+        return Done(slots=nothing)
+    memory, belief = senses.step(
+        here.spec, here.world, now["senses"], here.number, here.vehicles, here.flow
+    )
+    return Done(
+        slots=lambda: {"senses": memory, "known": belief}, record=lambda: {"belief": belief}
+    )
+
+
+def choose(here: Aboard, now: Slots) -> Done:
+    """A policy commands the robots of a world."""
+    if here.policy is None:
+        return Done(slots=nothing)
+    memory, command = policies.step(
+        here.policy,
+        here.world.policy_key,
+        now["policy"],
+        here.known(now.get("known")),
+        here.number,
+    )
+    return Done(slots=lambda: {"policy": memory, "command": command})
+
+
+SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
+POLICY = Phase(
+    name="policy", of="world", run=choose, reads=("policy", "known"), gives=("policy", "command")
+)
+
+PHASES = (SENSE, POLICY)
+"""In order."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What robots are told in a control step, [R] leading; None where nothing is."""
+
+    known: Belief | None = None
+    """Of their own motion."""
+    command: Any = None
+    """By a policy."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """Of the phases of worlds."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Minds:
+    """Memories of the phases of worlds; fields of `WorldState`."""
+
+    senses: Any
+    policy: Any
+
+    @classmethod
+    def of(cls, state: WorldState) -> "Minds":
+        """Those of a state."""
+        return cls(senses=state.senses, policy=state.policy)
+
+
+def asked(policy: Policy | None, command: Any) -> Policy | None:
+    """The policy, where no command stands in for it; otherwise it keeps its memory."""
+    return policy if command is None else None
+
+
+def tells(spec: SimSpec, policy: Policy | None) -> bool:
+    """Whether the phases of worlds have anything to do."""
+    return bool(spec.instrumented) or policy is not None
+
+
+def tell(
+    spec: SimSpec,
+    policy: Policy | None,
+    world: World,
+    minds: Minds,
+    number: jax.Array,
+    vehicles: VehicleState,
+) -> tuple[Minds, Told]:
+    """The phases of one world.
+
+    Args:
+        spec: settings.
+        policy: that commands the robots, if one does.
+        world: constants.
+        minds: memories.
+        number: int32 [] control steps taken.
+        vehicles: now, [R] leading.
+    """
+    here = Aboard(spec=spec, policy=policy, world=world, number=number, vehicles=vehicles)
+    now, record = run(here, PHASES, vars(minds))
+    after = Minds(**{name: now[name] for name in vars(minds)})
+    return after, Told(known=now.get("known"), command=now.get("command"), record=record)
+
+
+def tell_tile(
+    spec: SimSpec,
+    policy: Policy | None,
+    worlds: World,
+    minds: Minds,
+    number: jax.Array,
+    vehicles: VehicleState,
+) -> tuple[Minds, Told]:
+    """As `tell` for worlds [W], all at step ``number`` []."""
+
+    def one(world: World, minds: Minds, vehicles: VehicleState) -> tuple[Minds, Told]:
+        return tell(spec, policy, world, minds, number, vehicles)
+
+    after: tuple[Minds, Told] = jax.vmap(one)(worlds, minds, vehicles)
+    return after

@@ -1,0 +1,206 @@
+"""Policies: a function of what the robots of a world know, called in every control step.
+
+A policy stands where a path or a command from outside stands otherwise: it commands all robots of a
+world together, at any level that the controllers take, from a JointTrajectory down to the
+thrusters' signals. It is a pytree: its parameters are leaves, so that learned weights are arguments
+of the compiled programs and have derivatives; what is static must be hashable.
+"""
+
+import hashlib
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.control import command_checks, stack
+from angler_mjx.control.mixed import Mixed
+from angler_mjx.control.stack import ControlParams, Stages
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim.record import Belief
+
+OF_RESET = 2**32 - 1
+"""What a world's key is folded with for `Policy.reset`; no step has this number."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What the robots of one world know; [R] leads.
+
+    Nothing of it is the truth where a scenario tells the robots something else, and obstacles,
+    outcomes and other worlds are not in it. What a policy commanded before, it can keep itself.
+    """
+
+    belief: Belief
+    """Of their own motion; ``flow`` is the current where they are told the truth or noise on it."""
+    time_s: jax.Array
+    """[] since the start."""
+    goal_m: jax.Array
+    """[R, 3] in W."""
+    path: Trajectory
+    """As the planner made them, before the start."""
+    params: ControlParams
+    """Their vehicles as their controllers know them."""
+
+
+class Policy(ABC):
+    """Commands all robots of a world; a frozen dataclass registered with ``jax.tree_util``.
+
+    Attributes:
+        period: control steps from one call of `act` to the next; its command holds until then.
+    """
+
+    period: int = 1
+
+    def reset(self, known: Known, key: jax.Array) -> Any:
+        """Memory at t = 0: a pytree of arrays.
+
+        Args:
+            known: what the robots know then.
+            key: of this world's policy.
+        """
+        return ()
+
+    @abstractmethod
+    def act(self, carry: Any, known: Known, key: jax.Array, step: jax.Array) -> tuple[Any, Any]:
+        """Command the robots.
+
+        Args:
+            carry: memory.
+            known: what the robots know.
+            key: of this world and step.
+            step: int32 [] control steps taken.
+
+        Returns:
+            The memory, and a command of any type that a stage of the controllers takes, [R]
+            leading in all its arrays.
+        """
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class PolicyMemory:
+    """What a world keeps of its policy."""
+
+    carry: Any
+    command: Any
+    """That holds until the next call; None for a policy that is called in every step."""
+
+
+def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: Known) -> Any:
+    """Memory of a policy at t = 0.
+
+    Args:
+        policy: of the world.
+        stages: of the controllers that it commands.
+        policy_key: uint32 [2] of the world.
+        known: what the robots know then.
+
+    Raises:
+        ConfigError: no stage takes what it commands, or not in these shapes, or its memory changes
+            its shape, or its period is no whole number above 0, or the world has no key for it.
+    """
+    name, period = type(policy).__name__, policy.period
+    if not isinstance(period, int) or isinstance(period, bool) or period < 1:
+        raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
+    if policy_key is None:
+        raise ConfigError(
+            f"policy {name}: the worlds were drawn without keys for it; give it to the Simulator "
+            "that draws them"
+        )
+    key = jax.random.wrap_key_data(policy_key)
+    carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
+    step = jax.ShapeDtypeStruct((), jnp.int32)
+    after, command = jax.eval_shape(policy.act, carry, known, key, step)
+    _check(name, stages, command, known)
+    if _shapes(carry) != _shapes(after):
+        raise ConfigError(
+            f"policy {name}: act gives a memory of other shapes or types than reset: "
+            f"{_shapes(after)} instead of {_shapes(carry)}"
+        )
+    held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), command)
+    return PolicyMemory(carry=carry, command=held if period > 1 else None)
+
+
+def _check(name: str, stages: Stages, command: Any, known: Known) -> None:
+    lead, thrusters = (1, known.goal_m.shape[0]), known.params.vehicle.B.shape[-1]
+    command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
+    try:
+        for one in command.commands if isinstance(command, Mixed) else [command]:
+            stack.check_command(stages, one, lead, thrusters)
+        if isinstance(command, Mixed):
+            command_checks.check_choice(command, lead)
+    except ConfigError as error:
+        raise ConfigError(f"policy {name}: {error}") from None
+
+
+def require_alike(policy: Policy, other: Policy) -> None:
+    """Refuse a policy that is not another one with other numbers.
+
+    Raises:
+        ConfigError: it is of another class, static part or shape.
+    """
+    if _shapes(policy) != _shapes(other):
+        raise ConfigError(
+            f"policy {type(other).__name__}: is made otherwise than the simulator's "
+            f"{type(policy).__name__}; only the numbers in it may differ"
+        )
+
+
+def describe(policy: Policy) -> dict[str, str]:
+    """What tells policies apart: class, static part, and a hash of their numbers."""
+    digest = hashlib.sha256()
+    leaves, structure = jax.tree.flatten(policy)
+    for leaf in leaves:
+        values = np.asarray(leaf)
+        digest.update(f"{values.dtype}{values.shape}".encode())
+        digest.update(values.tobytes())
+    kind = type(policy)
+    return {
+        "class": f"{kind.__module__}.{kind.__qualname__}",
+        "structure": str(structure),
+        "sha256": digest.hexdigest(),
+    }
+
+
+def _shapes(tree: Any) -> Any:
+    leaves, structure = jax.tree.flatten(tree)
+    return [f"{jnp.result_type(leaf)}{list(jnp.shape(leaf))}" for leaf in leaves], structure
+
+
+def step(
+    policy: Policy,
+    policy_key: jax.Array | None,
+    memory: PolicyMemory,
+    known: Known,
+    number: jax.Array,
+) -> tuple[PolicyMemory, Any]:
+    """One control step of one world.
+
+    Args:
+        policy: of the world.
+        policy_key: uint32 [2] of the world; `begin` has refused a world without one.
+        memory: of the policy.
+        known: what the robots know.
+        number: int32 [] control steps taken.
+
+    Returns:
+        The memory, and the command of the robots.
+    """
+    key = jax.random.fold_in(jax.random.wrap_key_data(policy_key), number)
+
+    def act() -> tuple[Any, Any]:
+        acted: tuple[Any, Any] = policy.act(memory.carry, known, key, number)
+        return acted
+
+    if policy.period == 1:
+        carry, command = act()
+        return PolicyMemory(carry=carry, command=None), command
+    carry, command = jax.lax.cond(
+        number % policy.period == 0, act, lambda: (memory.carry, memory.command)
+    )
+    return PolicyMemory(carry=carry, command=command), command

@@ -1,0 +1,289 @@
+"""What is recorded of a world: every field declared once, and everything else is derived from here.
+
+A field of `Sample` says which phase of a control step gives it (`angler_mjx.sim.step`), along which
+axes it lies, in which unit and frame, and how it is stored. The room that kernels keep for it, its
+array on disk with type, unit, dimensions and description, its size in bytes, and what sessions
+record follow from that. Its value is one expression in its phase.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+SIZES = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
+"""Axes that are as long in every run; those of robots, obstacles and thrusters are the run's."""
+
+ESTIMATE = "estimate"
+"""Group of what the controllers were told, where that was not the truth."""
+
+type Phase = Literal["sense", "policy", "decide", "move", "obstacles", "judge"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class About:
+    """What is said of a recorded field where it is declared."""
+
+    phase: Phase
+    """Gives it."""
+    array: str
+    """Its name on disk."""
+    axes: tuple[str, ...]
+    """``robot`` or ``obstacle`` first, neither for what is of a world; then what `SIZES` names or
+    ``thruster``."""
+    unit: str
+    text: str
+    """What it is, with its frame; in the array's attributes."""
+    whole: bool = False
+    """Whether it is int32 in `Sample`, not a number of the simulation's type."""
+    stored: str = "float32"
+    """Type on disk."""
+    none: float | None = None
+    """Least value, which stands on disk where there is none; NaN does if this is not given."""
+    state: bool = False
+    """Whether it is of the state, so that it is kept once more after the last sample."""
+
+
+def _given(phase: Phase, array: str, axes: str, unit: str, text: str, **more: Any) -> Any:
+    """Metadata of a field: what `About` says, the axes with blanks between."""
+    names = tuple(axes.split())
+    return {"about": About(phase=phase, array=array, axes=names, unit=unit, text=text, **more)}
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Belief:
+    """What the controllers of the robots are told of their own motion; [R] leads.
+
+    Standard deviations are zero where they are told the truth.
+    """
+
+    p: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/p_m",
+            "robot xyz",
+            "m",
+            "centre of mass as the controllers were told it, world frame",
+        )
+    )
+    """[R, 3] m in W."""
+    q: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/q",
+            "robot wxyz",
+            "1",
+            "attitude as they were told it, quaternion wxyz, body to world",
+        )
+    )
+    """[R, 4]."""
+    nu: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/nu",
+            "robot uvwpqr",
+            "m/s, rad/s",
+            "velocity over ground as they were told it, body frame",
+        )
+    )
+    """[R, 6] in F."""
+    flow: jax.Array | None
+    """[R, 3] current, m/s in W; None where nobody wants it. Zero, still water, from a filter."""
+    position_std_m: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/position_std_m",
+            "robot xyz",
+            "m",
+            "standard deviations of the estimate, world frame; 0 for the truth",
+        )
+    )
+    """[R, 3] along the axes of W, as the two that follow."""
+    velocity_std_mps: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/velocity_std_mps",
+            "robot xyz",
+            "m/s",
+            "standard deviations of the velocity, world frame",
+        )
+    )
+    """[R, 3]"""
+    attitude_std_rad: jax.Array = field(
+        metadata=_given(
+            "sense",
+            f"{ESTIMATE}/attitude_std_rad",
+            "robot xyz",
+            "rad",
+            "standard deviations of the attitude, about the world's axes",
+        )
+    )
+    """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """One record of one world: the truth and the command at one time."""
+
+    p: jax.Array = field(
+        metadata=_given(
+            "move",
+            "p_m",
+            "robot xyz",
+            "m",
+            "centre of mass, world frame (x east, y north, z up, 0 at the surface)",
+            state=True,
+        )
+    )
+    """[R, 3] m in W."""
+    q: jax.Array = field(
+        metadata=_given(
+            "move",
+            "q",
+            "robot wxyz",
+            "1",
+            "attitude, quaternion wxyz, body (forward, left, up) to world",
+            state=True,
+        )
+    )
+    """[R, 4]."""
+    nu: jax.Array = field(
+        metadata=_given(
+            "move",
+            "nu",
+            "robot uvwpqr",
+            "m/s, rad/s",
+            "velocity over ground [u v w p q r], body frame",
+            state=True,
+        )
+    )
+    """[R, 6] in F."""
+    target_m: jax.Array = field(
+        metadata=_given(
+            "decide", "target_m", "robot xyz", "m", "where the controller aims, world frame"
+        )
+    )
+    """[R, 3] where the controller aims, in W; the robot itself where it aims at no place."""
+    current_mps: jax.Array = field(
+        metadata=_given(
+            "move", "current_mps", "robot xyz", "m/s", "water velocity at the robot, world frame"
+        )
+    )
+    """[R, 3] water velocity at the robot, in W."""
+    pwm_us: jax.Array = field(
+        metadata=_given(
+            "decide",
+            "pwm_us",
+            "robot thruster",
+            "us",
+            "command of each thruster; 1500 in padding columns, 0 where there was none: of a robot "
+            "that diverged, and after all robots of the tile had ended",
+            none=0.0,
+        )
+    )
+    """[R, n_thruster] command of the control step that begins here."""
+    outcome: jax.Array = field(
+        metadata=_given(
+            "move",
+            "outcome",
+            "robot",
+            "1",
+            "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
+            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
+            whole=True,
+            stored="uint8",
+            state=True,
+        )
+    )
+    """int32 [R]."""
+    obstacle_p: jax.Array = field(
+        metadata=_given(
+            "obstacles",
+            "obstacle_p_m",
+            "obstacle xyz",
+            "m",
+            "centre of each obstacle, world frame",
+            state=True,
+        )
+    )
+    """[n_obstacle, 3] m in W."""
+    obstacle_q: jax.Array = field(
+        metadata=_given(
+            "obstacles",
+            "obstacle_q",
+            "obstacle wxyz",
+            "1",
+            "attitude of each obstacle, quaternion wxyz, body to world",
+            state=True,
+        )
+    )
+    """[n_obstacle, 4]."""
+    belief: Belief | None = field(default=None, metadata={"parts": Belief})
+    """What the controllers were told; None where all are told the truth."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """A recorded field, as it is declared in `Sample`."""
+
+    path: tuple[str, ...]
+    """Names of attributes, from the sample down."""
+    about: About
+    optional: bool
+    """Whether samples of some runs do not have it."""
+
+    @property
+    def stored(self) -> np.dtype[Any]:
+        """Type on disk."""
+        return np.dtype(self.about.stored)
+
+    def of(self, sample: Any) -> Any:
+        """Its value in a `Sample`, or in what has it by the same name; None where there is none."""
+        return reduce(lambda part, name: part and getattr(part, name), self.path, sample)
+
+    def shape(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """Lengths of its axes, those of robots, obstacles and thrusters being given."""
+        return tuple({**SIZES, **sizes}[axis] for axis in self.about.axes)
+
+    def of_one(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """The same of one robot, one obstacle, or one world."""
+        axes = [axis for axis in self.about.axes if axis not in ("robot", "obstacle")]
+        return tuple({**SIZES, **sizes}[axis] for axis in axes)
+
+
+def _declared(kind: type, above: tuple[str, ...] = ()) -> tuple[Field, ...]:
+    found: list[Field] = []
+    for one in dataclasses.fields(kind):
+        path = (*above, one.name)
+        if "about" in one.metadata:
+            found.append(Field(path=path, about=one.metadata["about"], optional=len(path) > 1))
+        elif "parts" in one.metadata:
+            found += _declared(one.metadata["parts"], path)
+    return tuple(found)
+
+
+FIELDS: tuple[Field, ...] = _declared(Sample)
+"""All of them, in the order of their declarations."""
+
+STATES: tuple[Field, ...] = tuple(one for one in FIELDS if one.about.state)
+"""Those of the state."""
+
+
+def of_phase(phase: str) -> tuple[Field, ...]:
+    """Those of the sample itself that a phase gives by their names."""
+    return tuple(one for one in FIELDS if one.about.phase == phase and len(one.path) == 1)
+
+
+def sizes_of(sample: Sample, lead: int) -> dict[str, int]:
+    """Numbers of robots, obstacles and thrusters of a sample with ``lead`` axes in front."""
+    sizes: dict[str, int] = {}
+    for one in FIELDS:
+        if (value := one.of(sample)) is not None:
+            sizes.update(zip(one.about.axes, value.shape[lead:], strict=True))
+    return {name: size for name, size in sizes.items() if name not in SIZES}

@@ -1,0 +1,88 @@
+"""How a world begins: robots at rest at their starts, obstacles in place, nothing accounted yet."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.physics import step as physics
+from angler_mjx.physics.step import Multibody
+from angler_mjx.sim import aboard, robot, senses
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.detection import detect
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
+from angler_mjx.world import obstacles as obstacle_motion
+from angler_mjx.world.environment import Environment
+
+
+def reset(
+    spec: SimSpec, engine: Multibody, bodies: Any, world: World, policy: Policy | None = None
+) -> WorldState:
+    """One world at t = 0.
+
+    Args:
+        spec: settings.
+        engine: of the fleet.
+        bodies: the robots as the engine wants them, [R] leading.
+        world: constants of the world.
+        policy: that is to command the robots, if one is.
+
+    Raises:
+        ConfigError: the controllers cannot be commanded by the policy.
+    """
+    environment, water = world.environment, spec.water
+    attitude = jax.vmap(quaternion.from_yaw)(environment.start_yaw_rad)
+    vehicles = jax.vmap(physics.reset, (None, 0, 0, 0, 0, None, None))(
+        engine,
+        bodies,
+        world.control.vehicle,
+        environment.start_m,
+        attitude,
+        environment.current,
+        water,
+    )
+    moving = obstacle_motion.reset(
+        environment.obstacles, environment.current, water.density_kgpm3, water.gravity_mps2
+    )
+    contact = detect(environment, world.control.vehicle, vehicles, moving)
+    n, dtype = environment.start_m.shape[0], environment.start_m.dtype
+    state = WorldState(
+        vehicles=vehicles,
+        carry=jax.vmap(partial(robot.begin, spec))(vehicles, environment.start_yaw_rad),
+        obstacles=moving,
+        tally=Tally(
+            outcome=jnp.zeros(n, jnp.int32),
+            end_time_s=jnp.zeros(n, dtype),
+            path_length_m=jnp.zeros(n, dtype),
+            energy_j=jnp.zeros(n, dtype),
+            min_clearance_m=contact.clearance_m,
+            min_separation_m=contact.separation_m,
+            touched=jnp.zeros(n, jnp.int32),
+            touched_index=jnp.full(n, -1, jnp.int32),
+            impact_speed_mps=jnp.full(n, jnp.nan, dtype),
+        ),
+        step=jnp.zeros((), jnp.int32),
+        senses=senses.reset(spec, world, vehicles),
+    )
+    return state if policy is None else _commanded(spec, world, state, policy)
+
+
+def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
+    """A state with the memory of a policy, which knows what the first step tells the robots."""
+    here = aboard.Aboard(
+        spec=spec, policy=policy, world=world, number=state.step, vehicles=state.vehicles
+    )
+    belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
+    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief))
+    return replace(state, policy=memory)
+
+
+def region(environment: Environment) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper corner [3] of the cube that fleets work in, m, in W."""
+    grid = environment.grid
+    size = jnp.array(grid.occupied.shape, grid.origin_m.dtype) * grid.cell_m
+    return grid.origin_m, grid.origin_m + size

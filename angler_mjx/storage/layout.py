@@ -1,0 +1,139 @@
+"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers.
+
+What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES
+
+END = "end"
+"""Group of the one state of each world that comes after its last sample."""
+ENVIRONMENT = "environment"
+TIME = "time_s"
+
+MOST = 10**7
+"""Of a dimension of one world: what claims more is damaged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """An array of a run."""
+
+    dims: tuple[str, ...]
+    """After ``world``."""
+    unit: str
+    text: str
+    dtype: Any = np.float32
+
+
+_STEP = Kind(
+    dims=(),
+    unit="1",
+    text="control steps until this state, the one after the last sample",
+    dtype=np.int32,
+)
+_PLAN = {
+    "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
+    "plan_m": Kind(dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"),
+}
+
+ARRAYS: dict[str, Kind] = {
+    **{
+        field.about.array: Kind(
+            dims=("time", *field.about.axes),
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in FIELDS
+    },
+    f"{END}/step": _STEP,
+    **{
+        f"{END}/{field.about.array}": Kind(
+            dims=field.about.axes,
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in STATES
+    },
+    **_PLAN,
+}
+"""Arrays [world, ...] by their names in the group, in the order in which they are made."""
+
+EARLIER = {"pwm_us": np.uint16}
+"""Types that runs of version 0.1.0 have; they have no end either."""
+
+
+def names(sizes: Mapping[str, int], *, estimated: bool) -> list[str]:
+    """Arrays of a run; those in which nothing could lie are left out.
+
+    Args:
+        sizes: of the dimensions that differ from run to run.
+        estimated: whether any robot's controllers were told something other than the truth.
+    """
+    return [
+        name
+        for name, kind in ARRAYS.items()
+        if (estimated or not name.startswith(f"{ESTIMATE}/")) and 0 not in tail(kind, sizes)
+    ]
+
+
+def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Shape of a kind of array after the worlds."""
+    return tuple({**SIZES, **sizes}[dim] for dim in kind.dims)
+
+
+def check(
+    nodes: Mapping[str, Any], where: str, *, worlds: int, robots: int, estimated: bool
+) -> None:
+    """Refuse trajectories that are not those of a run, before anything of them is read.
+
+    Args:
+        nodes: of the Zarr group, by their names.
+        where: it lies, for messages.
+        worlds: of the run.
+        robots: of its fleet.
+        estimated: as in `names`.
+
+    Raises:
+        ConfigError: an array is missing, or has another shape or type.
+    """
+    time = nodes[TIME]
+    if time.ndim != 1 or not 1 <= time.size <= MOST or time.dtype.kind != "f":
+        raise ConfigError(f"{where}/{TIME}: has the shape {time.shape} of {time.dtype}, not [time]")
+    sizes = {"time": time.size, "robot": robots}
+    for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
+        sizes[dim] = _size(nodes, name, -1, where)
+    sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
+    ended = any(name.startswith(f"{END}/") for name in nodes)
+    for name in names(sizes, estimated=estimated):
+        if name.startswith(f"{END}/") and not ended:
+            continue
+        if name not in nodes:
+            raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
+        array, kind = nodes[name], ARRAYS[name]
+        wanted = (worlds, *tail(kind, sizes))
+        typed = array.dtype in (kind.dtype, EARLIER.get(name, kind.dtype))
+        if array.shape != wanted or not typed or array.chunks != (1, *wanted[1:]):
+            raise ConfigError(
+                f"{where}/{name}: is described as {array.dtype} {array.shape} in chunks of "
+                f"{array.chunks}, and should be {np.dtype(kind.dtype)} {wanted} in chunks of one "
+                "world; copy its zarr.json again, or make the run anew"
+            )
+
+
+def _size(nodes: Mapping[str, Any], name: str, axis: int, where: str) -> int:
+    if name not in nodes:
+        raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
+    shape = nodes[name].shape
+    size = int(shape[axis]) if len(shape) >= -axis else -1
+    if not 1 <= size <= MOST:
+        raise ConfigError(f"{where}/{name}: has the shape {shape}; copy its zarr.json again")
+    return size

@@ -1,0 +1,74 @@
+"""A second judge: from what a run stored, every robot's episode worked out anew and compared.
+
+NumPy alone, in float64, with its own distances, and with its own reading of vehicle and thruster
+files: nothing of the simulator is used (an import contract holds it to that). docs/verify.md says
+what is judged, by which definitions, and what cannot be.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.testing.referee import bounding, judging
+from angler_mjx.testing.referee.findings import QUANTITIES, Count, Finding, Verdict
+from angler_mjx.testing.referee.record import Run, open_run, worlds
+from angler_mjx.testing.referee.scene import Scene
+
+__all__ = ["QUANTITIES", "Count", "Finding", "Verdict", "judge"]
+
+
+def judge(
+    path: Path | str,
+    chosen: Sequence[int] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Verdict:
+    """Judge worlds of a run folder.
+
+    Args:
+        path: the run folder.
+        chosen: indices of worlds; all that are finished if left out.
+        progress: called with the worlds done and their number.
+
+    Raises:
+        ConfigError: it is no run folder, stored no trajectories, is damaged, or lacks a world.
+    """
+    run = open_run(Path(path))
+    there = sorted(run.rows) if chosen is None else sorted(set(chosen))
+    missing = [world for world in there if world not in run.rows]
+    if missing or not there:
+        held = f"worlds {min(run.rows)} to {max(run.rows)}" if run.rows else "no finished world"
+        raise ConfigError(f"--worlds {', '.join(map(str, missing))}: {path} holds {held}")
+    verdict = Verdict(
+        run=str(path),
+        planned_worlds=run.planned_worlds,
+        finished_worlds=len(run.rows),
+        sampled=_sampling(run),
+    )
+    progress(0, len(there))
+    for world in worlds(run, there):
+        scene = Scene(run=run, world=world, rows=run.rows[world.index])
+        for robot in range(len(run.robots)):
+            verdict.add(_findings(scene, robot))
+        verdict.worlds += 1
+        verdict.robots += len(run.robots)
+        progress(verdict.worlds, len(there))
+    return verdict
+
+
+def _findings(scene: Scene, robot: int) -> list[Finding]:
+    """Worked out anew where every step until the end was stored, held against bounds elsewhere."""
+    stored = scene.state_at(scene.stored_step[robot])
+    whole = len(scene.world.step) > len(scene.world.pwm_us)
+    if scene.run.every == 1 and (whole or stored is not None):
+        return judging.judge(scene, robot, stored or 0)
+    return bounding.judge(scene, robot)
+
+
+def _sampling(run: Run) -> str:
+    if run.every > 1:
+        return (
+            f"every {run.every} control steps: most quantities can only be bounded; record at "
+            f"{1.0 / run.control_dt_s:g} Hz to have them worked out anew"
+        )
+    ends = "" if "end" in run.group else ", but not the state after the last step"
+    return f"every control step{ends}"

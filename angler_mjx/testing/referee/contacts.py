@@ -1,0 +1,282 @@
+"""What was near to each robot of a world: every pair that can have been the nearest, worked out.
+
+Bounding spheres come first. They say which pairs can be nearer than what is known to be near, or
+can touch; only those are worked out, capsule by capsule.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.testing.referee.geometry import (
+    Floats,
+    rotate,
+    rotate_back,
+    segment_box,
+    segment_point,
+    segment_segment,
+)
+from angler_mjx.testing.referee.record import World
+from angler_mjx.testing.referee.vehicles import Hull
+
+CELL, FLOOR, OBSTACLE, ROBOT = 0, 1, 2, 3
+"""Kinds of things, in the order in which the first of equals counts."""
+
+SEPARATION_M = 1.0
+"""Separations of robots are known up to here; it is their value where nobody is nearer."""
+
+SPHERE, BOX, CAPSULE = 0, 1, 2
+STILL = 0
+"""An obstacle's motion."""
+
+_AT_ONCE = 50_000
+_NARROW_AT_ONCE = 20_000
+
+type Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairs:
+    """States of robots with a thing each; [n] leads."""
+
+    state: Ints
+    robot: Ints
+    kind: Ints
+    index: Ints
+    """Which cell (flat), obstacle or robot; 0 for the floor."""
+    gap_m: Floats
+    """Distance of the hulls, or a lower bound of it."""
+
+    def take(self, chosen: Any) -> "Pairs":
+        """Some of them."""
+        return Pairs(
+            state=self.state[chosen],
+            robot=self.robot[chosen],
+            kind=self.kind[chosen],
+            index=self.index[chosen],
+            gap_m=self.gap_m[chosen],
+        )
+
+    @staticmethod
+    def join(parts: "list[Pairs]") -> "Pairs":
+        """One after another."""
+        names = ("state", "robot", "kind", "index")
+        whole = {
+            n: np.concatenate([np.zeros(0, int), *(getattr(p, n) for p in parts)]) for n in names
+        }
+        return Pairs(gap_m=np.concatenate([np.zeros(0), *(p.gap_m for p in parts)]), **whole)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Near:
+    """What was near in one world."""
+
+    pairs: Pairs
+    """All that can have been nearest or can have touched, with their distances."""
+    cap_m: Floats
+    """[R] distances to cells are known up to here, and so is the clearance."""
+
+    def clearance_m(self, robot: int, last: int) -> float:
+        """Least distance to cells, floor and obstacles in the states up to ``last``."""
+        mine = self._of(robot, last) & (self.pairs.kind != ROBOT)
+        return float(min(self.cap_m[robot], np.min(self.pairs.gap_m[mine], initial=np.inf)))
+
+    def separation_m(self, robot: int, last: int) -> float:
+        """Least distance to another robot, at most `SEPARATION_M`; inf if there is no other."""
+        if self.cap_m.size == 1:
+            return float("inf")
+        mine = self._of(robot, last) & (self.pairs.kind == ROBOT)
+        return float(min(SEPARATION_M, np.min(self.pairs.gap_m[mine], initial=np.inf)))
+
+    def of(self, robot: int) -> Pairs:
+        """All pairs of a robot."""
+        return self.pairs.take(self.pairs.robot == robot)
+
+    def _of(self, robot: int, last: int) -> NDArray[np.bool_]:
+        mine: NDArray[np.bool_] = (self.pairs.robot == robot) & (self.pairs.state <= last)
+        return mine
+
+
+def find(world: World, hulls: tuple[Hull, ...], last: Ints, slack_m: float) -> Near:
+    """Work out what was near.
+
+    Args:
+        world: what was stored of it.
+        hulls: [R] of the robots.
+        last: [R] the last state of each that matters.
+        slack_m: pairs that are farther than the nearest by no more than this are kept as well.
+    """
+    cap = float(world.place["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
+    found = Pairs.join(list(_candidates(world, hulls, last, cap)))
+    narrow = _Narrow(world, hulls)
+    robots = found.kind == ROBOT
+    parts = []
+    for pairs, limit in (
+        (found.take(~robots), cap),
+        (found.take(robots), np.full(cap.size, SEPARATION_M)),
+    ):
+        # The pair with the least bound of each robot says how near something is at least.
+        order = np.argsort(pairs.gap_m, kind="stable")
+        first = order[np.unique(pairs.robot[order], return_index=True)[1]]
+        best = narrow.gaps(pairs.take(first))
+        least = limit.copy()
+        np.minimum.at(least, best.robot, best.gap_m)
+        can = pairs.gap_m <= np.maximum(least, 0.0)[pairs.robot] + slack_m
+        parts.append(narrow.gaps(pairs.take(can)))
+    return Near(pairs=Pairs.join(parts), cap_m=cap)
+
+
+def _candidates(world: World, hulls: tuple[Hull, ...], last: Ints, cap: Floats) -> Iterator[Pairs]:
+    """Pairs whose bounding spheres are near enough to be known at all."""
+    reach = np.array([hull.reach_m for hull in hulls])
+    seen = np.arange(len(world.step))[:, None] <= last[None, :]
+    state, robot = (axis.astype(np.int64) for axis in np.nonzero(seen))
+    for begin in range(0, state.size, _AT_ONCE):
+        s, r = state[begin : begin + _AT_ONCE], robot[begin : begin + _AT_ONCE]
+        p = world.p[s, r]
+        yield from _cells(world, s, r, p, reach[r], cap[r])
+        floor = p[:, 2] - reach[r] - float(world.place["floor_z_m"])
+        near = floor <= cap[r]
+        yield _pairs(s[near], r[near], FLOOR, np.zeros(int(near.sum()), int), floor[near])
+        if world.obstacle_p.shape[1]:
+            bound = np.linalg.norm(p[:, None] - world.obstacle_p[s], axis=2)
+            bound -= reach[r][:, None] + _obstacle_reach(world)[None, :]
+            row, index = np.nonzero((bound <= cap[r][:, None]) & world.place["obstacles/exists"])
+            yield _pairs(s[row], r[row], OBSTACLE, index, bound[row, index])
+    yield from _robots(world, reach, last)
+
+
+def _pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> Pairs:
+    kinds = np.full(state.size, kind, np.int64)
+    return Pairs(state=state, robot=robot, kind=kinds, index=index.astype(np.int64), gap_m=gap_m)
+
+
+def _cells(
+    world: World, state: Ints, robot: Ints, p: Floats, reach: Floats, cap: Floats
+) -> Iterator[Pairs]:
+    """Occupied cells among the 27 around each centre: no other is nearer than the cap."""
+    occupied = world.place["grid/occupied"]
+    edge = float(world.place["grid/cell_m"])
+    place = np.floor((p - world.low_m) / edge).astype(np.int64)
+    inside = np.all((place >= -1) & (place <= np.array(occupied.shape)), axis=1)
+    if not inside.any() or not occupied.any():
+        return
+    state, robot, place = state[inside], robot[inside], place[inside]
+    reach, cap = reach[inside], cap[inside]
+    rest = p[inside] - world.low_m - edge * place
+    padded = np.pad(occupied, 2)
+    around = place[:, :, None] + np.arange(3) + 1
+    there = padded[
+        around[:, 0, :, None, None], around[:, 1, None, :, None], around[:, 2, None, None, :]
+    ]
+    off = np.stack([rest, np.zeros_like(rest), edge - rest], axis=2) ** 2
+    square = off[:, 0, :, None, None] + off[:, 1, None, :, None] + off[:, 2, None, None, :]
+    bound = np.sqrt(square) - reach[:, None, None, None]
+    row, i, j, k = np.nonzero(there & (bound <= cap[:, None, None, None]))
+    cell = place[row] + np.stack([i, j, k], axis=1) - 1
+    flat = np.ravel_multi_index(tuple(cell.T), occupied.shape)
+    yield _pairs(state[row], robot[row], CELL, flat, bound[row, i, j, k])
+
+
+def _obstacle_reach(world: World) -> Floats:
+    kind, size = world.place["obstacles/kind"], np.asarray(world.place["obstacles/size_m"], float)
+    box = np.linalg.norm(size, axis=1)
+    reach: Floats = np.select(
+        [kind == BOX, kind == CAPSULE], [box, size[:, 0] + size[:, 1]], size[:, 0]
+    )
+    return reach
+
+
+def _robots(world: World, reach: Floats, last: Ints) -> Iterator[Pairs]:
+    """Both ways: each robot with each other one that is near it."""
+    for one in range(reach.size):
+        others = np.delete(np.arange(reach.size), one)
+        for begin in range(0, int(last[one]) + 1, _AT_ONCE):
+            some = slice(begin, min(begin + _AT_ONCE, int(last[one]) + 1))
+            bound = np.linalg.norm(world.p[some, one, None] - world.p[some][:, others], axis=2)
+            bound -= reach[one] + reach[others]
+            row, which = np.nonzero(bound <= SEPARATION_M)
+            mine = np.full(row.size, one, np.int64)
+            yield _pairs(row + begin, mine, ROBOT, others[which], bound[row, which])
+
+
+class _Narrow:
+    """Distances of hulls, capsule by capsule."""
+
+    def __init__(self, world: World, hulls: tuple[Hull, ...]) -> None:
+        self._world = world
+        # Fewer capsules than the most: the last one again.
+        most = max(hull.r_m.size for hull in hulls)
+        rows = [np.minimum(np.arange(most), hull.r_m.size - 1) for hull in hulls]
+        self._a = np.stack([hull.a_m[row] for hull, row in zip(hulls, rows, strict=True)])
+        self._b = np.stack([hull.b_m[row] for hull, row in zip(hulls, rows, strict=True)])
+        self._r = np.stack([hull.r_m[row] for hull, row in zip(hulls, rows, strict=True)])
+
+    def gaps(self, pairs: Pairs) -> Pairs:
+        """The same pairs with their distances; negative where the shapes overlap."""
+        ways: tuple[Callable[[Pairs], Floats], ...] = (
+            self._to_cells,
+            self._to_floor,
+            self._to_obstacles,
+            self._to_robots,
+        )
+        gap = np.array(pairs.gap_m)
+        for kind, way in enumerate(ways):
+            rows = np.flatnonzero(pairs.kind == kind)
+            for begin in range(0, rows.size, _NARROW_AT_ONCE):
+                some = rows[begin : begin + _NARROW_AT_ONCE]
+                gap[some] = way(pairs.take(some))
+        return Pairs(
+            state=pairs.state, robot=pairs.robot, kind=pairs.kind, index=pairs.index, gap_m=gap
+        )
+
+    def _axes(self, state: Ints, robot: Ints) -> tuple[Floats, Floats, Floats]:
+        """Ends [n, c, 3] of the capsules' axes in the world, and radii [n, c]."""
+        p, q = self._world.p[state, robot], self._world.q[state, robot]
+        a, b = (p[:, None] + rotate(q[:, None], x[robot]) for x in (self._a, self._b))
+        return a, b, self._r[robot]
+
+    def _to_cells(self, pairs: Pairs) -> Floats:
+        world, edge = self._world, float(self._world.place["grid/cell_m"])
+        a, b, r = self._axes(pairs.state, pairs.robot)
+        cell = np.stack(np.unravel_index(pairs.index, world.place["grid/occupied"].shape), axis=1)
+        centre = (world.low_m + edge * (cell + 0.5))[:, None]
+        return _least(segment_box(a - centre, b - centre, np.full(3, 0.5 * edge)) - r)
+
+    def _to_floor(self, pairs: Pairs) -> Floats:
+        a, b, r = self._axes(pairs.state, pairs.robot)
+        return _least(np.minimum(a[..., 2], b[..., 2]) - r - float(self._world.place["floor_z_m"]))
+
+    def _to_obstacles(self, pairs: Pairs) -> Floats:
+        world = self._world
+        a, b, r = self._axes(pairs.state, pairs.robot)
+        kind = world.place["obstacles/kind"][pairs.index]
+        size = np.asarray(world.place["obstacles/size_m"], float)[pairs.index][:, None]
+        p = world.obstacle_p[pairs.state, pairs.index][:, None]
+        q = world.obstacle_q[pairs.state, pairs.index][:, None]
+        axis = rotate(q, size[..., 1:2] * np.array([0.0, 0.0, 1.0]))
+        gap = np.select(
+            [kind[:, None] == SPHERE, kind[:, None] == BOX],
+            [
+                segment_point(a, b, p) - size[..., 0],
+                segment_box(rotate_back(q, a - p), rotate_back(q, b - p), size),
+            ],
+            segment_segment(a, b, p - axis, p + axis) - size[..., 0],
+        )
+        return _least(gap - r)
+
+    def _to_robots(self, pairs: Pairs) -> Floats:
+        a, b, r = self._axes(pairs.state, pairs.robot)
+        c, d, s = self._axes(pairs.state, pairs.index)
+        gap = segment_segment(a[:, :, None], b[:, :, None], c[:, None, :], d[:, None, :]) - (
+            r[:, :, None] + s[:, None, :]
+        )
+        return _least(gap.reshape(len(gap), -1))
+
+
+def _least(gaps: Floats) -> Floats:
+    least: Floats = np.min(gaps, axis=1)
+    return least

@@ -1,0 +1,136 @@
+"""What the referee says: one finding for each quantity of each robot, and what they add up to."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+type Value = float | str | None
+type How = Literal["exact", "bounded", "unchecked"]
+type Result = Literal["agrees", "undecided", "disagrees"]
+
+QUANTITIES = {
+    "outcome": "",
+    "end_time_s": "s",
+    "path_length_m": "m",
+    "energy_j": "J",
+    "min_clearance_m": "m",
+    "min_separation_m": "m",
+    "failure_pair": "",
+    "impact_speed_mps": "m/s",
+    "failure_place_m": "m",
+    "record": "",
+}
+"""What is judged of each robot, and its unit. ``record``: whether the trajectory itself can be:
+the start, robots at rest that have failed, and the outcome beside each sample."""
+
+PATH_M, ENERGY_SHARE, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
+"""Tolerances of what is checked exactly. Outcomes, pairs and times are to be equal."""
+
+ENERGY_J = 1e-2
+"""And of energies near zero."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One quantity of one robot of one world."""
+
+    world: int
+    robot: int
+    quantity: str
+    how: How
+    """exact: worked out anew; bounded: held against what the record allows; unchecked: the record
+    does not say."""
+    result: Result
+    """undecided: it differs, by a decision that rounding in float32 can have turned."""
+    stored: Value
+    judged: Value
+    deviation: float = 0.0
+    tolerance: float = 0.0
+    note: str = ""
+
+    def line(self) -> str:
+        """In words, for a person."""
+        if self.result == "agrees":
+            said = f"agrees ({self.how})"
+        else:
+            said = f"stored {_said(self.stored)}, judged {_said(self.judged)}"
+        if self.result == "disagrees" and self.tolerance > 0.0:
+            said += f", {self.deviation:.3g} apart, {self.tolerance:.3g} allowed"
+        note = f": {self.note}" if self.note else ""
+        undecided = "undecided, " if self.result == "undecided" else ""
+        return f"world {self.world} robot {self.robot} {self.quantity}: {undecided}{said}{note}"
+
+    def table(self) -> dict[str, Any]:
+        """For JSON: numbers that are none are null."""
+        return {name: _plain(value) for name, value in asdict(self).items()}
+
+
+def _said(value: Value) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    odd = isinstance(value, float) and not math.isfinite(value)
+    return str(value) if odd and not math.isnan(value) else None if odd else value
+
+
+@dataclass(kw_only=True)
+class Count:
+    """Of one quantity, over all robots that were judged."""
+
+    exact: int = 0
+    bounded: int = 0
+    unchecked: int = 0
+    undecided: int = 0
+    disagrees: int = 0
+    largest: float = 0.0
+    """Largest deviation of those that agree and were checked exactly, relative for energies."""
+
+
+@dataclass(kw_only=True)
+class Verdict:
+    """What came of a run."""
+
+    run: str
+    planned_worlds: int
+    """Those that the run was to have."""
+    finished_worlds: int
+    """Those that it has results of."""
+    worlds: int = 0
+    """Those that were judged."""
+    robots: int = 0
+    sampled: str = ""
+    counts: dict[str, Count] = field(default_factory=lambda: {q: Count() for q in QUANTITIES})
+    differences: list[Finding] = field(default_factory=list)
+    """All that disagree or are undecided."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing disagrees."""
+        return not any(count.disagrees for count in self.counts.values())
+
+    def add(self, findings: Iterable[Finding]) -> None:
+        """Count findings."""
+        for one in findings:
+            count = self.counts[one.quantity]
+            setattr(count, one.how, getattr(count, one.how) + 1)
+            if one.result == "agrees":
+                count.largest = max(count.largest, one.deviation)
+                continue
+            setattr(count, one.result, getattr(count, one.result) + 1)
+            self.differences.append(one)
+
+    def table(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "run": self.run,
+            "agrees": self.agrees,
+            "planned_worlds": self.planned_worlds,
+            "finished_worlds": self.finished_worlds,
+            "worlds": self.worlds,
+            "robots": self.robots,
+            "sampled": self.sampled,
+            "counts": {name: asdict(count) for name, count in self.counts.items()},
+            "differences": [one.table() for one in self.differences],
+        }

@@ -1,0 +1,104 @@
+"""The plain files of a run folder: JSON, results, copies of what it was flown with."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.errors import ConfigError
+
+NUMBERS = (
+    "path_length_m",
+    "energy_j",
+    "min_clearance_m",
+    "min_separation_m",
+    "time_to_goal_s",
+    "failure_time_s",
+    "failure_x_m",
+    "failure_y_m",
+    "failure_z_m",
+    "impact_speed_mps",
+)
+WORDS = ("vehicle", "parameter_set", "outcome", "failure_pair")
+"""Columns of ``episodes.parquet`` that are judged."""
+
+type Row = dict[str, Any]
+"""What was stored of one robot of one world; numbers that are missing are NaN."""
+
+
+@contextmanager
+def reading(what: Path) -> Iterator[None]:
+    """Turn what a damaged file raises into one message."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, IndexError, RuntimeError) as error:
+        what_else = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{what}: cannot be judged: {what_else}") from error
+
+
+def read_rows(path: Path, robots: int) -> dict[int, list[Row]]:
+    """Results of each world, a row for each of so many robots.
+
+    Raises:
+        ConfigError: the file is damaged, or a world has other rows.
+    """
+    with reading(path):
+        table = pq.read_table(path, columns=["world", "robot", *WORDS, *NUMBERS])
+        table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
+        columns: dict[str, Any] = {
+            "world": table["world"].to_numpy(),
+            "robot": table["robot"].to_numpy(),
+            **{name: table[name].to_pylist() for name in WORDS},
+            **{name: table[name].cast(pa.float64()).to_numpy() for name in NUMBERS},
+        }
+    found: dict[int, list[Row]] = {}
+    for i in range(table.num_rows):
+        row = {name: values[i] for name, values in columns.items()}
+        found.setdefault(int(row["world"]), []).append(row)
+    for world, rows in found.items():
+        if [int(row["robot"]) for row in rows] != list(range(robots)):
+            raise ConfigError(f"{path}: world {world} has not one row for each of {robots} robots")
+    return found
+
+
+def read_copies(folder: Path) -> dict[str, Path]:
+    """Vehicle files that the run was flown with, by the names that its scenario gives them.
+
+    Raises:
+        ConfigError: the list is damaged, or a copy is not what was written.
+    """
+    if not folder.exists():
+        return {}
+    index = folder / "inputs.json"
+    found = {}
+    with reading(index):
+        for one in read_json(index)["files"]:
+            inside = PurePosixPath(one["copy_path"])
+            if inside.is_absolute() or ".." in inside.parts:
+                raise ConfigError(f"{index}: {one['copy_path']!r} leads out of the folder")
+            path = folder / inside
+            if hashlib.sha256(path.read_bytes()).hexdigest() != one["copy_sha256"]:
+                raise ConfigError(f"{path}: is not the copy that the run made; put that one back")
+            if one["role"] == "vehicle":
+                found[str(one["named"])] = path
+    return found
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object.
+
+    Raises:
+        ConfigError: the file is missing or holds none.
+    """
+    with reading(path):
+        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(table, dict):
+            raise ValueError("it is no JSON object")
+        return table

@@ -1,0 +1,157 @@
+"""Judging a robot whose every control step was stored: all of its episode is worked out anew."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.testing.referee import findings as say
+from angler_mjx.testing.referee.contacts import OBSTACLE, ROBOT, STILL
+from angler_mjx.testing.referee.findings import Finding, How, Result
+from angler_mjx.testing.referee.geometry import Floats
+from angler_mjx.testing.referee.scene import Episode, Scene
+from angler_mjx.testing.referee.telling import Telling
+
+HALF_US = 0.5
+"""A command that was stored as whole microseconds is known to this."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class End:
+    """How the referee sees a robot's end."""
+
+    outcome: str
+    state: int
+    result: Result
+    note: str
+    seen: bool = True
+    """Whether the record shows it."""
+
+
+def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
+    """Findings of one robot.
+
+    Args:
+        scene: its world.
+        robot: its index.
+        stored: the state with which the results say that it ended; 0 if there is no such state.
+    """
+    episode = Episode(scene, robot)
+    end = _end(scene, episode, stored)
+    tell = Telling(scene, robot)
+    how: How = "exact" if end.seen else "unchecked"
+    end_s = float(scene.world.step[end.state]) * scene.run.control_dt_s
+    tell.words("outcome", how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
+    tell.time(end_s, how, end.result, end.note)
+    tell.number("path_length_m", float(scene.way_m[end.state, robot]), say.PATH_M)
+    _energy(tell, scene, robot, end.state)
+    near = scene.near_until(robot, end.state)
+    tolerance = max(say.CLEARANCE_M, scene.touch_m)
+    tell.number("min_clearance_m", near.clearance_m(robot, end.state), tolerance)
+    tell.number("min_separation_m", near.separation_m(robot, end.state), tolerance)
+    _touch(tell, scene, episode, end)
+    tell.place(end.outcome, scene.world.p[end.state, robot])
+    tell.record(end.state)
+    return tell.found
+
+
+def _end(scene: Scene, episode: Episode, stored: int) -> End:
+    """The end: the stored one, where the record agrees or rounding allows it; else its own."""
+    robot, outcome = episode.robot, scene.stored_outcome(episode.robot)
+    last = int(scene.last[robot])
+    first = episode.first(last)
+    horizon = outcome == "timeout" and _is_the_end(scene, stored)
+    if stored < 1:
+        return _own(episode, first, last)
+    if horizon and first is None:
+        return End(outcome=outcome, state=stored, result="agrees", note="")
+    if first == stored and episode.outcome(stored) == outcome:
+        return End(outcome=outcome, state=stored, result="agrees", note="")
+    if outcome == "diverged" and first in (None, stored) and _is_held(scene, robot, stored):
+        note = "the state that was none is not stored; the robot was held before it"
+        return End(outcome=outcome, state=stored, result="agrees", note=note, seen=False)
+    goes_on = all("running" in episode.possible(k) for k in range(first or stored, stored))
+    allowed = episode.possible(stored)
+    if stored <= last and goes_on and (outcome in allowed or (horizon and "running" in allowed)):
+        at = stored if first is None else min(first, stored)
+        # What rounding has turned is said with its number, and the rest is judged by the end
+        # that was stored.
+        return End(outcome=outcome, state=stored, result="undecided", note=episode.numbers(at))
+    return _own(episode, first, last)
+
+
+def _own(episode: Episode, first: int | None, last: int) -> End:
+    """The end as the referee sees it, which the results do not."""
+    at = last if first is None else first
+    return End(outcome=episode.outcome(at), state=at, result="disagrees", note=episode.numbers(at))
+
+
+def _is_the_end(scene: Scene, state: int) -> bool:
+    final = len(scene.world.step) - 1
+    full = int(scene.world.step[-1]) >= scene.run.horizon_steps
+    return state == final and (full or scene.run.one_scene)
+
+
+def _is_held(scene: Scene, robot: int, state: int) -> bool:
+    """Whether a robot stands in a state where it was in the state before."""
+    world = scene.world
+    stands = np.array_equal(world.p[state, robot], world.p[state - 1, robot])
+    return state > 0 and stands and not world.nu[state, robot].any()
+
+
+def _energy(tell: Telling, scene: Scene, robot: int, last: int) -> None:
+    """Power of every command until the end, for a control period each."""
+    pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
+    thrusters = scene.run.robots[robot]
+    mine = pwm[:, : thrusters.alive.size]
+    if len(pwm) < last or not np.all(np.isfinite(mine) & (mine > 0.0)):
+        tell.unchecked("energy_j", "a step has no command in the record")
+        return
+    judged = float(np.sum(thrusters.power(pwm)) * dt)
+    tolerance = max(say.ENERGY_SHARE * judged, say.ENERGY_J)
+    if not scene.run.whole_us:
+        tell.number("energy_j", judged, tolerance, relative=True)
+        return
+    low, high = (float(np.sum(x) * dt) for x in thrusters.power_about(pwm, HALF_US))
+    tell.between("energy_j", low - tolerance, high + tolerance, "commands are whole us")
+
+
+def _touch(tell: Telling, scene: Scene, episode: Episode, end: End) -> None:
+    """With what, and how fast."""
+    if not end.outcome.startswith("collision"):
+        tell.no_touch("exact")
+        return
+    near = episode.touching(end.state, 2.0 * scene.touch_m)
+    pairs = list(zip(near.kind.tolist(), near.index.tolist(), strict=True))
+    names = [scene.name(kind, index) for kind, index in pairs]
+    stored = tell.row["failure_pair"]
+    result: Result = "disagrees"
+    if stored in names:
+        result = "agrees" if stored == names[0] else "undecided"
+    gaps = ", ".join(f"{n} {g:.3g} m" for n, g in zip(names, near.gap_m, strict=True))
+    tell.words("failure_pair", "exact", stored, names[0], result, gaps)
+    touched = pairs[names.index(stored) if stored in names else 0]
+    velocity = scene.velocity(end.state, episode.robot)
+    other, error = _other_velocity(scene, end.state, *touched)
+    judged = float(np.linalg.norm(velocity - other))
+    if error == 0.0:
+        tell.number("impact_speed_mps", judged, say.IMPACT_MPS)
+    else:
+        error += say.IMPACT_MPS
+        why = "an obstacle's velocity is that of its positions beside the touch"
+        tell.between("impact_speed_mps", judged - error, judged + error, why)
+
+
+def _other_velocity(scene: Scene, state: int, kind: int, index: int) -> tuple[Floats, float]:
+    """Velocity [3] of what was touched, m/s in W, and how far off that can be."""
+    world, dt = scene.world, scene.run.control_dt_s
+    if kind == ROBOT:
+        return scene.velocity(state, index), 0.0
+    if kind != OBSTACLE or world.place["obstacles/motion"][index] == STILL:
+        return np.zeros(3), 0.0
+    beside = range(max(state - 2, 0), min(state + 2, len(world.step)))
+    mean = np.diff(world.obstacle_p[list(beside), index], axis=0) / dt
+    before = min(state, 2)
+    # The mean velocities of the steps before and after; where there is none, the last two.
+    around = mean[before - 1 : before + 1] if len(mean) > before else mean[-2:]
+    spread = float(np.linalg.norm(around[0] - around[-1]))
+    return np.mean(around, axis=0), spread + 2.0 * scene.ulp_m / dt

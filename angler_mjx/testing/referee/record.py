@@ -1,0 +1,235 @@
+"""What the referee reads of a run folder: settings, results, and what was stored of each world."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.testing.referee import vehicles
+from angler_mjx.testing.referee.folder import Row, read_copies, read_json, read_rows, reading
+from angler_mjx.testing.referee.geometry import Floats
+from angler_mjx.testing.referee.vehicles import Robot
+
+BLOCK_BYTES = 2**27
+"""About so much of the record is held at a time."""
+
+OUTCOMES = (
+    "running",
+    "reached",
+    "collision_static",
+    "collision_dynamic",
+    "collision_robot",
+    "out_of_bounds",
+    "timeout",
+    "diverged",
+)
+"""By their numbers in ``trajectories.zarr``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """A run folder, opened for judging."""
+
+    path: Path
+    control_dt_s: float
+    every: int
+    """Control steps from one sample to the next."""
+    horizon_steps: int
+    goal_tolerance_m: float
+    robots: tuple[Robot, ...]
+    rows: Mapping[int, Sequence[Row]]
+    """Of each finished world, in the order of the robots."""
+    planned_worlds: int
+    """Those that the run was to have."""
+    one_scene: bool
+    """Whether it may be a scene that was driven and broken off before its horizon."""
+    whole_us: bool
+    """Whether commands were stored as whole microseconds, and not as they were."""
+    group: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What was stored of one world; T states, R robots, O obstacles. World frame, metres."""
+
+    index: int
+    step: NDArray[np.int64]
+    """[T] control steps before each state."""
+    p: Floats
+    """[T, R, 3]."""
+    q: Floats
+    """[T, R, 4]."""
+    nu: Floats
+    """[T, R, 6]."""
+    outcome: NDArray[np.int64]
+    """[T, R]."""
+    obstacle_p: Floats
+    """[T, O, 3]."""
+    obstacle_q: Floats
+    """[T, O, 4]."""
+    pwm_us: Floats
+    """[T, R, n] or [T - 1, R, n]: the last state may come after all commands."""
+    place: Mapping[str, Any]
+    """What stands still: arrays of the world's environment by name."""
+
+    @property
+    def low_m(self) -> Floats:
+        """[3] lower corner of the region that the fleet may not leave."""
+        return np.asarray(self.place["grid/origin_m"], float)
+
+    @property
+    def high_m(self) -> Floats:
+        """[3] its upper corner."""
+        size = np.array(self.place["grid/occupied"].shape) * float(self.place["grid/cell_m"])
+        high: Floats = self.low_m + size
+        return high
+
+
+PLACE = (
+    "grid/occupied",
+    "grid/origin_m",
+    "grid/cell_m",
+    "floor_z_m",
+    "start_m",
+    "start_yaw_rad",
+    "goal_m",
+    "obstacles/kind",
+    "obstacles/size_m",
+    "obstacles/motion",
+    "obstacles/exists",
+)
+
+
+def open_run(path: Path) -> Run:
+    """Open a run folder.
+
+    Raises:
+        ConfigError: it is none, stored no trajectories, or is damaged; says which file.
+    """
+    if not (path / "summary.json").is_file():
+        unfinished = path.parent / f".{path.name}.partial"
+        more = f"; its run goes on or broke off in {unfinished}" if unfinished.exists() else ""
+        raise ConfigError(f"{path}: not a run folder (no summary.json in it){more}")
+    config = read_json(path / "config.json")
+    with reading(path / "config.json"):
+        timing = config["time"]
+        hz, dt = float(timing["record_hz"]), float(timing["control_dt_s"])
+        if hz == 0.0 or not (path / "trajectories.zarr").exists():
+            raise ConfigError(
+                f"{path}: this run stored no trajectories (record_hz = 0), so there is nothing to "
+                f"judge it by; run it again with --record-hz {1.0 / dt:g}"
+            )
+        copies = read_copies(path / "inputs")
+        fleet = [(vehicles.read(entry, copies), entry["count"]) for entry in config["fleet"]]
+        robots = tuple(robot for robot, count in fleet for _ in range(count))
+        facts: dict[str, Any] = {
+            "control_dt_s": dt,
+            "every": round(1.0 / (hz * dt)),
+            "horizon_steps": round(float(timing["horizon_s"]) / dt),
+            "goal_tolerance_m": float(config["goal_tolerance_m"]),
+            "planned_worlds": int(config["worlds"]),
+        }
+    with reading(path / "trajectories.zarr"):
+        group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
+        whole = group["pwm_us"].dtype.kind in "iu"
+    return Run(
+        path=path,
+        robots=robots,
+        rows=read_rows(path / "episodes.parquet", len(robots)),
+        one_scene=_is_one_scene(path / "summary.json"),
+        whole_us=whole,
+        group=group,
+        **facts,
+    )
+
+
+def _is_one_scene(path: Path) -> bool:
+    summary = read_json(path)
+    return summary.get("worlds_done") == 1 and summary.get("tile") == 1
+
+
+def worlds(run: Run, chosen: Sequence[int]) -> Iterator[World]:
+    """What was stored of worlds, in order.
+
+    Raises:
+        ConfigError: an array is missing, damaged or of another shape; says which world.
+    """
+    per_world = sum(
+        array.nbytes // array.shape[0]
+        for _, array in run.group.members()
+        if hasattr(array, "nbytes") and array.ndim > 1
+    )
+    most = max(1, BLOCK_BYTES // max(per_world, 1))
+    block: list[int] = []
+    for index in chosen:
+        if block and (len(block) == most or index != block[-1] + 1):
+            yield from _block(run, block)
+            block = []
+        block.append(index)
+    if block:
+        yield from _block(run, block)
+
+
+def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
+    """Neighbouring worlds, read at once: opening a chunk costs as much as reading a short one."""
+    first, last = chosen[0], chosen[-1] + 1
+    where = run.path / "trajectories.zarr"
+
+    def read(name: str) -> Any:
+        return run.group[name][first:last]
+
+    with reading(where):
+        names = ["p_m", "q", "nu", "pwm_us", "outcome"]
+        moving = ["obstacle_p_m", "obstacle_q"] if "obstacle_p_m" in run.group else []
+        stored = {name: read(name) for name in [*names, *moving]}
+        ends = {}
+        if "end" in run.group:
+            kept = ["step", "p_m", "q", "nu", "outcome", *moving]
+            ends = {name: read(f"end/{name}") for name in kept}
+        place = {name: read(f"environment/{name}") for name in PLACE}
+    for index in chosen:
+        with reading(where):
+            yield _world(
+                run,
+                index,
+                {name: array[index - first] for name, array in stored.items()},
+                {name: array[index - first] for name, array in ends.items()},
+                {name: array[index - first] for name, array in place.items()},
+            )
+
+
+def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]) -> World:
+    there = np.isfinite(stored["p_m"]).all(axis=-1).any(axis=-1)
+    count = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
+    if count == 0:
+        raise ConfigError(f"world {index} has results, but no trajectories")
+    step = np.arange(count, dtype=np.int64) * run.every
+    bodies = {"obstacle_p_m": (0, 3), "obstacle_q": (0, 4)}
+    empty = {name: np.zeros((len(stored["p_m"]), *tail)) for name, tail in bodies.items()}
+    states = {name: values[:count] for name, values in {**empty, **stored}.items()}
+    if end and int(end["step"]) > step[-1]:
+        step = np.append(step, int(end["step"]))
+        rest = {**{name: np.zeros(tail) for name, tail in bodies.items()}, **end}
+        for name in states:
+            if name != "pwm_us":
+                states[name] = np.concatenate([states[name], rest[name][None]])
+    robots = len(run.robots)
+    if states["p_m"].shape[1] != robots:
+        raise ConfigError(f"holds {states['p_m'].shape[1]} robots, config.json has {robots}")
+    return World(
+        index=index,
+        step=step,
+        p=states["p_m"].astype(float),
+        q=states["q"].astype(float),
+        nu=states["nu"].astype(float),
+        outcome=states["outcome"].astype(np.int64),
+        obstacle_p=states["obstacle_p_m"].astype(float),
+        obstacle_q=states["obstacle_q"].astype(float),
+        pwm_us=states["pwm_us"].astype(float),
+        place=place,
+    )

@@ -1,0 +1,235 @@
+"""One world as the referee sees it: how far each state is from ending each robot's episode."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.testing.referee import contacts
+from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, Ints, Near, Pairs
+from angler_mjx.testing.referee.folder import Row
+from angler_mjx.testing.referee.geometry import Floats, rotate
+from angler_mjx.testing.referee.record import Run, World
+
+FASTEST = 50.0
+"""A robot whose six velocities add up to this has diverged."""
+
+TOUCH_ULPS, PLACE_ULPS = 4.0, 2.0
+"""Rounding that a distance between hulls, and one between points, can have, in units of the last
+place of the largest coordinate in float32."""
+
+FAILED = ("collision_static", "collision_dynamic", "collision_robot", "out_of_bounds", "diverged")
+"""Outcomes that hold a robot where it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A world, what was stored of its robots' episodes, and what follows from the trajectories."""
+
+    run: Run
+    world: World
+    rows: Sequence[Row]
+
+    @cached_property
+    def ulp_m(self) -> float:
+        """Unit of the last place of the largest coordinate in float32."""
+        corners = np.abs([*self.world.low_m, *self.world.high_m])
+        return float(np.spacing(np.float32(max(1.0, corners.max()))))
+
+    @property
+    def touch_m(self) -> float:
+        """Gaps nearer to zero than this are neither a touch for sure nor none."""
+        return TOUCH_ULPS * self.ulp_m
+
+    @property
+    def place_m(self) -> float:
+        """The same of distances to the goal and to the bounds."""
+        return PLACE_ULPS * self.ulp_m
+
+    @cached_property
+    def to_goal_m(self) -> Floats:
+        """[T, R] distance to the goal less the tolerance: arrived below zero."""
+        goal = np.asarray(self.world.place["goal_m"], float)
+        gap: Floats = np.linalg.norm(self.world.p - goal, axis=2) - self.run.goal_tolerance_m
+        return gap
+
+    @cached_property
+    def outside_m(self) -> Floats:
+        """[T, R] how far outside the region: left it above zero."""
+        p, world = self.world.p, self.world
+        beyond: Floats = np.max(np.maximum(world.low_m - p, p - world.high_m), axis=2)
+        return beyond
+
+    @cached_property
+    def sound(self) -> NDArray[np.bool_]:
+        """Bool [T, R] whether a state is one at all."""
+        speed = np.sum(np.abs(self.world.nu), axis=2)
+        whole = np.isfinite(self.world.p).all(axis=2) & np.isfinite(self.world.q).all(axis=2)
+        sound: NDArray[np.bool_] = whole & (speed < FASTEST)
+        return sound
+
+    @cached_property
+    def ended(self) -> Ints:
+        """[R] first state with which the record calls a robot's episode ended; T if none."""
+        over = self.world.outcome > 0
+        return np.where(over.any(axis=0), over.argmax(axis=0), len(self.world.step))
+
+    @cached_property
+    def stored_step(self) -> list[int | None]:
+        """[R] control steps until each robot's end, by the results; None if they do not say."""
+        return [self._steps(row) for row in self.rows]
+
+    def stored_end_s(self, robot: int) -> float:
+        """When a robot's episode ended, by the results."""
+        row = self.rows[robot]
+        reached = row["outcome"] == "reached"
+        return float(row["time_to_goal_s" if reached else "failure_time_s"])
+
+    def stored_outcome(self, robot: int) -> str:
+        """Of the results."""
+        return str(self.rows[robot]["outcome"])
+
+    def _steps(self, row: Row) -> int | None:
+        time = float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
+        steps = time / self.run.control_dt_s
+        return round(steps) if np.isfinite(steps) and abs(steps) < 2**31 else None
+
+    def state_at(self, step: int | None) -> int | None:
+        """The state after so many control steps, if the record has it."""
+        if step is None:
+            return None
+        at = int(np.searchsorted(self.world.step, step))
+        there = at < len(self.world.step) and self.world.step[at] == step
+        return at if there else None
+
+    @cached_property
+    def last(self) -> Ints:
+        """[R] last state of each robot that can matter: the latest end that anybody names.
+
+        What follows on it is no part of its episode. Those that certainly arrived or left before
+        are not followed further.
+        """
+        final = len(self.world.step) - 1
+        named = np.minimum(self.ended, final)
+        for robot, step in enumerate(self.stored_step):
+            after = 0 if step is None else int(np.searchsorted(self.world.step, step))
+            named[robot] = min(max(named[robot], after), final)
+        over = (self.to_goal_m < -self.place_m) | (self.outside_m > self.place_m)
+        over[0] = False
+        return np.where(over.any(axis=0), np.minimum(named, over.argmax(axis=0)), named)
+
+    @cached_property
+    def near(self) -> Near:
+        """What was near to the robots."""
+        hulls = tuple(robot.hull for robot in self.run.robots)
+        return contacts.find(self.world, hulls, self.last, 2.0 * self.touch_m)
+
+    def near_until(self, robot: int, state: int) -> Near:
+        """What was near to a robot in the states up to one of them."""
+        if state == self.last[robot]:
+            return self.near
+        last = np.full(len(self.run.robots), -1, np.int64)
+        last[robot] = state
+        hulls = tuple(one.hull for one in self.run.robots)
+        return contacts.find(self.world, hulls, last, 0.0)
+
+    @cached_property
+    def way_m(self) -> Floats:
+        """[T, R] sum of the straight lines from state to state."""
+        lines = np.linalg.norm(np.diff(self.world.p, axis=0), axis=2)
+        return np.concatenate([np.zeros((1, lines.shape[1])), np.cumsum(lines, axis=0)])
+
+    def velocity(self, state: int, robot: int) -> Floats:
+        """[3] of a robot's centre, m/s in W."""
+        return rotate(self.world.q[state, robot], self.world.nu[state, robot, :3])
+
+    def name(self, kind: int, index: int) -> str:
+        """What was touched, as the results call it."""
+        return {CELL: "cell", FLOOR: "floor"}.get(
+            kind, f"{'obstacle' if kind == OBSTACLE else 'robot'}:{index}"
+        )
+
+    def collision(self, kind: int, index: int) -> str:
+        """The outcome that touching something has."""
+        if kind == contacts.ROBOT:
+            return "collision_robot"
+        moving = kind == OBSTACLE and self.world.place["obstacles/motion"][index] != contacts.STILL
+        return "collision_dynamic" if moving else "collision_static"
+
+
+class Episode:
+    """One robot of a scene: which outcomes each of its states allows."""
+
+    def __init__(self, scene: Scene, robot: int) -> None:
+        self._scene, self.robot = scene, robot
+        self._pairs = scene.near.of(robot)
+        self._least = np.full(len(scene.world.step), np.inf)
+        np.minimum.at(self._least, self._pairs.state, self._pairs.gap_m)
+        goal, out = scene.to_goal_m[:, robot], scene.outside_m[:, robot]
+        self._over = ~scene.sound[:, robot] | (self._least <= 0.0) | (out > 0.0) | (goal < 0.0)
+
+    def first(self, last: int) -> int | None:
+        """First state after the start, up to ``last``, that ends the episode."""
+        over = np.flatnonzero(self._over[1 : last + 1])
+        return int(over[0]) + 1 if over.size else None
+
+    def touching(self, state: int, within_m: float = 0.0) -> Pairs:
+        """What a state touches, nearest first; within so much of the nearest."""
+        here = self._pairs.take(self._pairs.state == state)
+        here = here.take(here.gap_m <= self._least[state] + within_m)
+        return here.take(np.lexsort((here.index, here.kind, here.gap_m)))
+
+    def gap_to_what_stands(self, state: int) -> float:
+        """Least distance in a state to cells, floor and obstacles that never move."""
+        here = self._pairs.take(self._pairs.state == state)
+        pairs = zip(here.kind.tolist(), here.index.tolist(), here.gap_m.tolist(), strict=True)
+        still = (gap for k, i, gap in pairs if self._scene.collision(k, i) == "collision_static")
+        return min(still, default=float("inf"))
+
+    def outcome(self, state: int) -> str:
+        """What a state means, with all numbers taken as they are."""
+        scene = self._scene
+        if not scene.sound[state, self.robot]:
+            return "diverged"
+        if self._least[state] <= 0.0:
+            nearest = self.touching(state)
+            return scene.collision(int(nearest.kind[0]), int(nearest.index[0]))
+        if scene.outside_m[state, self.robot] > 0.0:
+            return "out_of_bounds"
+        return "reached" if scene.to_goal_m[state, self.robot] < 0.0 else "running"
+
+    def possible(self, state: int) -> set[str]:
+        """What a state can mean to somebody who rounds."""
+        scene, found = self._scene, set[str]()
+        if not scene.sound[state, self.robot]:
+            return {"diverged"}
+        gap, band = self._least[state], scene.touch_m
+        if gap <= band:
+            near = self.touching(state, 2.0 * band)
+            pairs = zip(near.kind.tolist(), near.index.tolist(), strict=True)
+            found |= {scene.collision(kind, index) for kind, index in pairs}
+        if gap < -band:
+            return found
+        out, goal, band = (
+            scene.outside_m[state, self.robot],
+            scene.to_goal_m[state, self.robot],
+            scene.place_m,
+        )
+        if out > -band:
+            found.add("out_of_bounds")
+        if out > band:
+            return found
+        if goal < band:
+            found.add("reached")
+        return found if goal < -band else found | {"running"}
+
+    def numbers(self, state: int) -> str:
+        """The numbers that decided about a state."""
+        scene = self._scene
+        return (
+            f"at {scene.world.step[state] * scene.run.control_dt_s:.6g} s the nearest thing is "
+            f"{self._least[state]:.3g} m away, the bounds {-scene.outside_m[state, self.robot]:.3g}"
+            f" m, the goal {scene.to_goal_m[state, self.robot]:.3g} m beyond its tolerance"
+        )

@@ -1,0 +1,177 @@
+"""Holding one robot's results against what was judged, finding by finding."""
+
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.testing.referee.findings import Finding, How, Result, Value
+from angler_mjx.testing.referee.geometry import Floats
+from angler_mjx.testing.referee.record import OUTCOMES
+from angler_mjx.testing.referee.scene import FAILED, Scene
+
+TIME_ULPS = 4.0
+"""Times are sums and products of two float32."""
+
+PLACE_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
+
+
+class Telling:
+    """Findings of one robot, as they are made."""
+
+    def __init__(self, scene: Scene, robot: int) -> None:
+        """Nothing is found yet."""
+        self.found: list[Finding] = []
+        self.row = scene.rows[robot]
+        self._scene, self._robot = scene, robot
+
+    def _say(self, quantity: str, how: How, result: Result, **more: Any) -> None:
+        world = self._scene.world.index
+        self.found.append(
+            Finding(
+                world=world,
+                robot=self._robot,
+                quantity=quantity,
+                how=how,
+                result=result,
+                **more,
+            )
+        )
+
+    def words(
+        self, quantity: str, how: How, stored: Value, judged: Value, result: Result, note: str = ""
+    ) -> None:
+        """A verdict on what was stored and what was judged."""
+        self._say(quantity, how, result, stored=stored, judged=judged, note=note)
+
+    def number(
+        self, quantity: str, judged: float, tolerance: float, *, relative: bool = False
+    ) -> None:
+        """A number that was worked out anew."""
+        stored = float(self.row[quantity])
+        same = stored == judged or (np.isnan(stored) and np.isnan(judged))
+        apart = 0.0 if same else abs(stored - judged)
+        agrees = apart <= tolerance
+        if relative:
+            scale = max(abs(judged), tolerance)
+            apart, tolerance = apart / scale, tolerance / scale
+        self._say(
+            quantity,
+            "exact",
+            "agrees" if agrees else "disagrees",
+            stored=stored,
+            judged=judged,
+            deviation=float(apart) if np.isfinite(apart) else float("inf"),
+            tolerance=tolerance,
+        )
+
+    def between(self, quantity: str, low: float, high: float, why: str) -> None:
+        """A number that is only known to lie between two."""
+        stored = float(self.row[quantity])
+        inside = low <= stored <= high
+        self._say(
+            quantity,
+            "bounded",
+            "agrees" if inside else "disagrees",
+            stored=stored,
+            judged=f"{low:.6g} to {high:.6g}",
+            note=why,
+        )
+
+    def unchecked(self, quantity: str, why: str) -> None:
+        """A quantity of which the record does not say enough."""
+        value = self.row.get(quantity)
+        self._say(quantity, "unchecked", "agrees", stored=value, judged=None, note=why)
+
+    def time(self, judged_s: float, how: How, result: Result, note: str) -> None:
+        """When it ended; to the step."""
+        stored = self._scene.stored_end_s(self._robot)
+        apart = abs(stored - judged_s)
+        rounding = TIME_ULPS * float(np.spacing(np.float32(max(judged_s, 1.0))))
+        agrees = apart <= rounding
+        if agrees or result == "agrees":
+            result = "agrees" if agrees else "disagrees"
+        self._say(
+            "end_time_s",
+            how,
+            result,
+            stored=stored,
+            judged=judged_s,
+            deviation=apart if np.isfinite(apart) else float("inf"),
+            tolerance=rounding,
+            note="" if agrees else note,
+        )
+
+    def no_touch(self, how: How) -> None:
+        """Without a collision there is no pair and no speed."""
+        pair, speed = self.row["failure_pair"], float(self.row["impact_speed_mps"])
+        fits: Result = "agrees" if pair == "none" else "disagrees"
+        self._say("failure_pair", how, fits, stored=pair, judged="none")
+        fits = "agrees" if np.isnan(speed) else "disagrees"
+        self._say("impact_speed_mps", how, fits, stored=speed, judged=None)
+
+    def place(self, outcome: str, p: Floats) -> None:
+        """Where it was at the end; not stored of robots that arrived."""
+        stored = np.array([float(self.row[name]) for name in PLACE_COLUMNS])
+        if outcome == "reached":
+            fits = bool(np.isnan(stored).all())
+            apart = 0.0 if fits else float("inf")
+        else:
+            apart = float(np.linalg.norm(stored - p))
+            fits = apart == 0.0
+        self._say(
+            "failure_place_m",
+            "exact",
+            "agrees" if fits else "disagrees",
+            stored=_point(stored),
+            judged=None if outcome == "reached" else _point(p),
+            deviation=apart if np.isfinite(apart) else float("inf"),
+        )
+
+    def record(self, end: int) -> None:
+        """Whether the trajectory can be: its start, its outcomes, and rest after a failure."""
+        faults = self._faults(end)
+        result: Result = "disagrees" if faults else "agrees"
+        said = "; ".join(faults)
+        self._say("record", "exact", result, stored=said or None, judged=None, note="")
+
+    def _faults(self, end: int) -> list[str]:
+        """What is wrong with the trajectory; ``end`` is the state that ended the episode."""
+        world, robot, faults = self._scene.world, self._robot, []
+        if not np.array_equal(world.p[0, robot], world.place["start_m"][robot]):
+            faults.append("it does not begin at the world's start")
+        if world.nu[0, robot].any():
+            faults.append("it does not begin at rest")
+        name = self._scene.stored_outcome(robot)
+        number = OUTCOMES.index(name) if name in OUTCOMES and name != "timeout" else 0
+        expected = np.where(np.arange(len(world.step)) >= end, number, 0)
+        wrong = np.flatnonzero(world.outcome[:, robot] != expected)
+        if wrong.size:
+            state = int(wrong[0])
+            faults.append(
+                f"beside the state after {world.step[state]} steps stands "
+                f"{_outcome(world.outcome[state, robot])}, not {_outcome(expected[state])}"
+            )
+        if (
+            name in FAILED
+            and end < len(world.step)
+            and (
+                np.any(world.p[end:, robot] != world.p[end, robot])
+                or np.any(world.q[end:, robot] != world.q[end, robot])
+                or world.nu[end + 1 :, robot].any()
+            )
+        ):
+            faults.append("it moves after its episode has failed")
+        vehicle = self._scene.run.robots[robot]
+        if self.row["vehicle"] not in vehicle.names:
+            faults.append(f"it is called {self.row['vehicle']}, not {vehicle.names[0]}")
+        if self.row["parameter_set"] not in vehicle.parameter_sets:
+            faults.append(f"its fleet has no set {self.row['parameter_set']}")
+        return faults
+
+
+def _outcome(number: int) -> str:
+    return OUTCOMES[number] if 0 <= number < len(OUTCOMES) else str(number)
+
+
+def _point(p: Floats) -> str:
+    return f"({', '.join(f'{x:.7g}' for x in p)})"

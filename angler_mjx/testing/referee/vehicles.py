@@ -1,0 +1,135 @@
+"""What the referee reads of vehicle and thruster files: the hull, and what the thrusters draw."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.testing.referee.geometry import Floats
+
+SHIPPED = Path(__file__).parents[2] / "vehicles" / "data"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hull:
+    """A union of capsules about the centre of mass, in body axes (forward, left, up)."""
+
+    a_m: Floats
+    """[c, 3] one end of each axis."""
+    b_m: Floats
+    """[c, 3] the other end."""
+    r_m: Floats
+    """[c]."""
+
+    @property
+    def reach_m(self) -> float:
+        """Radius of the smallest sphere about the centre of mass that holds it."""
+        ends = np.maximum(np.linalg.norm(self.a_m, axis=1), np.linalg.norm(self.b_m, axis=1))
+        return float(np.max(ends + self.r_m))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """One robot of the fleet."""
+
+    names: tuple[str, ...]
+    """Of its vehicle: as the scenario calls it, and as its file does."""
+    parameter_sets: tuple[str, ...]
+    """Those that it can be."""
+    hull: Hull
+    pwm_us: Floats
+    """[n] of the thruster's table."""
+    power_w: Floats
+    """[n] at the robot's voltage."""
+    alive: np.ndarray
+    """bool [t] the thrusters that it has and that are not dead: only they draw power."""
+
+    def power(self, pwm_us: Floats) -> Floats:
+        """Power [...] W of signals [..., columns]; columns past the thrusters are padding."""
+        mine = pwm_us[..., : self.alive.size][..., self.alive]
+        drawn: Floats = np.interp(mine, self.pwm_us, self.power_w).sum(axis=-1)
+        return drawn
+
+    def power_about(self, pwm_us: Floats, half_us: float) -> tuple[Floats, Floats]:
+        """Least and greatest power [...] W of signals known to ``half_us`` to either side."""
+        mine = pwm_us[..., : self.alive.size][..., self.alive]
+        # The table is monotonous between its points; those inside the stretch count as well.
+        seen = [np.interp(mine + s, self.pwm_us, self.power_w) for s in (-half_us, 0.0, half_us)]
+        for knot, power in zip(self.pwm_us, self.power_w, strict=True):
+            seen.append(np.where(np.abs(mine - knot) <= half_us, power, seen[1]))
+        low: Floats = np.minimum.reduce(seen).sum(axis=-1)
+        high: Floats = np.maximum.reduce(seen).sum(axis=-1)
+        return low, high
+
+
+def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> Robot:
+    """The robot of an entry of ``fleet`` in a run's config.
+
+    Args:
+        entry: of the resolved scenario.
+        copies: files that the run was flown with, by the names that the scenario gives them.
+
+    Raises:
+        ConfigError: a file is missing or holds no such numbers; says which.
+    """
+    path = _place(str(entry["vehicle"]), copies)
+    file = _toml(path)
+    try:
+        model = str(file["rotor"]["model"])
+        table = _toml(path.parent / model if model.endswith(".toml") else _shipped(model))
+        centre = np.asarray(file["base"]["center_of_mass_m"], float)
+        capsules = file["hull"]["capsules"]
+        health = entry.get("thruster_health") or {}
+        names = [str(one["name"]) for one in file["thrusters"]["layout"]]
+        one_set = str(entry.get("parameter_set") or file["default_set"])
+        return Robot(
+            names=(str(entry["vehicle"]), str(file["name"])),
+            parameter_sets=tuple(entry.get("parameter_mix") or ()) or (one_set,),
+            hull=Hull(
+                a_m=np.array([one["from_m"] for one in capsules], float) - centre,
+                b_m=np.array([one["to_m"] for one in capsules], float) - centre,
+                r_m=np.array([one["radius_m"] for one in capsules], float),
+            ),
+            pwm_us=np.asarray(table["pwm_us"], float),
+            power_w=_at_voltage(table, float(entry["battery_v"])),
+            alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ConfigError(f"{path}: the referee cannot use it: {what}") from error
+
+
+def _at_voltage(table: Mapping[str, Any], voltage_v: float) -> Floats:
+    """Power [n] W at one voltage, on a straight line between the two columns beside it."""
+    volts, power = np.asarray(table["voltage_v"], float), np.asarray(table["power_w"], float)
+    if not volts[0] <= voltage_v <= volts[-1]:
+        raise ValueError(f"battery_v = {voltage_v:g}: its thruster's table ends before")
+    right = int(np.clip(np.searchsorted(volts, voltage_v), 1, volts.size - 1))
+    share = (voltage_v - volts[right - 1]) / (volts[right] - volts[right - 1])
+    between: Floats = (1.0 - share) * power[:, right - 1] + share * power[:, right]
+    return between
+
+
+def _place(name: str, copies: Mapping[str, Path]) -> Path:
+    """A vehicle's file: the run's copy, the path itself, or the shipped one."""
+    if name in copies:
+        return copies[name]
+    return Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
+
+
+def _shipped(thruster: str) -> Path:
+    return SHIPPED / "thrusters" / f"{thruster}.toml"
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ConfigError(
+            f"{path}: cannot be read ({error}); the referee needs the vehicle and thruster files "
+            "that the run was flown with"
+        ) from error

@@ -1,0 +1,116 @@
+"""A simulator that is given a world with edits: rock is met, parameters and signals are refused."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.control.commands import BodyTwist, ThrusterPwm
+from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.simulator.simulator import Simulator
+
+SCENARIO = """
+schema_version = 1
+name = "edited"
+engine = "fused"
+kernels = "xla"
+worlds = 2
+seed = 3
+tile = 2
+
+[time]
+horizon_s = 60.0
+record_hz = 1.0
+
+[world]
+preset = "open"
+placement = "random"
+
+[[fleet]]
+vehicle = "bluerov2_heavy"
+parameter_set = "wu2018"
+count = 4
+"""
+
+
+@pytest.fixture(scope="module")
+def simulator(tmp_path_factory):
+    path = tmp_path_factory.mktemp("edited") / "edited.toml"
+    path.write_text(SCENARIO)
+    return Simulator(load_scenario(path))
+
+
+@pytest.fixture(scope="module")
+def worlds(simulator):
+    return simulator.worlds()
+
+
+def fly(simulator, worlds):
+    """The state after the first rock, or the horizon."""
+    state = simulator.reset(worlds)
+    for _ in range(simulator.segments):
+        state, _ = simulator.segment(worlds, state)
+    return state.tally
+
+
+def test_rock_that_is_put_into_a_world_is_met(simulator, worlds):
+    open_water = fly(simulator, worlds)
+    assert np.all(open_water.outcome == Outcome.REACHED)
+    environment = worlds.environment
+    start, goal = (np.asarray(x) for x in (environment.start_m, environment.goal_m))
+    grid = environment.grid
+    lo, cell = np.asarray(grid.origin_m)[:, None], np.asarray(grid.cell_m)[:, None, None]
+    # Every cell of a robot's way is rock but those around its start.
+    share = np.linspace(0.0, 1.0, 200)[:, None, None, None]
+    way = start + share * (goal - start)
+    far = np.linalg.norm(way - start, axis=-1) > 4.0
+    index = np.floor((way - lo) / cell).astype(int)
+    occupied = np.asarray(grid.occupied).copy()
+    for world in range(2):
+        at = index[:, world][far[:, world]]
+        occupied[(world, *at.T)] = True
+    rock = replace(grid, occupied=jnp.asarray(occupied))
+    walled = replace(worlds, environment=replace(environment, grid=rock))
+    tally = fly(simulator, walled)
+    assert np.all(tally.outcome == Outcome.COLLISION_STATIC)
+    assert np.all(tally.touched == Touched.CELL)
+
+
+def test_parameters_are_refused_by_all_that_take_a_world(simulator, worlds):
+    vehicle = worlds.control.vehicle
+    heavy = replace(vehicle, mass_kg=vehicle.mass_kg * 2)
+    other = replace(worlds, control=replace(worlds.control, vehicle=heavy))
+    state = simulator.reset(worlds)
+    for enter in (
+        lambda: simulator.reset(other),
+        lambda: simulator.step(other, state),
+        lambda: simulator.segment(other, state),
+        lambda: simulator.advance(other, state),
+    ):
+        with pytest.raises(ConfigError, match=r"World\.control\.vehicle\.mass_kg of world 0"):
+            enter()
+    own = simulator.adopt(other)
+    np.testing.assert_array_equal(own.control.vehicle.mass_kg, vehicle.mass_kg)
+    assert own.control.vehicle.mass_kg.sharding == vehicle.mass_kg.sharding
+    simulator.reset(own)
+
+
+def test_commands_are_refused_before_they_enter(simulator, worlds):
+    state = simulator.reset(worlds)
+    for bad, said in (
+        (BodyTwist(nu=jnp.zeros((2, 4, 3))), r"nu has the shape \[2, 4, 3\]: must be \[2, 4, 6\]"),
+        (ThrusterPwm(pwm_us=jnp.zeros((2, 4, 6))), r"\[2, 4, 6\]: must be \[2, 4, 8\]"),
+        (ThrusterPwm(pwm_us=np.full((2, 4, 8), 1e9)), "thruster 0 is 1e\\+09 us: must be 1100"),
+    ):
+        for enter in (simulator.step, simulator.segment):
+            with pytest.raises(ConfigError, match=said):
+                enter(worlds, state, bad)
+
+
+@pytest.mark.parametrize("name", ["fleet", "spec"])
+def test_what_programs_hold_is_not_set_later(simulator, name):
+    with pytest.raises(AttributeError):
+        setattr(simulator, name, None)

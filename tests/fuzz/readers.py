@@ -1,0 +1,233 @@
+"""What is fed with wrong inputs: each reader, valid inputs to begin with, and what may be raised.
+
+`angler` writes MCAP and reads none, so there is no reader of that here.
+"""
+
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import AnglerError
+from angler_mjx.files import FaultyError, check, parse
+from angler_mjx.interop import joint_trajectory_file
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.speed import compare, rows
+from angler_mjx.speed.chart import table
+from angler_mjx.teleop import script
+from angler_mjx.teleop.terminal import keys_of
+from angler_mjx.vehicles import library, mjcf
+from angler_mjx.vehicles.thrusters import tables_at
+from angler_sitl.firmware import parameters
+from angler_sitl.wire import ground_station, packets
+from angler_sitl.wire.link import Link, dialect
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "angler_mjx" / "vehicles" / "data"
+
+GAINS = b"""# gains as angler tune writes them
+schema_version = 1
+name = "tuned"
+
+[world]
+preset = "open"
+
+[controller]
+name = "pid"
+
+[controller.gains.pid_velocity]
+velocity_per_s = 2.5
+rate_per_s = 4.0
+
+[[fleet]]
+vehicle = "bluerov2"
+battery_v = 14.8
+thruster_health = { thruster_1 = 0.5 }
+estimate = "ekf"
+
+[fleet.sensors.usbl]
+fitted = true
+period_s = 2.0
+
+[[world.obstacles.explicit]]
+type = "box"
+position_m = [1.0, 2.0, -5.0]
+size_m = [1.0, 1.0, 1.0]
+motion = { type = "circle", radius_m = 2.0, period_s = 30.0, axis = [0.0, 0.0, 1.0] }
+"""
+PARAMETERS = b"# tuned\nPSC_POSXY_P,1.25\nATC_RAT_YAW_P 0.18 # for people\nSERVO1_TRIM,1500\n"
+KEYS = b"# drive\n0.5 i\n1-3.5 u\n4 <tab>\n4.5 <space>\n5 Q\n"
+TRAJECTORY = json.dumps(
+    {
+        "schema_version": 1,
+        "robots": [
+            {
+                "robot": 0,
+                "trajectory": {
+                    "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+                    "joint_names": ["x", "y", "z", "yaw"],
+                    "points": [
+                        {
+                            "positions": [1.0, 2.0, -3.0, 0.0],
+                            "velocities": [0.0, 0.0, 0.0, 0.0],
+                            "time_from_start": {"sec": t, "nanosec": 500},
+                        }
+                        for t in (0, 4)
+                    ],
+                },
+            }
+        ],
+    },
+    indent=1,
+).encode()
+PULSES = range(1500, 1532)
+
+
+def _scenario(path):
+    loaded = load_scenario(path)
+    loaded.members()
+    again = parse(Scenario, json.loads(loaded.model_dump_json()), source="again")
+    assert again == loaded
+
+
+def _vehicle(path):
+    config = library.load(str(path))
+    try:
+        check(FleetEntry, {"vehicle": str(path)})
+    except FaultyError:
+        return
+    for name in config.parameter_sets:
+        mjcf.to_spec(config, name, shapes=False).compile()
+    mjcf.to_xml(config, None)
+
+
+def _thruster(path):
+    made = library.load_thruster(str(path))
+    for share in (0.0, 0.3, 1.0):
+        low, high = made.voltage_v[0], made.voltage_v[-1]
+        tables_at(made, low + share * (high - low))
+
+
+def _trajectory(path):
+    goals = joint_trajectory_file.read(path, robots=2)
+    joint_trajectory_file.write(path.with_suffix(".again"), goals, force=True)
+    assert joint_trajectory_file.read(path.with_suffix(".again")) == goals
+
+
+def _keys(path):
+    timed = script.load(path)
+    script.save(path.with_suffix(".again"), timed[:1000])
+    keys_of(path.read_bytes().decode("utf-8", "replace"))
+
+
+def _rows(path):
+    if compare.latest(rows.read(path)):
+        table(path)
+
+
+class _Datagram:
+    """A socket that one datagram has come to."""
+
+    def __init__(self, data):
+        self._waiting = [data]
+
+    def setblocking(self, _):
+        pass
+
+    def recvfrom(self, most):
+        if not self._waiting:
+            raise BlockingIOError
+        return self._waiting.pop()[:most], ("127.0.0.1", 9)
+
+    def sendto(self, data, _):
+        return len(data)
+
+
+def _mavlink(path):
+    link = Link(_Datagram(path.read_bytes()), name="robot_0", sysid=1)
+    link.tick(0.0)
+    link.tick(2.0)
+    assert link.last_words().isprintable() or "\n" not in link.last_words(100)
+
+
+def _servo(path):
+    data = path.read_bytes()
+    found = packets.read_servo(data)
+    assert found is None or (len(data) in (40, 72) and len(found[1]) == 16)
+
+
+def _address(path):
+    ground_station.parse(path.read_bytes().decode("utf-8", "replace"))
+
+
+def _mavlink_inputs():
+    codec = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    messages = (
+        dialect.MAVLink_heartbeat_message(12, 3, 128, 4, 4, 3),
+        dialect.MAVLink_statustext_message(4, b"PreArm: depth sensor"),
+        dialect.MAVLink_param_value_message(b"PSC_POSXY_P", 1.0, 9, 700, 12),
+        dialect.MAVLink_command_ack_message(400, 0),
+    )
+    packed = [bytes(message.pack(codec)) for message in messages]
+    return (*packed, b"".join(packed))
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One reader."""
+
+    name: str
+    inputs: tuple[bytes, ...]
+    read: Any
+    """Called with the path of a file."""
+    end: str = ".toml"
+    allowed: tuple[type[Exception], ...] = (AnglerError,)
+
+
+def _files(folder, end=".toml"):
+    return tuple(path.read_bytes() for path in sorted(folder.glob(f"*{end}")))
+
+
+READERS = {
+    reader.name: reader
+    for reader in (
+        Reader("scenario", (*(p.read_bytes() for p in shipped().values()), GAINS), _scenario),
+        Reader("vehicle", _files(DATA), _vehicle),
+        Reader("thruster", _files(DATA / "thrusters"), _thruster),
+        Reader("trajectory", (TRAJECTORY,), _trajectory, ".json"),
+        Reader("parameters", (PARAMETERS,), lambda path: parameters.read(path), ".param"),
+        Reader("keys", (KEYS,), _keys, ".keys"),
+        Reader(
+            "rows",
+            tuple((ROOT / "benchmarks" / "results.jsonl").read_bytes().splitlines(True)[-9:]),
+            _rows,
+            ".jsonl",
+        ),
+        Reader(
+            "servo",
+            (
+                struct.pack("<HHI16H", 18458, 400, 70_000, *PULSES[:16]),
+                struct.pack("<HHI32H", 29569, 400, 70_001, *PULSES),
+            ),
+            _servo,
+            ".bin",
+            (),
+        ),
+        Reader("mavlink", _mavlink_inputs(), _mavlink, ".bin", ()),
+        Reader("address", (b"udp:127.0.0.1:14550",), _address, ".txt"),
+    )
+}
+
+
+def try_one(reader, data, path):
+    """Feed one input; what is raised beside the reader's own errors goes through."""
+    path.write_bytes(data)
+    try:
+        reader.read(path)
+    except reader.allowed as error:
+        message = str(error)
+        # A line for each fault and each way of writing it down; no more than a screen or two.
+        assert len(message) < 20_000, f"a message of {len(message)} characters"
+        assert all(char == "\n" or char.isprintable() for char in message), "control characters"

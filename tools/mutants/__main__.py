@@ -1,0 +1,134 @@
+"""``python -m tools.mutants``: draw mutants, put them to the tests, report."""
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from tools.mutants import report, trying
+from tools.mutants.mutant import Mutant
+from tools.mutants.relevance import Imports
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = (
+    *("angler_mjx/sim", "angler_mjx/engines", "angler_mjx/physics", "angler_mjx/control"),
+    *("angler_mjx/planning", "angler_mjx/scenario", "angler_mjx/simulator", "angler_mjx/runs"),
+    *("angler_mjx/storage", "kernels/angler_kernels"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Small faults, one at a time, put to the tests that can know of them.
+
+    What is known already is not tried again: a run that was stopped goes on where it was.
+    """
+
+    sample: int = 300
+    """Mutants."""
+    seed: int = 0
+    """Of the sample. Same tree, same folders, same seed: same mutants."""
+    folders: tuple[str, ...] = FOLDERS
+    """Folders whose modules are mutated."""
+    workers: int = max(1, (os.cpu_count() or 1) // 2)
+    """Copies of the tree, each with its share of the processors."""
+    nearest: int | None = None
+    """Run only so many of the test files that can know of a mutant, the nearest."""
+    minutes: float = 15.0
+    """For one mutant: after so long no further test file is begun, and it counts as survived."""
+    hours: float = 8.0
+    """After so long no further mutant is begun."""
+    out: Path = ROOT / ".mutants"
+    """Folder for results, copies and compiled programs."""
+    again: bool = False
+    """Try once more what survived."""
+    list: bool = False
+    """Only show the sample, its diffs and how many test files can know of each."""
+    report: bool = False
+    """Only report what is known of the sample."""
+
+
+def main(options: Options) -> int:
+    """Run as told."""
+    try:
+        from tools.mutants.places import sample
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
+            raise
+        return _refuse(f"{error.name} is missing; install the extra `mutants`")
+    if wrong := [folder for folder in options.folders if not (ROOT / folder).is_dir()]:
+        return _refuse(f"there is no folder {', '.join(wrong)} in {ROOT}")
+    for name in ("sample", "workers"):
+        if getattr(options, name) < 1:
+            return _refuse(f"--{name} {getattr(options, name)}: must be at least 1")
+    mutants = sample(ROOT, options.folders, options.sample, options.seed)
+    if options.list:
+        imports = Imports(ROOT)
+        for one in mutants:
+            print(f"{one.name} {one.operator} {len(imports.distances(one.file))}\n{one.diff}\n")
+        return 0
+    if not options.report:
+        _try(options, mutants)
+    known = _known(options)
+    rows = [known[one.name] for one in mutants if one.name in known]
+    reasons = report.equivalents(Path(__file__).with_name("equivalent.toml"))
+    text = report.report(options.folders, rows, len(mutants) - len(rows), reasons)
+    print(text)
+    if rows:
+        (options.out / "report.md").write_text(text + "\n")
+    return 0
+
+
+def _refuse(why: str) -> int:
+    print(f"mutants: {why}", file=sys.stderr)
+    return 2
+
+
+def _known(options: Options) -> dict[str, dict[str, Any]]:
+    """The last result of each mutant."""
+    return {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
+
+
+def _try(options: Options, mutants: Sequence[Mutant]) -> None:
+    """Put to the tests what is not known yet, or survived and is to be tried again."""
+    known = _known(options)
+    todo = [
+        one
+        for one in mutants
+        if one.name not in known or (options.again and known[one.name]["outcome"] == "survived")
+    ]
+    print(f"mutants: {len(mutants)} drawn, {len(todo)} to try", flush=True)
+    if not todo:
+        return
+    end = time.monotonic() + 3600 * options.hours
+    trees = trying.plant(ROOT, options.out, options.workers)
+    imports = Imports(trees[0].root)
+    changed = {one.file for one in todo}
+    wanted = {test for file in changed for test in imports.ranked(file, nearest=options.nearest)}
+    seconds = trying.measure(trees, sorted(wanted), options.out)
+
+    def ranked(mutant: Mutant) -> list[str]:
+        return imports.ranked(mutant.file, seconds, options.nearest)
+
+    trying.try_all(
+        trees,
+        todo,
+        options.out,
+        seconds,
+        ranked=ranked,
+        limit_s=60 * options.minutes,
+        until=end,
+    )
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main(tyro.cli(Options)))
+    except KeyboardInterrupt:
+        print("mutants: stopped; the same command goes on from here", file=sys.stderr)
+        sys.exit(130)

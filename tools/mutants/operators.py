@@ -1,0 +1,114 @@
+"""What a fault can be: chosen operators of Cosmic Ray, and those that branch-free code needs.
+
+Code for JAX decides with ``jnp.where``, ``minimum`` and ``any`` rather than with ``if``; Cosmic Ray
+knows none of these. Left out of its operators is what hardly compiles (``x >> y`` for floats,
+``is`` for arrays) or says nothing about the tests (removed decorators): caught at once, it would
+only flatter the share.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import parso
+from cosmic_ray.operators.operator import Example, Operator
+from cosmic_ray.plugins import get_operator
+from parso.python.tree import Name
+
+_ARITHMETIC = ("Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow")
+_BITS = ("BitOr", "BitAnd", "BitXor")
+_SHIFTS = ("LShift", "RShift")
+_ORDER = ("Eq", "NotEq", "Lt", "LtE", "Gt", "GtE")
+
+_TWINS = [
+    *[("minimum", "maximum"), ("min", "max"), ("argmin", "argmax"), ("cummin", "cummax")],
+    *[("any", "all"), ("logical_and", "logical_or"), ("sin", "cos"), ("floor", "ceil")],
+    *[("zeros", "ones"), ("zeros_like", "ones_like"), ("sum", "max"), ("cumsum", "cumprod")],
+]
+TWIN = {a: b for pair in _TWINS for a, b in (pair, pair[::-1])} | {"max": "min", "sum": "max"}
+"""Functions of `jax.numpy` that take the same arguments and mean something else."""
+
+_MODULES = {"jnp", "np", "lax"}
+
+type Position = tuple[tuple[int, int], tuple[int, int]]
+
+
+class SwapTwin(Operator):
+    """``jnp.minimum`` becomes ``jnp.maximum``, and so on."""
+
+    def mutation_positions(self, node: Any) -> Iterator[Position]:
+        """Where such a function is named."""
+        if isinstance(node, Name) and node.value in TWIN and _of_numpy(node):
+            yield node.start_pos, node.end_pos
+
+    def mutate(self, node: Any, index: int) -> Any:
+        """Name the other one."""
+        node.value = TWIN[node.value]
+        return node
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """As Cosmic Ray asks for them."""
+        return (Example("jnp.minimum(a, b)", "jnp.maximum(a, b)"),)
+
+
+class SwapWhere(Operator):
+    """``jnp.where(c, a, b)`` takes a where it took b."""
+
+    def mutation_positions(self, node: Any) -> Iterator[Position]:
+        """Where three arguments are chosen by."""
+        if node.type == "arglist" and len(_given(node)) == 3:
+            name = node.get_previous_sibling().get_previous_leaf()
+            if isinstance(name, Name) and name.value == "where" and _of_numpy(name):
+                yield name.start_pos, name.end_pos
+
+    def mutate(self, node: Any, index: int) -> Any:
+        """Turn the condition round."""
+        condition = node.children[0].get_code().strip()
+        node.children[0] = parso.parse(f"jnp.logical_not({condition})")
+        return node
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """As Cosmic Ray asks for them."""
+        return (Example("jnp.where(c, a, b)", "jnp.where(jnp.logical_not(c), a, b)"),)
+
+
+def _of_numpy(name: Any) -> bool:
+    dot = name.get_previous_leaf()
+    if dot is None or dot.value != ".":
+        return False
+    return dot.get_previous_leaf().value in _MODULES
+
+
+def _given(arguments: Any) -> list[Any]:
+    """Arguments by position."""
+    rows = [child for child in arguments.children if child.type not in ("operator", "argument")]
+    return rows if len(rows) * 2 - 1 <= len(arguments.children) else []
+
+
+def _among(prefix: str, names: tuple[str, ...]) -> list[str]:
+    return [f"{prefix}_{a}_{b}" for a in names for b in names if a != b]
+
+
+def families() -> dict[str, dict[str, Operator]]:
+    """Families of operators: of all faults that a family can put in a place, one is drawn."""
+    replace = "ReplaceBinaryOperator"
+    binary = [name for group in (_ARITHMETIC, _BITS, _SHIFTS) for name in _among(replace, group)]
+    unary = [f"ReplaceUnaryOperator_Delete_{name}" for name in ("USub", "Invert", "Not")]
+    order = _among("ReplaceComparisonOperator", _ORDER)
+    same = _among("ReplaceComparisonOperator", ("Is", "IsNot"))
+    named = {
+        "arithmetic": binary,
+        "sign": unary,
+        "comparison": [*order, *same],
+        "number": ["NumberReplacer"],
+        "truth": ["ReplaceTrueWithFalse", "ReplaceFalseWithTrue"],
+        "logic": ["ReplaceAndWithOr", "ReplaceOrWithAnd", "AddNot"],
+        "loop": ["ReplaceBreakWithContinue", "ReplaceContinueWithBreak", "ZeroIterationForLoop"],
+        "exception": ["ExceptionReplacer"],
+    }
+    found = {
+        family: {name: get_operator(f"core/{name}")() for name in names}
+        for family, names in named.items()
+    }
+    return found | {"twin": {"SwapTwin": SwapTwin()}, "where": {"SwapWhere": SwapWhere()}}

@@ -1,0 +1,81 @@
+"""What became of a sample: the share that tests caught, and every fault that they let through."""
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+_TWO_SIDED_95 = 1.96
+
+
+def share(caught: int, of: int) -> tuple[float, float, float]:
+    """Share caught, and its interval of 95 % after Wilson."""
+    if of == 0:
+        return math.nan, 0.0, 1.0
+    p, z2 = caught / of, _TWO_SIDED_95**2
+    middle = (p + z2 / (2 * of)) / (1 + z2 / of)
+    half = _TWO_SIDED_95 / (1 + z2 / of) * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
+    return p, middle - half, middle + half
+
+
+def equivalents(file: Path) -> dict[tuple[str, str], str]:
+    """Faults that were read and change nothing that matters: file and changed lines -> why."""
+    rows = tomllib.loads(file.read_text()).get("equivalent", [])
+    return {(row["file"], _change(row["diff"])): row["why"] for row in rows}
+
+
+def _change(diff: str) -> str:
+    """The lines that go and come in a diff, without how far they stand to the right."""
+    return "\n".join(
+        f"{line[0]} {line[1:].strip()}"
+        for line in diff.strip().splitlines()
+        if line[:1] in "+-" and not line.startswith(("+++", "---"))
+    )
+
+
+def report(
+    folders: Sequence[str],
+    rows: Sequence[dict[str, Any]],
+    missing: int,
+    reasons: Mapping[tuple[str, str], str],
+) -> str:
+    """Markdown: a table by folder, then the survivors with their diffs.
+
+    Args:
+        folders: that were mutated.
+        rows: results.
+        missing: mutants of the sample that were not tried yet.
+        reasons: see `equivalents`.
+    """
+    kinds = ("caught", "stuck", "equivalent", "survived")
+    lines = [f"| folder | mutants | {' | '.join(kinds)} | share (95 %) |", "|---|" + "---|" * 6]
+    rows = [row | {"why": reasons.get((row["file"], _change(row["diff"])))} for row in rows]
+    for folder in [*folders, "all"]:
+        of = [row for row in rows if folder == "all" or row["file"].startswith(folder + "/")]
+        count = dict.fromkeys(kinds, 0)
+        for row in of:
+            count["equivalent" if _let_pass(row) else row["outcome"]] += 1
+        judged = len(of) - count["equivalent"]
+        p, low, high = share(count["caught"] + count["stuck"], judged)
+        rate = f"{p:.1%} ({low:.1%} to {high:.1%})" if judged else ""
+        lines.append(f"| {folder} | {' | '.join(map(str, [len(of), *count.values()]))} | {rate} |")
+    if missing:
+        lines += ["", f"{missing} of the sample not tried yet."]
+    for row in rows:
+        if row["outcome"] == "survived" and not _let_pass(row):
+            lines += _survivor(row)
+    return "\n".join(lines)
+
+
+def _let_pass(row: dict[str, Any]) -> bool:
+    return row["outcome"] == "survived" and row["why"] is not None
+
+
+def _survivor(row: dict[str, Any]) -> list[str]:
+    short = f"; {row['left']} more had no time" if row["left"] else ""
+    return [
+        *["", f"### {row['mutant']} {row['file']}:{row['line']} ({row['operator']})", ""],
+        *[f"{len(row['tried'])} test files passed in {row['seconds']:.0f} s{short}.", ""],
+        *["```diff", row["diff"], "```"],
+    ]

@@ -1,0 +1,147 @@
+"""Copies of the tree for workers, and pytest in one of them."""
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.mutants.inside import CORES
+from tools.mutants.relevance import SOURCES
+
+_LEFT_ANYWHERE = {"__pycache__"}
+_LEFT_AT_THE_TOP = {".git", ".venv", ".cache", ".hypothesis", ".mutants", "build", "dist", "runs"}
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.M)
+_NO_TESTS = 5
+_OPTIONS = (
+    *("-x", "-q", "-n", "0", "--tb=no", "-m", "not gpu and not sitl"),
+    *("-p", "no:cacheprovider", "-p", "tools.mutants.inside"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ran:
+    """A run of pytest."""
+
+    code: int | None
+    """Its exit status; None where it was stopped."""
+    seconds: float
+    failed: str
+    """The test that failed first, or the last lines where no test could begin."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed; that all is skipped is no failure."""
+        return self.code in (0, _NO_TESTS)
+
+
+class StoppedError(RuntimeError):
+    """The tests were ended from outside: their result says nothing."""
+
+
+class Tree:
+    """A worker's copy of the tree.
+
+    Files are compiled once, and Python checks them by what they hold: a file that is changed twice
+    within the clock's resolution is still read anew.
+    """
+
+    def __init__(self, root: Path, copy: Path, xla: Path, cores: Sequence[int]) -> None:
+        """Copy a tree.
+
+        Args:
+            root: the tree.
+            copy: where to; what is there is replaced.
+            xla: folder of compiled programs, shared by all copies.
+            cores: processors for the tests.
+        """
+        self.root = copy
+        self._running: subprocess.Popen[str] | None = None
+        self._stopped = False
+        shutil.rmtree(copy, ignore_errors=True)
+
+        def left(folder: str, names: list[str]) -> set[str]:
+            at_the_top = _LEFT_AT_THE_TOP if Path(folder) == root else set[str]()
+            return (_LEFT_ANYWHERE | at_the_top) & set(names)
+
+        shutil.copytree(root, copy, ignore=left, symlinks=True)
+        # The copy before whatever else is on the path, which may hold the tree itself.
+        path = [*(str(copy / source) for source in SOURCES), os.environ.get("PYTHONPATH", "")]
+        self._environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(filter(None, path)),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "JAX_PLATFORMS": "cpu",
+            "JAX_COMPILATION_CACHE_DIR": str(xla),
+            "XDG_CACHE_HOME": str(copy / ".cache"),
+            CORES: ",".join(map(str, cores)),
+            "CI": "true",
+        }
+        packages = [str(copy / name) for name in ("angler_mjx", *SOURCES[1:], "tests")]
+        check = ["--invalidation-mode", "checked-hash"]
+        subprocess.run([sys.executable, "-m", "compileall", "-q", *check, *packages], check=True)
+
+    @contextlib.contextmanager
+    def holding(self, file: str, code: str) -> Iterator[None]:
+        """With other code in a file."""
+        path = self.root / file
+        before = path.read_bytes()
+        path.write_text(code)
+        try:
+            yield
+        finally:
+            path.write_bytes(before)
+
+    def test(self, files: Sequence[str], limit_s: float) -> Ran:
+        """Run test files in this order, up to the first failure.
+
+        Args:
+            files: from the root.
+            limit_s: wall time after which it is stopped.
+
+        Raises:
+            StoppedError: by `stop`.
+        """
+        began = time.monotonic()
+        with subprocess.Popen(
+            [sys.executable, "-m", "pytest", *_OPTIONS, *files],
+            cwd=self.root,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            self._running = process
+            try:
+                said, _ = process.communicate(timeout=limit_s)
+                code: int | None = process.returncode
+            except subprocess.TimeoutExpired:
+                said, code = "", None
+            finally:
+                self._running = None
+                _end(process)
+        if self._stopped:
+            raise StoppedError("stopped while tests ran")
+        found = _FAILED.search(said)
+        first = found[1] if found else said.strip()[-300:]
+        return Ran(code=code, seconds=round(time.monotonic() - began, 2), failed=first)
+
+    def stop(self) -> None:
+        """End what runs, and run nothing more; from another thread."""
+        self._stopped = True
+        process = self._running
+        if process is not None:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End pytest and whatever its tests started."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
