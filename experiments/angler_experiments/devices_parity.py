@@ -7,8 +7,8 @@ traces every robot that ended otherwise (`angler_experiments.tracing`). It needs
 both. Two runs of one platform are compared by their tiles or by flags of XLA:
 
     python -m angler_experiments.devices_parity --platforms cpu cpu --tiles 128 64
-    python -m angler_experiments.devices_parity --platforms cpu cpu --xla-flags "" \
-        "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters"
+    python -m angler_experiments.devices_parity --platforms cpu cpu \
+        --second-flags=--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters
 """
 
 import os
@@ -58,7 +58,7 @@ def compare(
     settings: Settings,
     platforms: tuple[str, str],
     tiles: tuple[int, int],
-    xla_flags: tuple[str, str] | None,
+    second_flags: str | None,
 ) -> tuple[Flight, Flight]:
     """Fly both sides, each in a process of its own, at the same time.
 
@@ -70,8 +70,8 @@ def compare(
         running = []
         for k, file in enumerate(files):
             environment = {**os.environ, "JAX_PLATFORMS": DEVICES[platforms[k]]}
-            if xla_flags is not None:
-                environment["XLA_FLAGS"] = xla_flags[k]
+            if k == 1 and second_flags is not None:
+                environment["XLA_FLAGS"] = second_flags
             words = ["--side", str(file), "--tiles", str(tiles[k]), str(tiles[k])]
             for name in Settings.__dataclass_fields__:
                 words += [f"--{name}", str(getattr(settings, name))]
@@ -138,7 +138,7 @@ def main(
     settings: tyro.conf.OmitArgPrefixes[Settings] = Settings(),
     platforms: tuple[str, str] = ("cpu", "gpu"),
     tiles: tuple[int, int] = (128, 128),
-    xla_flags: tuple[str, str] | None = None,
+    second_flags: str | None = None,
     out: Path | None = None,
     side: Path | None = None,
 ) -> None:
@@ -148,7 +148,7 @@ def main(
         settings: what is flown.
         platforms: cpu or gpu, twice.
         tiles: worlds in one call, of each.
-        xla_flags: of each; those of the environment if left out.
+        second_flags: flags of XLA for the second, instead of those of the environment.
         out: file for the result, as `angler validate` reads it.
         side: file for the flight of one side; it is flown here, on JAX's default platform.
     """
@@ -156,7 +156,7 @@ def main(
     if side is not None:
         flights.save(flights.fly(scenario, tiles[0]), side)
         return
-    a, b = compare(settings, platforms, tiles, xla_flags)
+    a, b = compare(settings, platforms, tiles, second_flags)
     physics_steps = scenario.sim_spec().physics_steps
     traces = tracing.trace(a, b, scenario.time.control_dt_s, physics_steps)
     names = (f"{platforms[0]}, tile {tiles[0]}", f"{platforms[1]}, tile {tiles[1]}")
