@@ -95,7 +95,7 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
     building = partial_path(out)
     try:
         require_none(out, flag=flag, what=what)
-        out.parent.mkdir(parents=True, exist_ok=True)
+        _make_parent(out, flag)
         building.mkdir()
         try:
             out.mkdir()
@@ -110,6 +110,13 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
     return Claim(out=out, building=building, flag=flag, handle=handle)
+
+
+def _make_parent(out: Path, flag: str) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:  # a file of that name too
+        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
 
 
 def require_none(out: Path, *, flag: str = "--out", what: str = "run") -> None:

@@ -222,7 +222,7 @@ def test_a_flight_is_read_as_it_was_written(run, tmp_path):
     assert json.dumps(again.rows) == json.dumps(known.rows)
     assert flight.recorded(run, 1, 1).p_m.shape == (301, 1, 3)
     (tmp_path / "a" / "one.npz").write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(ConfigError, match=r"one\.npz: is no flight"):
+    with pytest.raises(ConfigError, match=r"one\.npz: cannot be read"):
         flight.load(tmp_path / "a" / "one.npz")
 
 
