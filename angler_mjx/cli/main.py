@@ -23,6 +23,7 @@ from angler_mjx.cli import (
     tune,
     vehicle,
     verify,
+    warm,
 )
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
@@ -69,6 +70,7 @@ def _vehicle() -> None:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
+    "warm": warm.warm,
     "scenarios": _scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,

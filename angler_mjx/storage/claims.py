@@ -94,8 +94,11 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
     require_name(out, flag=flag)
     building = partial_path(out)
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
+    try:
         require_none(out, flag=flag, what=what)
-        _make_parent(out, flag)
         building.mkdir()
         try:
             out.mkdir()
@@ -104,19 +107,16 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
             shutil.rmtree(building, ignore_errors=True)
             raise
     except FileExistsError as error:
+        if not out.parent.is_dir():
+            raise ConfigError(
+                f"{flag} {out}: cannot be written ({out.parent} is no folder)"
+            ) from error
         raise ConfigError(
             f"{flag} {out}: exists since a moment ago; give another folder or remove it"
         ) from error
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
     return Claim(out=out, building=building, flag=flag, handle=handle)
-
-
-def _make_parent(out: Path, flag: str) -> None:
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:  # a file of that name too
-        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
 
 
 def require_none(out: Path, *, flag: str = "--out", what: str = "run") -> None:

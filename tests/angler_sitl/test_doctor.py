@@ -69,7 +69,7 @@ def test_sockets_of_a_process_are_listed_with_who_can_reach_them():
 ISOLATED = """
 import os, socket
 from angler_mjx.errors import UnsupportedError
-from angler_sitl import isolation
+from angler_sitl.firmware import isolation
 before = os.getuid(), os.getgid()
 try:
     isolation.isolate()

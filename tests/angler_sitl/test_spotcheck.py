@@ -338,7 +338,7 @@ def test_what_cannot_be_checked_is_refused(run, stand_in, tmp_path, capsys):
     for given, said in (
         ([str(tmp_path / "none"), "--episodes", "1"], "not a run folder"),
         ([str(run.path), "--episodes", "9"], "the run has 2 worlds"),
-        ([str(bare), "--episodes", "1"], "stored no trajectories"),
+        ([str(bare), "--episodes", "1"], "trajectories.zarr: is missing"),
         ([str(run.path), "--episodes", "1", "--robots", "5"], "the run has 4 robots"),
         ([str(run.path), "--episodes", "1", "--speed", "fast"], "--speed fast"),
         ([str(run.path), "--episodes", "1", "--resume"], "there is no spot check"),

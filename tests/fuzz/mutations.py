@@ -123,7 +123,7 @@ def odd(rng, data, others, loads, dumps):
             case 0 if isinstance(holder, dict):
                 del holder[key]
             case 1 if isinstance(holder, list):
-                holder.extend([holder[key]] * rng.choice([1, 3, 50]))
+                holder.extend(copy.deepcopy(holder[key]) for _ in range(rng.choice([1, 3, 50])))
             case 2 if elsewhere:
                 there, name = rng.choice(elsewhere)
                 holder[key] = copy.deepcopy(there[name])
@@ -133,7 +133,7 @@ def odd(rng, data, others, loads, dumps):
             case 4 if isinstance(holder[key], int | float) and abs(holder[key]) < 1e200:
                 holder[key] *= rng.choice([-1, 0, 1e-6, 0.1, 3, 10, 1e3, 1000, 1e6, 1e12])
             case _:
-                holder[key] = rng.choice(ODD)
+                holder[key] = copy.deepcopy(rng.choice(ODD))
     return dumps(table).encode("utf-8", "backslashreplace")
 
 

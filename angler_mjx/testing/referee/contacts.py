@@ -164,7 +164,8 @@ def _cells(
     inside = np.all((place >= -1) & (place <= np.array(occupied.shape)), axis=1)
     if not inside.any() or not occupied.any():
         return
-    state, robot, reach, cap, place = (x[inside] for x in (state, robot, reach, cap, place))
+    state, robot, place = state[inside], robot[inside], place[inside]
+    reach, cap = reach[inside], cap[inside]
     rest = p[inside] - world.low_m - edge * place
     padded = np.pad(occupied, 2)
     around = place[:, :, None] + np.arange(3) + 1

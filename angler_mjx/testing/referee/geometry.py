@@ -4,8 +4,6 @@ Written for the referee alone, from the definitions: nothing of the simulator's 
 used. Leading axes broadcast; the last one is x, y, z. Lengths in metres.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +21,8 @@ def rotate(q: Floats, v: Floats) -> Floats:
 
 def rotate_back(q: Floats, v: Floats) -> Floats:
     """The inverse of `rotate`."""
-    return rotate(q * np.array([1.0, -1.0, -1.0, -1.0]), v)
+    back: Floats = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return rotate(back, v)
 
 
 def segment_point(a: Floats, b: Floats, p: Floats) -> Floats:
@@ -100,5 +99,6 @@ def _dot(u: Floats, v: Floats) -> Floats:
     return product
 
 
-def _length(v: Floats) -> Any:
-    return np.sqrt(_dot(v, v))
+def _length(v: Floats) -> Floats:
+    length: Floats = np.sqrt(_dot(v, v))
+    return length

@@ -6,7 +6,7 @@ import numpy as np
 
 from angler_mjx.testing.referee import findings as say
 from angler_mjx.testing.referee.contacts import OBSTACLE, ROBOT, STILL
-from angler_mjx.testing.referee.findings import Finding, Result
+from angler_mjx.testing.referee.findings import Finding, How, Result
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.scene import Episode, Scene
 from angler_mjx.testing.referee.telling import Telling
@@ -38,7 +38,7 @@ def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
     episode = Episode(scene, robot)
     end = _end(scene, episode, stored)
     tell = Telling(scene, robot)
-    how = "exact" if end.seen else "unchecked"
+    how: How = "exact" if end.seen else "unchecked"
     end_s = float(scene.world.step[end.state]) * scene.run.control_dt_s
     tell.words("outcome", how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
     tell.time(end_s, how, end.result, end.note)

@@ -127,7 +127,7 @@ def open_run(path: Path) -> Run:
         copies = read_copies(path / "inputs")
         fleet = [(vehicles.read(entry, copies), entry["count"]) for entry in config["fleet"]]
         robots = tuple(robot for robot, count in fleet for _ in range(count))
-        facts = {
+        facts: dict[str, Any] = {
             "control_dt_s": dt,
             "every": round(1.0 / (hz * dt)),
             "horizon_steps": round(float(timing["horizon_s"]) / dt),

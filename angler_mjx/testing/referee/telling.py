@@ -25,8 +25,17 @@ class Telling:
         self._scene, self._robot = scene, robot
 
     def _say(self, quantity: str, how: How, result: Result, **more: Any) -> None:
-        where = {"world": self._scene.world.index, "robot": self._robot}
-        self.found.append(Finding(**where, quantity=quantity, how=how, result=result, **more))
+        world = self._scene.world.index
+        self.found.append(
+            Finding(
+                world=world,
+                robot=self._robot,
+                quantity=quantity,
+                how=how,
+                result=result,
+                **more,
+            )
+        )
 
     def words(
         self, quantity: str, how: How, stored: Value, judged: Value, result: Result, note: str = ""

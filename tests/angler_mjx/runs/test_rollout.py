@@ -433,7 +433,7 @@ def test_every_array_names_its_dimensions(run):
         for _, array in group.arrays() if isinstance(group, zarr.Group) else ():
             for dim, size in zip(array.metadata.dimension_names, array.shape, strict=True):
                 assert sizes.setdefault(dim, size) == size
-    assert run.trajectories["p_m"].metadata.dimension_names == ("world", "time", "robot", "axis")
+    assert run.trajectories["p_m"].metadata.dimension_names == ("world", "time", "robot", "xyz")
 
 
 def test_the_inputs_lie_in_the_folder_and_edited_ones_are_refused(cut, tmp_path, scenario_file):

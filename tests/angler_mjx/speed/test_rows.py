@@ -76,7 +76,9 @@ def test_commits_in_one_file_are_compared_size_by_size(rows_file):
 
 def test_files_of_two_machines_are_compared(tmp_path, rows_file):
     a = write_rows(tmp_path / "a.jsonl", [make_row()], device="cpu")
-    b = write_rows(tmp_path / "b.jsonl", [make_row(median=4e6)], device="NVIDIA H200")
+    b = write_rows(
+        tmp_path / "b.jsonl", [make_row(median=4e6, low=3.6e6, high=4.4e6)], device="NVIDIA H200"
+    )
     (row,) = compare(str(a), str(b), rows_file)
     assert row.ratio == pytest.approx(4.0)
 

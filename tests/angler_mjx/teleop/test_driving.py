@@ -296,7 +296,7 @@ def test_what_was_driven_until_a_robot_is_lost_is_kept(scenario, session, folder
     assert kept.trajectories["time_s"].shape == (6,)  # 1 s at 5 Hz, and its beginning
     assert os.listdir(tmp_path) == ["run"]
     with pytest.raises(ConfigError, match="run it anew"):
-        reopen(tmp_path / "run")
+        reopen(tmp_path / "run", print)
 
 
 def test_autopilots_are_asked_for_by_name(folder, capsys):
