@@ -21,6 +21,7 @@ from angler_mjx.cli import (
     scenarios,
     teleop,
     tune,
+    validate,
     vehicle,
     verify,
     warm,
@@ -84,6 +85,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench.bench,
     "control": control.control,
     "tune": tune.tune,
+    "validate": validate.validate,
 }
 """Commands of one word; the groups stand here for the help text alone."""
 
