@@ -103,6 +103,17 @@ def test_heave_comes_before_surge_and_sway(deliver):
     assert np.abs(got - tau)[..., HEAVE].max() < NEAR
 
 
+def test_a_sway_of_rounding_takes_no_surge_where_heave_is_at_its_limit(deliver):
+    """Sway rolls the vehicle a little, which the vertical thrusters answer; they have no room."""
+    tau = np.zeros((2, N, 6))
+    tau[..., 0], tau[..., 2] = 20.0, 1000.0
+    tau[..., 1] = np.linspace(-1e-3, 1e-3, N)  # float32 of a demand of 20 N is good to 1e-6 N
+    pwm, _, got = deliver(tau)
+    assert np.all(pwm[LIGHT, :, 4:6] == pwm[LIGHT, 0, 4])
+    assert pwm[LIGHT, 0, 4] in (1100.0, 1900.0)
+    np.testing.assert_allclose(got[LIGHT, :, 0], 20.0, atol=NEAR)
+
+
 def test_surge_and_sway_keep_their_direction(deliver):
     tau = wrenches(SMALL)
     tau[..., PLANE] *= 50
