@@ -51,13 +51,15 @@ class Case:
     """Text of the vehicle files beside the scenario, by name."""
     world: int | None = None
     """The world that fails; all if None."""
+    referee: int = 0
+    """Worlds that are recorded and given to the referee."""
 
     def write(self, folder: Path, why: str = "") -> Path:
         """Put it into a folder; returns the scenario file."""
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in self.vehicles.items():
             (folder / name).write_text(text, encoding="utf-8")
-        about = {"signals": self.signals, "world": self.world}
+        about = {"signals": self.signals, "world": self.world, "referee": self.referee}
         path = folder / "scenario.toml"
         lines = [f"# fuzz: {json.dumps(about)}", *(f"# {line}" for line in why.splitlines())]
         lines.append(f"# python -m tests.fuzz.simulator --case {path}")

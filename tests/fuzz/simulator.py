@@ -46,14 +46,14 @@ class Found:
     written: str = ""
 
 
-def examine(case: Case, engines=ENGINES, *, tile: int, referee: int = 0) -> Found:
+def examine(case: Case, engines=ENGINES, *, tile: int) -> Found:
     """Fly a case by engines and look at everything.
 
     Args:
-        case: to fly; if it names a world, only the tile with that world.
+        case: to fly; if it names a world, only the tile with that world. The last engine's run is
+            given to the referee.
         engines: one, or two to compare.
         tile: worlds in one call; the scenario's own if it has one.
-        referee: worlds to record and give to the referee, by the last engine.
     """
     import jax
 
@@ -88,8 +88,8 @@ def examine(case: Case, engines=ENGINES, *, tile: int, referee: int = 0) -> Foun
                 found.excused += excused
             found.worlds += tile
             found.robots += flights[0].tally.outcome.size
-        if referee:
-            _referee(case, Path(place), engines[-1], found, referee)
+        if case.referee:
+            _referee(case, Path(place), engines[-1], found)
     if case.world is not None:
         found.faults = [one for one in found.faults if one.world == case.world]
     jax.clear_caches()
@@ -120,14 +120,14 @@ def bounds(simulator, worlds):
     )
 
 
-def _referee(case: Case, place: Path, engine: str, found: Found, worlds: int) -> None:
+def _referee(case: Case, place: Path, engine: str, found: Found) -> None:
     """Record a few worlds, and have the second judge look at them."""
     from angler_mjx.runs.rollout import rollout
     from angler_mjx.testing import referee
 
     from .flying import Fault, driver
 
-    scenario = case.load(place, engine=engine, worlds=worlds)
+    scenario = case.load(place, engine=engine, worlds=case.referee)
     rollout(scenario, out=place / "run", policy=driver(case.signals))
     verdict = referee.judge(place / "run")
     found.judged = verdict.robots
@@ -145,13 +145,12 @@ def shrink(case: Case, fault, engines, *, tile: int, tries: int) -> tuple[Case, 
         The case, with the world that fails, and its faults.
     """
     size = case.scenario.get("tile") or min(tile, case.scenario["worlds"])
-    kept = replace(case.but(tile=size, worlds=fault.world + 1), world=fault.world)
-    faults = [fault]
-    referee = fault.kind == "referee"
+    kept, faults = case.but(tile=size, worlds=fault.world + 1), [fault]
+    judged = fault.world + 1 if fault.kind == "referee" else 0
+    kept = replace(kept, world=fault.world, referee=judged)
 
     def still(one: Case):
-        count = fault.world + 1 if referee else 0
-        found = examine(one, engines, tile=size, referee=count)
+        found = examine(one, engines, tile=size)
         return [other for other in found.faults if other.kind == fault.kind]
 
     first = [kept.but(tile=1), *cases.simpler(kept)]
@@ -166,8 +165,9 @@ def shrink(case: Case, fault, engines, *, tile: int, tries: int) -> tuple[Case, 
 def program(number: int, given) -> Found:
     """One program of the campaign: drawn, flown, and made simpler where it fails."""
     case = cases.draw(given.seed, number, worlds=given.each, horizon_s=given.horizon_s)
-    judged = JUDGED if given.referee and number % JUDGED == 0 else 0
-    found = examine(case, given.engines, tile=given.tile, referee=judged)
+    if given.referee and number % JUDGED == 0:
+        case = replace(case, referee=JUDGED)
+    found = examine(case, given.engines, tile=given.tile)
     found.number = number
     if found.faults:
         folder = given.out / f"{given.seed}-{number}"
@@ -215,7 +215,7 @@ def main() -> None:
     given = _given()
     if given.case is not None:
         case = cases.read(given.case)
-        every = examine(case, given.engines, tile=given.tile, referee=case.scenario["worlds"])
+        every = examine(case, given.engines, tile=given.tile)
         _tell([every])
         sys.exit(bool(every.faults))
     numbers = range(given.first, given.first + given.programs)

@@ -247,7 +247,7 @@ def test_campaigns_meet_every_driver_at_every_place():
 def test_a_failing_case_is_made_simple_and_fails_from_its_file(tmp_path, monkeypatch):
     """With an examiner that finds fault where there are vortices and a vehicle with ballast."""
 
-    def examine(case, engines, *, tile, referee=0):
+    def examine(case, engines, *, tile=8):
         scenario = case.scenario
         bad = bool(case.vehicles) and any(
             one["type"] == "vortices" for one in scenario["world"]["currents"]
