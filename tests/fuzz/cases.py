@@ -254,12 +254,15 @@ def simpler(case: Case) -> list[Case]:
         for shorter in (2.0, 10.0, 30.0)
         if shorter < time["horizon_s"]
     ]
+    # Rotors of a fleet are alike.
+    plain = [{k: v for k, v in entry.items() if k != "rotor_response"} for entry in fleet]
+    found += [with_fleet(plain)] if plain != fleet else []
     for i, entry in enumerate(fleet):
-        for key in ("thruster_health", "estimate", "parameter_mix", "rotor_response"):
+        for key in ("thruster_health", "estimate", "parameter_mix"):
             if key in entry:
                 dropped = (key, "fault_known") if key == "thruster_health" else (key,)
-                plain = {k: v for k, v in entry.items() if k not in dropped}
-                found.append(with_fleet([*fleet[:i], plain, *fleet[i + 1 :]]))
+                less = {k: v for k, v in entry.items() if k not in dropped}
+                found.append(with_fleet([*fleet[:i], less, *fleet[i + 1 :]]))
     if scenario["controller"]["name"] != "cascade":
         found.append(case.but(controller={"name": "cascade"}))
     return found
