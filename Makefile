@@ -35,7 +35,8 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 test mutants fuzz-sim: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters \
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+	  --deviations .cache/deviations.json $(PYTEST_ARGS)
 
 fuzz: COUNT ?= 100000
 fuzz: SEED ?= 0

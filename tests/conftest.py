@@ -1,12 +1,20 @@
-"""The order of test files, and how often garbage is looked for."""
+"""The order of test files, how often garbage is looked for, and what tests measured."""
 
 import gc
+
+from . import deviations
 
 # Tracing makes millions of objects that stay: that of a rollout takes 7.1 s instead of 8.4.
 gc.set_threshold(50_000, 20, 20)
 
 LONG = ("sim/test_fused_triton.py", "sim/test_fused.py", "runs/", "speed/")
 """Files that take minutes come first, so that no worker is left alone with one at the end."""
+
+deviation = deviations.deviation
+pytest_addoption = deviations.pytest_addoption
+pytest_configure = deviations.pytest_configure
+pytest_testnodedown = deviations.pytest_testnodedown
+pytest_sessionfinish = deviations.pytest_sessionfinish
 
 
 def pytest_collection_modifyitems(config, items):

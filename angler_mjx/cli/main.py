@@ -21,8 +21,10 @@ from angler_mjx.cli import (
     scenarios,
     teleop,
     tune,
+    validate,
     vehicle,
     verify,
+    warm,
 )
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
@@ -69,6 +71,7 @@ def _vehicle() -> None:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
+    "warm": warm.warm,
     "scenarios": _scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
@@ -82,6 +85,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "bench": bench.bench,
     "control": control.control,
     "tune": tune.tune,
+    "validate": validate.validate,
 }
 """Commands of one word; the groups stand here for the help text alone."""
 

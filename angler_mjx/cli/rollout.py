@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from angler_mjx.cli.device import Device, choose, join
+from angler_mjx.cli.device import Device, choose, join, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def rollout(
         json: Print one JSON object instead of the table.
     """
     choose(device, distributed=distributed)
+    keep_all_programs()
     team = join(
         device,
         distributed=distributed,

@@ -263,7 +263,7 @@ class MjxEngine:
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
+        count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
         fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:

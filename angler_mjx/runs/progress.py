@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from angler_mjx.simulator.simulator import CompileTime
+from angler_mjx.simulator.compiling import CompileTime
 
 
 class Progress(Protocol):

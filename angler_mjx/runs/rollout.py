@@ -21,7 +21,8 @@ from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.simulator.simulator import CompileTime, Simulator
+from angler_mjx.simulator.compiling import CompileTime
+from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, harvest, results
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile

@@ -107,12 +107,7 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
     name, period = type(policy).__name__, policy.period
     if not isinstance(period, int) or isinstance(period, bool) or period < 1:
         raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
-    if policy_key is None:
-        raise ConfigError(
-            f"policy {name}: the worlds were drawn without keys for it; give it to the Simulator "
-            "that draws them"
-        )
-    key = jax.random.wrap_key_data(policy_key)
+    key = _key(policy, policy_key)
     carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
     step = jax.ShapeDtypeStruct((), jnp.int32)
     after, command = jax.eval_shape(policy.act, carry, known, key, step)
@@ -124,6 +119,16 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
         )
     held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), command)
     return PolicyMemory(carry=carry, command=held if period > 1 else None)
+
+
+def _key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
+    if policy_key is None:
+        raise ConfigError(
+            f"policy {type(policy).__name__}: the worlds were drawn without keys for it; give it "
+            "to the Simulator that draws them"
+        )
+    key: jax.Array = jax.random.wrap_key_data(policy_key)
+    return key
 
 
 def _check(name: str, stages: Stages, command: Any, known: Known) -> None:
@@ -183,7 +188,7 @@ def step(
 
     Args:
         policy: of the world.
-        policy_key: uint32 [2] of the world; `begin` has refused a world without one.
+        policy_key: uint32 [2] of the world.
         memory: of the policy.
         known: what the robots know.
         number: int32 [] control steps taken.
@@ -191,7 +196,7 @@ def step(
     Returns:
         The memory, and the command of the robots.
     """
-    key = jax.random.fold_in(jax.random.wrap_key_data(policy_key), number)
+    key = jax.random.fold_in(_key(policy, policy_key), number)
 
     def act() -> tuple[Any, Any]:
         acted: tuple[Any, Any] = policy.act(memory.carry, known, key, number)

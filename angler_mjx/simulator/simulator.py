@@ -7,7 +7,6 @@ of device gives the same bytes wherever it stands in a run and however many devi
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -16,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
+from angler_kernels import threefry
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
@@ -32,6 +32,7 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.simulator import cache
 from angler_mjx.simulator import devices as on_devices
+from angler_mjx.simulator.compiling import CompileTime, Program, Together
 from angler_mjx.simulator.devices import (
     EACH,
     SAME,
@@ -65,20 +66,6 @@ GPU (8 robots, 1,024 worlds on an H200: 291 s instead of 14 s), and what it find
 
 type Segment = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and how many robots of each world still run."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CompileTime:
-    """Seconds from Python to machine code, by function."""
-
-    prepare_s: float
-    reset_s: float
-    segment_s: float
-
-    @property
-    def total_s(self) -> float:
-        """All of them."""
-        return self.prepare_s + self.reset_s + self.segment_s
 
 
 class Simulator:
@@ -116,6 +103,7 @@ class Simulator:
                 there are fewer devices.
         """
         cache.switch_on()
+        threefry.write_out_on_cpu()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self._spec = scenario.sim_spec()
@@ -412,28 +400,44 @@ class Simulator:
             RunError: the tile does not fit into device memory; says which one does.
         """
         if self._compiled:
-            return CompileTime(prepare_s=0.0, reset_s=0.0, segment_s=0.0)
-        kinds, number, firsts = self._seed_shapes()
-        worlds = self._wave_shape
-        driver = placed(self._driver, self._mesh, SAME)
-        state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
+            return CompileTime()
+        begun = time.perf_counter()
+        worlds, state, programs = self._begin_all()
         try:
-            prepare, prepare_s = _compiled(self._prepare, kinds, number, firsts)
-            reset, reset_s = _compiled(self._reset, kinds, worlds, *driver)
-            segment, segment_s = _compiled(self._segment, kinds, worlds, state, *driver)
+            made = [program.result() for program in programs]
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
             self._memory = Memory(prepare=least, segment=least)
             self.explain(error)
             raise
-        self._memory = on_devices.analyse(prepare, reset, segment)
+        functions, seconds = zip(*made, strict=True)
+        self._memory = on_devices.analyse(*functions)
         limit = limit_bytes(self._mesh.devices.flat[0])
         if self._memory is not None and self._memory.needed > limit:
             raise too_large(self.tile, self._memory.needed, limit, "before the first world")
-        self._prepare, self._reset, self._segment = prepare, reset, segment
+        self._prepare, self._reset, self._segment = functions
         self._compiled = True
-        return CompileTime(prepare_s=prepare_s, reset_s=reset_s, segment_s=segment_s)
+        prepare_s, reset_s, segment_s = seconds
+        return CompileTime(
+            prepare_s=prepare_s,
+            reset_s=reset_s,
+            segment_s=segment_s,
+            total_s=time.perf_counter() - begun,
+        )
+
+    def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
+        """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
+        kinds, number, firsts = self._seed_shapes()
+        driver = placed(self._driver, self._mesh, SAME)
+        with Together(3) as programs:
+            # Each is traced for the shapes that come of the one before: tracing that gave them.
+            prepare = programs.begin(self._prepare, kinds, number, firsts)
+            worlds = self._wave_shape
+            reset = programs.begin(self._reset, kinds, worlds, *driver)
+            state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
+            segment = programs.begin(self._segment, kinds, worlds, state, *driver)
+        return worlds, state, [prepare, reset, segment]
 
     def explain(self, error: Exception) -> None:
         """Turn a device's error for want of memory into one that says which tile would fit.
@@ -479,9 +483,3 @@ class Simulator:
 def _divisor(total: int, most: int) -> int:
     """Largest divisor of ``total`` up to ``most``: short segments make a steady progress bar."""
     return max(n for n in range(1, most + 1) if total % n == 0)
-
-
-def _compiled(function: Any, *example: Any) -> tuple[Callable[..., Any], float]:
-    start = time.perf_counter()
-    executable = function.lower(*example).compile()
-    return executable, time.perf_counter() - start

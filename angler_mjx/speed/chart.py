@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.speed import rows as speed
+from angler_mjx.speed.ceilings import with_bounds
 from angler_mjx.speed.compare import latest
 from angler_mjx.viewing import style
 
@@ -28,7 +29,7 @@ def draw(path: Path) -> Figure:
     Raises:
         ConfigError: it holds no simulation.
     """
-    rows = [row for row in latest(speed.read(path)) if row["unit"] == _UNIT]
+    rows = [row for row in latest(with_bounds(speed.read(path))) if row["unit"] == _UNIT]
     if not rows:
         raise ConfigError(f"--chart {path}: holds no row in {_UNIT}")
     lines: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
@@ -39,9 +40,9 @@ def draw(path: Path) -> Figure:
         figure = style.new_figure(9.6, 5.6 + 0.12 * len(lines), headline_in=0.65)
         style.headline(
             figure,
-            f"Up to {_short(best['median'])} vehicle-steps/s",
+            f"Up to {short(best['median'])} vehicle-steps/s",
             f"{best['workload']}, {_engine(best)}, {best['worlds']:,} worlds x {best['robots']} on "
-            f"{_device(best)}; medians, bars from least to greatest",
+            f"{device_name(best)}; medians, bars from least to greatest",
         )
         axes = figure.subplots()
         for place, (name, held) in enumerate(sorted(lines.items())):
@@ -60,10 +61,11 @@ def table(path: Path) -> str:
     """
     head = (
         "| workload | engine | device | worlds x robots | median | spread | of the roofline "
-        "| flops; bytes | compile |\n| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: |"
+        "| flops; bytes | compile | commit |\n"
+        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |"
     )
     rows = sorted(
-        latest(speed.read(path)),
+        latest(with_bounds(speed.read(path))),
         key=lambda row: (*_series(row), row["worlds"]),
     )
     return "\n".join([head, *map(_table_row, rows)])
@@ -87,7 +89,7 @@ def write_table(path: Path, document: Path) -> None:
 
 
 def _series(row: dict[str, Any]) -> tuple[str, ...]:
-    return (row["workload"], _engine(row), _device(row), f"{row['robots']:4d}")
+    return (row["workload"], _engine(row), device_name(row), f"{row['robots']:4d}")
 
 
 def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
@@ -121,7 +123,7 @@ def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
     of: dict[tuple[str, str], float] = {}
     sizes: dict[tuple[str, str], set[int]] = {}
     for row in rows:
-        name = (row["workload"], _device(row))
+        name = (row["workload"], device_name(row))
         of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
         sizes.setdefault(name, set()).add(row["worlds"])
     above, left = math.inf, True
@@ -129,15 +131,15 @@ def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
         if not bound or len(sizes[workload, device]) < 2:
             continue
         axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
-        # Where lines lie close together: in turn above on the right and below on the left.
+        # Where lines lie close together: below the lower one, in turn on the right and on the left.
         close = above <= 1.8 * bound
         left = not (close and left)
         axes.text(
             0.01 if left else 0.27,
-            bound * (0.94 if close and left else 1.06),
+            bound * (0.94 if close else 1.06),
             f"roofline: {workload}, {device}",
             transform=axes.get_yaxis_transform(),
-            va="top" if close and left else "bottom",
+            va="top" if close else "bottom",
             fontsize=8.0,
             color=style.QUIET,
         )
@@ -169,13 +171,14 @@ def _table_row(row: dict[str, Any]) -> str:
     cells = [
         row["workload"],
         _engine(row),
-        _device(row),
+        device_name(row),
         f"{row['worlds']:,} x {row['robots']}",
-        f"{_short(row['median'])} {row['unit']}",
+        f"{short(row['median'])} {row['unit']}",
         f"{100 * spread:.0f} %",
         share,
         f"{counted}; {moved}",
         compiled,
+        _commit(row),
     ]
     return f"| {' | '.join(cells)} |"
 
@@ -186,7 +189,13 @@ def _engine(row: dict[str, Any]) -> str:
     return f"{row['engine']}/{row['kernels']}" if row["engine"] == "fused" else str(row["engine"])
 
 
-def _device(row: dict[str, Any]) -> str:
+def _commit(row: dict[str, Any]) -> str:
+    commit = str(row["commit"] or "-")
+    return commit[:7] + (" (changed)" if commit.endswith("-changed") else "")
+
+
+def device_name(row: dict[str, Any]) -> str:
+    """Devices of a row as a person names them: CPU, H200, 4 H200."""
     name = "CPU" if row["device"] == "cpu" else str(row["device"]).removeprefix("NVIDIA ")
     return name if row["devices"] == 1 else f"{row['devices']} {name}"
 
@@ -200,7 +209,7 @@ def _percent(share: float) -> str:
     return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
 
 
-def _short(rate: float) -> str:
+def short(rate: float) -> str:
     """As 1.2e8, without the zero and sign that Python puts into an exponent."""
     mantissa, exponent = f"{rate:.1e}".split("e")
     return f"{mantissa}e{int(exponent)}" if abs(int(exponent)) > 3 else f"{rate:.0f}"

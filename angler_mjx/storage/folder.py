@@ -78,7 +78,10 @@ class Run:
         place, scenario = self.path / TRAJECTORIES, self.scenario
         if not place.exists():
             if scenario.time.record_hz > 0:
-                raise ConfigError(f"{place}: is missing; copy it again, or make the run anew")
+                raise ConfigError(
+                    f"{place}: is missing: the run stored no trajectories, or they were removed; "
+                    "copy it again, or make the run anew"
+                )
             raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
         with reading(place):
             group = zarr.open_group(place, mode="r")

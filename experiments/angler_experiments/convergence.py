@@ -4,12 +4,12 @@ All of them step the same equations, those of `angler_mjx.physics`, in float64: 
 rotor lag, in a uniform current with one vortex, under random thruster commands that change every
 0.2 s. What is compared is the greatest distance from the reference at any of these changes.
 
-    python -m angler_experiments.convergence --out docs/validation.md
+    python -m angler_experiments.convergence
 
-writes the table between the two marker lines of that file.
+prints the table; `angler validate` puts it on the page.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,10 @@ from angler_experiments import schemes
 from angler_experiments.driving import CASES, HOLD_S, Case, draw_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
-from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine, step
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.physics.step import VehicleState, Water
+from angler_mjx.validation.found import Number, save_result
 from angler_mjx.vehicles import library, mjcf, params
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.currents import Current, Uniform, Vortices
@@ -43,7 +43,8 @@ VARIANTS = (
 )
 STEPS_MS = (40, 20, 10, 5)
 BATTERY_V = 16.0
-MARKERS = ("<!-- convergence:begin -->", "<!-- convergence:end -->")
+QUICK: dict[str, Any] = {"cases": CASES[:1], "steps_ms": (10,), "names": ("ours",)}
+"""What `--quick` studies."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +183,7 @@ def study(
     cases: Sequence[Case] = CASES,
     steps_ms: Sequence[int] = STEPS_MS,
     variants: Sequence[tuple[str, str]] = VARIANTS,
+    names: Sequence[str] = tuple(schemes.SCHEMES),
 ) -> list[Row]:
     """Run all schemes against the reference, in float64.
 
@@ -190,6 +192,7 @@ def study(
         cases: how roughly to drive.
         steps_ms: divisors of 200.
         variants: vehicles and their parameter sets.
+        names: of the schemes.
 
     Returns:
         Rows by case, vehicle and step.
@@ -198,7 +201,7 @@ def study(
     rows = []
     with jax.enable_x64(True):
         setup = set_up(variants)
-        runs = {name: simulator(setup, scheme) for name, scheme in schemes.SCHEMES.items()}
+        runs = {name: simulator(setup, schemes.SCHEMES[name]) for name in names}
         for seed, case in enumerate(cases):
             commands = draw_commands(case, setup.vehicles, n_command, seed)
             truth = reference(setup, commands)
@@ -250,35 +253,29 @@ def _centimetres(value: float) -> str:
     return f"{value:.2g}" if value < 10 else f"{value:.0f}" if value < 1e4 else "blows up"
 
 
-def write_between_markers(path: Path, text: str) -> None:
-    """Replace what stands between the two marker lines of a file.
-
-    Raises:
-        ConfigError: the file cannot be read, or has not both markers in order.
-    """
-    try:
-        old = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
-    begin, end = (old.find(marker) for marker in MARKERS)
-    if not 0 <= begin < end:
-        raise ConfigError(f"{path}: needs the lines {MARKERS[0]} and {MARKERS[1]}, in this order")
-    head = old[: begin + len(MARKERS[0])]
-    path.write_text(f"{head}\n{text}\n{old[end:]}", encoding="utf-8")
+def numbers(rows: Sequence[Row]) -> Mapping[str, Number]:
+    """The errors of the scheme that is used, by case, vehicle, set and step."""
+    return {
+        f"{row.case}.{row.vehicle}.{row.parameter_set}.{row.step_ms}_ms": Number(
+            value=row.error_cm["ours"], unit="cm", worse="scheme"
+        )
+        for row in rows
+    }
 
 
-def main(out: Path | None = None, seconds: float = 60.0) -> list[Row]:
+def main(json: Path | None = None, seconds: float = 60.0, quick: bool = False) -> list[Row]:
     """Compare the schemes and print the table.
 
     Args:
-        out: Markdown file to write the table to, between its marker lines.
-        seconds: length of each run.
+        json: File for the result, as `angler validate` reads it.
+        seconds: Length of each run.
+        quick: Only the scheme that is used, at its default step, in moderate manoeuvres.
     """
-    rows = study(seconds)
+    rows = study(seconds, **QUICK) if quick else study(seconds)
     table = to_markdown(rows)
     print(table)
-    if out is not None:
-        write_between_markers(out, table)
+    if json is not None:
+        save_result(json, dict(numbers(rows)), table)
     return rows
 
 

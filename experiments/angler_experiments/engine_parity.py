@@ -12,6 +12,7 @@ touched a step later, a thruster at the edge of its dead band.
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.validation.found import Number, save_result
 from angler_mjx.vehicles import library
 
 type Array = NDArray[np.float64]
@@ -173,19 +175,72 @@ def report(parity: Parity, names: list[str]) -> str:
     return "\n".join(lines)
 
 
-def main(scenario: str = "reef_fleet", worlds: int = 1000, seconds: float = 120.0) -> Parity:
+def numbers(parity: Parity, size: str) -> dict[str, Number]:
+    """What is compared from one time to the next; counts in robots.
+
+    Args:
+        parity: of the two runs.
+        size: of the runs, for the keys.
+    """
+    greatest = parity.apart_m.max(axis=1)
+    other_end = parity.end_time_s[0] != parity.end_time_s[1]
+    counts = {
+        "other_outcome": np.sum(~parity.same),
+        "beyond_the_bound": np.sum(~parity.within),
+        "other_end": np.sum(other_end),
+    }
+    found = {
+        f"{size}.{name}": Number(value=float(count), unit="robots", worse="count")
+        for name, count in counts.items()
+    }
+    median = Number(value=float(np.median(greatest)), unit="m", worse="rounding")
+    return {**found, f"{size}.median": median}
+
+
+def to_markdown(parity: Parity) -> str:
+    """The numbers as they stand on the page."""
+    within, same = parity.within, parity.same
+    greatest = parity.apart_m.max(axis=1)
+    other_end = parity.end_time_s[0] != parity.end_time_s[1]
+    rows = {
+        "robots": f"{same.size:,}",
+        "another outcome, or another thing touched": f"{np.sum(~same):,}",
+        "episode ends at another control step": f"{np.sum(other_end):,}",
+        f"positions within the bound ({parity.bound_m[-1]:.1e} m at the end)": f"{within.sum():,}",
+        "greatest distance of a robot, median": f"{np.median(greatest):.1e} m",
+        "greatest distance among those within": f"{greatest[within].max(initial=0.0):.1e} m",
+        "greatest distance of all": f"{greatest.max():.1e} m",
+    }
+    for outcome in Outcome:
+        count = [int(np.sum(side == outcome)) for side in parity.outcome]
+        if any(count):
+            rows[f"{outcome.name.lower()}: mjx, fused"] = f"{count[0]:,}, {count[1]:,}"
+    lines = ["| | found |", "| --- | ---: |", *(f"| {k} | {v} |" for k, v in rows.items())]
+    return "\n".join(lines)
+
+
+def main(
+    scenario: str = "reef_fleet",
+    worlds: int = 1000,
+    seconds: float = 120.0,
+    json: Path | None = None,
+) -> Parity:
     """Run the same worlds by mjx and by fused, and say how far they are apart.
 
     Args:
         scenario: name of a shipped scenario, or path of a file; the fleet is replaced.
         worlds: how many.
         seconds: length of the episodes.
+        json: file for the result, as `angler validate` reads it.
     """
     tile = math.gcd(worlds, 125)
     chosen = everything(load_scenario(scenario, worlds=worlds, time={"horizon_s": seconds}))
     parity = compare(chosen, tile)
     names = [" ".join(kind) for kind in Simulator(chosen, tile=tile).variants()]
     print(report(parity, names))
+    if json is not None:
+        size = f"{worlds}_worlds_{seconds:g}_s"
+        save_result(json, numbers(parity, size), to_markdown(parity))
     return parity
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from angler_experiments import convergence
-from angler_mjx.errors import ConfigError
+from angler_mjx.validation.found import Result, read
 
 
 @pytest.fixture(scope="module")
@@ -30,16 +30,15 @@ def test_schemes_converge_at_their_order(rows):
     assert fine.error_cm["ours"] < 0.1 * fine.error_cm["Euler, body velocity"]
 
 
-def test_table_goes_between_the_markers(rows, tmp_path):
-    page = tmp_path / "page.md"
-    begin, end = convergence.MARKERS
-    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
-    convergence.write_between_markers(page, convergence.to_markdown(rows))
-    lines = page.read_text().splitlines()
-    assert lines[:2] == ["before", begin]
-    assert lines[-2:] == [end, "after"]
-    assert len(lines) == 4 + 2 + len(rows)
-    assert len({line.count("|") for line in lines[2:-2]}) == 1
+def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
+    monkeypatch.setattr(convergence, "study", lambda *_, **__: rows)
+    convergence.main(json=tmp_path / "result.json")
+    result = read(Result, tmp_path / "result.json")
+    assert result.text.splitlines() == convergence.to_markdown(rows).splitlines()
+    assert len({line.count("|") for line in result.text.splitlines()}) == 1
+    assert {number.value for number in result.numbers.values()} == {
+        row.error_cm["ours"] for row in rows
+    }
 
 
 def test_a_scheme_that_blows_up_is_named(rows):
@@ -56,12 +55,3 @@ def test_a_scheme_that_blows_up_is_named(rows):
             )
         ]
     )
-
-
-@pytest.mark.parametrize("text", ["no markers", None])
-def test_a_page_without_markers_is_refused(tmp_path, text):
-    page = tmp_path / "page.md"
-    if text is not None:
-        page.write_text(text)
-    with pytest.raises(ConfigError, match=r"page\.md"):
-        convergence.write_between_markers(page, "table")

@@ -86,16 +86,16 @@ def test_point_box_inside_outside():
     assert np.all(np.asarray(got)[np.all((p > lo) & (p < hi), axis=1)] == 0.0)
 
 
-def test_segment_point_equals_dense_search():
+def test_segment_point_equals_dense_search(deviation):
     rng = np.random.default_rng(1)
     a, b = random_segments(rng)
     p = rng.uniform(-2, 2, (N, 3))
     got = jax.jit(jax.vmap(clearance.segment_point))(a, b, p)
     want = minimise(lambda s: np.linalg.norm(along(a, b, s) - p, axis=1), N)
-    np.testing.assert_allclose(got, want, atol=SEARCH)
+    deviation.close("clearance.segments", got, want, atol=SEARCH)
 
 
-def test_segment_segment_equals_dense_search():
+def test_segment_segment_equals_dense_search(deviation):
     rng = np.random.default_rng(2)
     a1, b1 = random_segments(rng)
     a2, b2 = random_segments(rng)
@@ -105,10 +105,10 @@ def test_segment_segment_equals_dense_search():
     b2[nearly] = a2[nearly] + (b1 - a1)[nearly] + 1e-7 * rng.normal(size=b2[nearly].shape)
     got = jax.jit(jax.vmap(clearance.segment_segment))(a1, b1, a2, b2)
     want = minimise(lambda s: to_segment(along(a1, b1, s), a2, b2), N)
-    np.testing.assert_allclose(got, want, atol=SEARCH)
+    deviation.close("clearance.segments", got, want, atol=SEARCH)
 
 
-def test_segment_segment_in_single_precision():
+def test_segment_segment_in_single_precision(deviation):
     rng = np.random.default_rng(3)
     a1, b1 = random_segments(rng)
     a2 = a1 + 0.3 * rng.normal(size=a1.shape)
@@ -120,17 +120,17 @@ def test_segment_segment_in_single_precision():
     want = minimise(lambda s: to_segment(along(a1, b1, s), a2, b2), N)
     # Half the digits of float32 at the 2 m scale of the coordinates: the parameter of a nearly
     # parallel crossing loses the others, and the gap is flat there.
-    np.testing.assert_allclose(got, want, atol=3e-5)
+    deviation.close("clearance.segments_single", got, want, atol=3e-5)
 
 
-def test_segment_box_equals_dense_search():
+def test_segment_box_equals_dense_search(deviation):
     rng = np.random.default_rng(4)
     a, b = random_segments(rng)
     lo = rng.uniform(-2, 1, (N, 3))
     hi = lo + rng.uniform(0, 2, (N, 3))
     got = jax.jit(jax.vmap(clearance.segment_box))(a, b, lo, hi)
     want = minimise(lambda s: outside_box(along(a, b, s), lo, hi), N)
-    np.testing.assert_allclose(got, want, atol=SEARCH)
+    deviation.close("clearance.segments", got, want, atol=SEARCH)
     assert (want < 1e-9).sum() > 50, "the draw holds segments that enter the box"
     single = (np.asarray(x, np.float32) for x in (a, b, lo, hi))
     # Coordinates up to 4 m in float32: 2e-7 each, some operations; flat in the parameter.
@@ -147,7 +147,7 @@ def coal_distance(shape1, r1, t1, shape2, r2, t2):
     return max(coal.distance(shape1, pose1, shape2, pose2, request, result), 0.0)
 
 
-def test_capsules_against_every_kind_equal_coal():
+def test_capsules_against_every_kind_equal_coal(deviation):
     rng = np.random.default_rng(5)
     kind = rng.integers(0, 3, N)
     size = rng.uniform(0.1, 1.0, (N, 3))
@@ -169,7 +169,7 @@ def test_capsules_against_every_kind_equal_coal():
         shape = (coal.Sphere(x), coal.Box(2 * x, 2 * y, 2 * z), coal.Capsule(x, 2 * y))[kind[i]]
         hull = coal.Capsule(r[i], 2 * half[i])
         want[i] = coal_distance(hull, hull_R[i], centre[i], shape, R[i], p[i])
-    np.testing.assert_allclose(np.maximum(got, 0.0), want, atol=COAL)
+    deviation.close("clearance.obstacles_coal", np.maximum(got, 0.0), want, atol=COAL)
     assert 100 < (want == 0).sum() < N - 100, "the draw holds both touching and clear pairs"
 
 
@@ -190,7 +190,7 @@ def test_unions_take_the_least_pair():
 
 
 @pytest.mark.parametrize("shape", [(9, 8, 7), (2, 5, 1)])
-def test_capsules_grid_is_exact_below_its_cap(shape):
+def test_capsules_grid_is_exact_below_its_cap(shape, deviation):
     rng = np.random.default_rng(7)
     n, cell, origin = 2000, 1.5, np.array([-3.0, 1.0, -12.0])
     occupied = rng.random(shape) < 0.1
@@ -215,7 +215,7 @@ def test_capsules_grid_is_exact_below_its_cap(shape):
             every = np.minimum(every, gap - radius)
     ends = [np.linalg.norm(e - centre, axis=1) for e in (a, b, a2, b2)]
     cap = cell - np.maximum(np.maximum(*ends[:2]) + r[0], np.maximum(*ends[2:]) + r[1])
-    np.testing.assert_allclose(got, np.minimum(every, cap), atol=SEARCH)
+    deviation.close("clearance.grid", got, np.minimum(every, cap), atol=SEARCH)
     assert (every < cap).sum() > 100, "the draw holds hulls near cells"
 
 

@@ -10,6 +10,7 @@ from angler_kernels import clearance
 
 # coal stops GJK at the tolerance it is given (1e-10 of squared length, so 1e-5 of length).
 DOUBLE = 1e-5
+KINDS = {jnp.float64: "double", jnp.float32: "single"}
 # Numbers that float32 does not hold: the grid itself is rounded in single precision.
 SHAPE, CELL, ORIGIN = (12, 12, 12), 1.3, np.array([-7.7, 8.3, -19.9])
 N_HULL, N_POSE, N_CAPSULE = 8, 12_500, 3
@@ -123,15 +124,15 @@ def cells_error(cell_queries, dtype):
     return np.abs(np.maximum(got, 0.0) - np.minimum(want, cap))
 
 
-def test_hulls_to_cells_equal_coal_in_double(cell_queries):
-    assert cells_error(cell_queries, jnp.float64).max() < DOUBLE
+def test_hulls_to_cells_equal_coal_in_double(cell_queries, deviation):
+    deviation("clearance.cells_coal_double", cells_error(cell_queries, jnp.float64), DOUBLE)
 
 
-def test_hulls_to_cells_equal_coal_in_single(cell_queries):
+def test_hulls_to_cells_equal_coal_in_single(cell_queries, deviation):
     # Hulls and cells stand up to 25 m from the origin, where float32 has steps of 1.9e-6 m: half a
     # step is lost for each end, for the grid's origin and for the corner of the looked-up cells.
     # What follows works on lengths of a few metres and adds some 1e-7 m.
-    assert cells_error(cell_queries, jnp.float32).max() < 1e-5
+    deviation("clearance.cells_coal_single", cells_error(cell_queries, jnp.float32), 1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -155,17 +156,17 @@ def hull_pairs():
 
 
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
-def test_hulls_to_hulls_equal_coal(hull_pairs, dtype):
+def test_hulls_to_hulls_equal_coal(hull_pairs, dtype, deviation):
     arguments, want = hull_pairs
     ours = jax.jit(jax.vmap(clearance.capsules_capsules))
     got = np.asarray(ours(*(jnp.asarray(x, dtype) for x in arguments)), float)
     # In single too: lengths of some metres, 1e-7 each.
-    np.testing.assert_allclose(np.maximum(got, 0.0), want, atol=DOUBLE)
+    deviation.close(f"clearance.hulls_coal_{KINDS[dtype]}", np.maximum(got, 0.0), want, atol=DOUBLE)
     assert 100 < (want == 0).sum() < want.size - 100, "both touching and clear pairs"
 
 
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
-def test_hulls_to_obstacles_equal_coal(dtype):
+def test_hulls_to_obstacles_equal_coal(dtype, deviation):
     rng = np.random.default_rng(2)
     n = 3000
     a, b, r = draw_hulls(rng, n)
@@ -184,5 +185,6 @@ def test_hulls_to_obstacles_equal_coal(dtype):
             gap = coal.distance(capsule, coal.Transform3s(turn, at), shape, place, wanted, result)
             want[i] = min(want[i], max(gap, 0.0))
     # In single too: lengths of some metres, 1e-7 each, and an attitude of unit length.
-    np.testing.assert_allclose(np.maximum(got, 0.0), want, atol=DOUBLE)
+    key = f"clearance.hull_obstacles_coal_{KINDS[dtype]}"
+    deviation.close(key, np.maximum(got, 0.0), want, atol=DOUBLE)
     assert 100 < (want == 0).sum() < n - 100, "both touching and clear pairs"

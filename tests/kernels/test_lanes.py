@@ -27,7 +27,12 @@ def on_lanes(function, *args):
     return lanes.join(lanes.apply(function, *lanes.split(args)))
 
 
-def assert_same(function, *args):
+@pytest.fixture
+def assert_same(deviation):
+    return partial(compare, deviation)
+
+
+def compare(deviation, function, *args):
     """``function`` of one body on lanes and by ``vmap`` of [W, ...] arguments."""
     args = jax.tree.map(jnp.asarray, args)
     ours = jax.jit(partial(on_lanes, function))(*args)
@@ -37,7 +42,7 @@ def assert_same(function, *args):
         assert x.dtype == y.dtype
         # A result that is the same for all bodies comes without lanes.
         x = np.broadcast_to(x, y.shape) if x.ndim == y.ndim - 1 else x
-        np.testing.assert_allclose(x, y, rtol=RTOL, atol=ATOL)
+        deviation.close("lanes.one_body", x, y, rtol=RTOL, atol=ATOL)
 
 
 def normal(*shape, seed=0):
@@ -116,7 +121,7 @@ def primitives(function, *args):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_operations(name):
+def test_operations(name, assert_same):
     function, shapes = CASES[name]
     args = [normal(*shape, seed=i) for i, shape in enumerate(shapes)]
     if name in RULES:
@@ -128,7 +133,7 @@ def _pick_row(x, i):
     return jax.lax.dynamic_slice(x, (i, jnp.int32(1)), (1, 2))
 
 
-def test_picks_at_places_that_differ_between_bodies():
+def test_picks_at_places_that_differ_between_bodies(assert_same):
     assert_same(_pick_row, normal(5, 4), integers(5))
     assert_same(lambda x, i: x[i[0], i[1]], normal(3, 4), integers(3, 2))
 
@@ -176,14 +181,14 @@ def random_body(seed=0):
     }
 
 
-def test_water_wrench():
+def test_water_wrench(assert_same):
     def wrench(body):
         return rigid_body.water_wrench(**body, density=1000.0, gravity=9.81)
 
     assert_same(wrench, random_body())
 
 
-def test_damped_velocity():
+def test_damped_velocity(assert_same):
     body = random_body()
     inertia = body["M_A"] + 10 * np.eye(6)
     forces = [normal(6, seed=i) for i in range(3)]
@@ -191,7 +196,7 @@ def test_damped_velocity():
     assert_same(step, body["nu"], normal(6, seed=9), inertia, body["D_l"], body["D_q"], *forces)
 
 
-def test_pose_and_quaternions():
+def test_pose_and_quaternions(assert_same):
     body = random_body(1)
     q, other = body["q"], random_body(2)["q"]
     step = partial(rigid_body.advance_pose, dt=0.01)
@@ -202,7 +207,7 @@ def test_pose_and_quaternions():
     assert_same(quaternion.exp, np.concatenate([normal(3)[:32], 1e-9 * normal(3)[32:]]))
 
 
-def test_thruster_in_a_table_in_memory():
+def test_thruster_in_a_table_in_memory(assert_same):
     """A table of each body, as `Table` and as lanes, against ``vmap``."""
     rows = np.sort(np.round(normal(33), 1), axis=1)  # with flat stretches
     pwm = np.random.default_rng(1).uniform(1000, 2000, (W, 4))
@@ -242,7 +247,7 @@ def test_tables_of_many_axes():
         np.testing.assert_allclose(x, y, rtol=RTOL, atol=ATOL)
 
 
-def test_hull_to_cells_a_loop_of_different_lengths():
+def test_hull_to_cells_a_loop_of_different_lengths(assert_same):
     rng = np.random.default_rng(3)
     centre = rng.uniform(-3, 3, (W, 3))
     a, b = centre[:, None] + rng.uniform(-0.3, 0.3, (2, W, 5, 3))
@@ -255,7 +260,7 @@ def test_hull_to_cells_a_loop_of_different_lengths():
     assert_same(clearance.point_neighbours, centre, corner, mask, cell)
 
 
-def test_distances_between_bodies():
+def test_distances_between_bodies(assert_same):
     rng = np.random.default_rng(4)
     a, b = rng.normal(size=(2, W, 3, 3))
     c, d = 1.0 + rng.normal(size=(2, W, 2, 3))
@@ -270,7 +275,7 @@ def test_distances_between_bodies():
     )
 
 
-def test_currents():
+def test_currents(assert_same):
     rng = np.random.default_rng(5)
     core = rng.uniform(1, 3, (W, 3))
     assert_same(

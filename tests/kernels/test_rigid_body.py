@@ -44,40 +44,41 @@ def matrices(q):
 NEAR = {"rtol": 1e-12, "atol": 1e-12}
 
 
-def test_coriolis_forces_do_no_work(rng):
+def test_coriolis_forces_do_no_work(rng, deviation):
     M_A, inertia, nu = spd(rng, 6), spd(rng, 3), rng.normal(size=(N, 6))
     mass = rng.uniform(1, 20, N)
     added = np.asarray(jax.vmap(rigid_body.added_mass_coriolis)(M_A, nu))
     dry = np.asarray(jax.vmap(rigid_body.rigid_body_coriolis)(mass, inertia, nu))
-    np.testing.assert_allclose(np.sum(nu * added, axis=1), 0, atol=1e-12)
-    np.testing.assert_allclose(np.sum(nu * dry, axis=1), 0, atol=1e-12)
+    for force in (added, dry):
+        deviation.close("coriolis.work", np.sum(nu * force, axis=1), 0, atol=1e-12)
 
 
-def test_added_mass_coriolis_is_fossens_matrix(rng):
+def test_added_mass_coriolis_is_fossens_matrix(rng, deviation):
     M_A, nu = spd(rng, 6), rng.normal(size=(N, 6))
     ours = jax.vmap(rigid_body.added_mass_coriolis)(M_A, nu)
     for i in range(N):
         a, b = M_A[i, :3] @ nu[i], M_A[i, 3:] @ nu[i]
         C_A = np.block([[np.zeros((3, 3)), -S(a)], [-S(a), -S(b)]])
-        np.testing.assert_allclose(ours[i], C_A @ nu[i], **NEAR)
+        deviation.close("coriolis.added_mass", ours[i], C_A @ nu[i], **NEAR)
 
 
-def test_rigid_body_coriolis_is_newton_and_euler(rng):
+def test_rigid_body_coriolis_is_newton_and_euler(rng, deviation):
     inertia, nu, mass = spd(rng, 3), rng.normal(size=(N, 6)), rng.uniform(1, 20, N)
     ours = jax.vmap(rigid_body.rigid_body_coriolis)(mass, inertia, nu)
     for i in range(N):
         v, w = nu[i, :3], nu[i, 3:]
         expected = np.concatenate([mass[i] * S(w) @ v, S(w) @ inertia[i] @ w])
-        np.testing.assert_allclose(ours[i], expected, **NEAR)
+        deviation.close("coriolis.rigid_body", ours[i], expected, **NEAR)
 
 
-def test_damping_takes_power_and_its_slope_is_its_derivative(rng):
+def test_damping_takes_power_and_its_slope_is_its_derivative(rng, deviation):
     D_l, D_q, nu = *rng.uniform(0, 10, (2, N, 6)), rng.normal(size=(N, 6))
     wrench = np.asarray(jax.vmap(rigid_body.damping_wrench)(D_l, D_q, nu))
     assert np.all(wrench * nu <= 0)
     exact = jax.vmap(jax.jacfwd(rigid_body.damping_wrench, argnums=2))(D_l, D_q, nu)
     slope = jax.vmap(rigid_body.damping_slope)(D_l, D_q, nu)
-    np.testing.assert_allclose(-exact, np.asarray(slope)[:, :, None] * np.eye(6), **NEAR)
+    written = np.asarray(slope)[:, :, None] * np.eye(6)
+    deviation.close("damping.slope", -exact, written, **NEAR)
 
 
 def test_submerged_fraction_fades_over_the_hull():
@@ -86,13 +87,13 @@ def test_submerged_fraction_fades_over_the_hull():
     np.testing.assert_allclose(share, [1, 1, 0.5, 0.25, 0, 0], **NEAR)
 
 
-def test_buoyancy_rights_the_body(rng):
+def test_buoyancy_rights_the_body(rng, deviation):
     q, arm = random_quaternions(rng), rng.normal(size=(N, 3))
     lift = rng.uniform(1, 100, N)
     ours = jax.vmap(rigid_body.buoyancy_wrench)(q, lift, arm)
     force = np.einsum("nji,j->ni", matrices(q), [0, 0, 1.0]) * lift[:, None]
     expected = np.concatenate([force, np.cross(arm, force)], axis=1)
-    np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-11)
+    deviation.close("buoyancy.wrench", ours, expected, rtol=1e-12, atol=1e-11)
 
 
 def water_of(M_A, q, nu, v_c, Dv_c, *, z=-9.0, gravity=0.0):
@@ -115,7 +116,7 @@ def water_of(M_A, q, nu, v_c, Dv_c, *, z=-9.0, gravity=0.0):
     )(M_A, q, nu, v_c, Dv_c)
 
 
-def test_a_steady_uniform_current_changes_nothing_but_the_frame(rng):
+def test_a_steady_uniform_current_changes_nothing_but_the_frame(rng, deviation):
     """Seen by someone who drifts along, motion in a uniform current is motion in still water."""
     M_A, q, nu, v_c = (
         spd(rng, 6),
@@ -136,10 +137,10 @@ def test_a_steady_uniform_current_changes_nothing_but_the_frame(rng):
     still = nu_dot(nu - nu_c, np.zeros((N, 3)))
     carried = nu_dot(nu, v_c)
     turn = np.concatenate([np.cross(nu[:, 3:], body_v_c), np.zeros((N, 3))], axis=1)
-    np.testing.assert_allclose(carried, still - turn, rtol=1e-10, atol=1e-10)
+    deviation.close("current.frame", carried, still - turn, rtol=1e-10, atol=1e-10)
 
 
-def test_a_neutral_body_that_moves_with_the_water_is_accelerated_with_it(rng):
+def test_a_neutral_body_that_moves_with_the_water_is_accelerated_with_it(rng, deviation):
     """Without slip and spin, nu' = Dv_c/Dt whatever the added mass: the body is water itself."""
     M_A, q = spd(rng, 6), random_quaternions(rng)
     M_A[:, :3, 3:] = M_A[:, 3:, :3] = 0
@@ -151,7 +152,7 @@ def test_a_neutral_body_that_moves_with_the_water_is_accelerated_with_it(rng):
     M = M_A[:, :3, :3] + 12.0 * np.eye(3)
     expected = np.einsum("nij,nj->ni", to_body, Dv_c)
     ours = np.linalg.solve(M, wrench[:, :3, None])[..., 0]
-    np.testing.assert_allclose(ours, expected, rtol=1e-11, atol=1e-11)
+    deviation.close("current.carried", ours, expected, rtol=1e-11, atol=1e-11)
 
 
 def test_out_of_the_water_there_is_neither_lift_nor_pressure(rng):
@@ -222,7 +223,7 @@ def test_linear_damping_never_grows():
         assert np.all(np.abs(nu) <= 1 + 1e-9)  # Rounding of 1e6.
 
 
-def test_pose_step_follows_the_helix(rng):
+def test_pose_step_follows_the_helix(rng, deviation):
     """A constant body velocity is a screw motion; the attitude is exact, the position O(dt^3)."""
     q0, nu = random_quaternions(rng), rng.normal(size=(N, 6))
 
@@ -243,8 +244,8 @@ def test_pose_step_follows_the_helix(rng):
     way = along + np.sin(angle) / angle * (v - along) + (1 - np.cos(angle)) / angle * across
     exact = R0.apply(way)
     _, q = run(0.1)
-    np.testing.assert_allclose(matrices(q), (R0 * turn).as_matrix(), atol=1e-13)
+    deviation.close("pose.attitude", matrices(q), (R0 * turn).as_matrix(), atol=1e-13)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-15)
     coarse, fine = (np.abs(run(dt)[0] - exact).max() for dt in (0.1, 0.05))
     # Second order: four times less, with 5 % for the next order.
-    assert coarse / fine == pytest.approx(4, rel=0.05)
+    deviation("pose.order", abs(coarse / fine - 4), 0.2)

@@ -15,20 +15,22 @@ def systems(n, k, condition):
 
 
 @pytest.mark.parametrize(("n", "k"), [(1, 1), (3, 2), (6, 1), (6, 2), (12, 3)])
-def test_solution_in_float64(n, k):
+def test_solution_in_float64(n, k, deviation):
     matrix, right = systems(n, k, 1e3)
     with jax.enable_x64(True):
         x = np.asarray(spd_solve.solve(jax.numpy.asarray(matrix), jax.numpy.asarray(right)))
     # Condition number 1e3 times float64 rounding.
-    np.testing.assert_allclose(x, np.linalg.solve(matrix, right), rtol=1e-11, atol=1e-12)
+    theirs = np.linalg.solve(matrix, right)
+    deviation.close("solver.double", x, theirs, rtol=1e-11, atol=1e-12)
 
 
-def test_batch_in_float32():
+def test_batch_in_float32(deviation):
     matrix, right = (np.stack(x) for x in zip(*(systems(6, 1, 300) for _ in range(4)), strict=True))
     x = jax.vmap(spd_solve.solve)(matrix.astype(np.float32), right.astype(np.float32))
     assert x.dtype == np.float32
     # A condition number of 300 (13 kg against 0.1 kg m^2 and worse) times 1e-7.
-    np.testing.assert_allclose(x, np.linalg.solve(matrix, right), rtol=1e-4, atol=1e-4)
+    theirs = np.linalg.solve(matrix, right)
+    deviation.close("solver.single", x, theirs, rtol=1e-4, atol=1e-4)
 
 
 def test_only_the_lower_triangle_is_read():

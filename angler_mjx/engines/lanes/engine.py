@@ -5,7 +5,7 @@ rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obs
 worlds, so the worlds lie side by side in memory.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -233,15 +233,15 @@ def _control_step(
     said = told.command if command is None else command
     groups, records = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
-        place = partial(OfGroup, **where, given=given)
+        make = partial(OfGroup, **where, given=given)
         with jax.named_scope("robots"):
-            now, record = lanes.shared(partial(_alone, place, robots, said, told.known))
+            now, record = lanes.shared(partial(_alone, make, robots, said, told.known))
         groups.append(now)
         records.append(record)
     sample = side_by_side(records)
     obstacles, seen = _obstacles(Everywhere(**where), moving.obstacles)
     sample |= seen
-    met = _all_met(scene, groups, obstacles)
+    met = pair_search.all_met(scene, groups, obstacles)
     after, records = [], []
     for given, now in zip(scene.groups, groups, strict=True):
         place = OfGroup(**where, given=given, met=met)
@@ -286,19 +286,3 @@ def _obstacles(place: Everywhere, obstacles: ObstacleState) -> tuple[ObstacleSta
         return obstacles, OBSTACLES.run(place, slots).record()
     now, record = lanes.shared(partial(run, place, (OBSTACLES,), slots))
     return now["obstacles"], record
-
-
-def _all_met(
-    scene: Scene, groups: Sequence[Slots], obstacles: ObstacleState
-) -> tuple[Others, list[Others]]:
-    """What robots can meet when all have moved: obstacles, and robots of every group."""
-    robots = [
-        Others(
-            count=given.group.count,
-            load=partial(pair_search.met_robot, given.params.vehicle, now["vehicle"]),
-            first=given.group.first,
-        )
-        for given, now in zip(scene.groups, groups, strict=True)
-    ]
-    met = partial(pair_search.met_obstacle, scene.obstacles, scene.reach, obstacles)
-    return Others(count=scene.n_obstacle, load=met), robots

@@ -5,6 +5,8 @@ looked at for that; those that are wanted are listed, and their distances worked
 time. A kernel, whose lanes are few, does better with `lane_search.of_lanes`.
 """
 
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,6 +15,7 @@ import numpy as np
 
 from angler_kernels import lanes
 from angler_mjx.engines.lanes import judge as lane_judge
+from angler_mjx.engines.lanes.layout import Scene
 from angler_mjx.engines.lanes.search import Exact, Met, Nearest, Others, Seeker
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.vehicles.params import VehicleParams
@@ -53,6 +56,22 @@ def met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, i
         reach=radius[()],
         details=lambda: (body, now.q, lane_judge.velocity(now.q, now.nu)),
     )
+
+
+def all_met(
+    scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState
+) -> tuple[Others, list[Others]]:
+    """What robots can meet when all have moved: obstacles, and robots of every group."""
+    robots = [
+        Others(
+            count=given.group.count,
+            load=partial(met_robot, given.params.vehicle, now["vehicle"]),
+            first=given.group.first,
+        )
+        for given, now in zip(scene.groups, groups, strict=True)
+    ]
+    met = partial(met_obstacle, scene.obstacles, scene.reach, obstacles)
+    return Others(count=scene.n_obstacle, load=met), robots
 
 
 def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:

@@ -54,12 +54,12 @@ SMALL = np.array([10, 10, 12, 1, 1, 1.5])
 NEAR = 8 * 0.005
 
 
-def test_an_unsaturated_demand_is_delivered(deliver):
+def test_an_unsaturated_demand_is_delivered(deliver, deviation):
     tau = wrenches(SMALL)
     _, _, got = deliver(tau)
-    assert np.abs(got - tau)[HEAVY].max() < NEAR
+    deviation("allocation.unsaturated", np.abs(got - tau)[HEAVY], NEAR)
     five = [0, 1, 2, 3, 5]
-    assert np.abs(got - tau)[LIGHT][:, five].max() < NEAR
+    deviation("allocation.unsaturated", np.abs(got - tau)[LIGHT][:, five], NEAR)
     # Pitch is not commanded there: it is what the surge thrusters' arm of 0.011 m makes of surge.
     assert np.abs(got[LIGHT, :, 4] + 0.011 * got[LIGHT, :, 0]).max() < 1e-4  # float32
 
@@ -87,20 +87,20 @@ def test_signals_stay_within_their_range(deliver):
         assert pwm.max() <= 1900
 
 
-def test_attitude_comes_first(deliver):
+def test_attitude_comes_first(deliver, deviation):
     """A demand of attitude that fits is met whatever else is asked for."""
     tau = wrenches(SMALL)
     tau[..., :3] *= 50
     _, _, got = deliver(tau)
-    assert np.abs(got - tau)[HEAVY][:, ATTITUDE].max() < NEAR
-    assert np.abs(got - tau)[LIGHT][:, [3, 5]].max() < NEAR
+    deviation("allocation.attitude_first", np.abs(got - tau)[HEAVY][:, ATTITUDE], NEAR)
+    deviation("allocation.attitude_first", np.abs(got - tau)[LIGHT][:, [3, 5]], NEAR)
 
 
-def test_heave_comes_before_surge_and_sway(deliver):
+def test_heave_comes_before_surge_and_sway(deliver, deviation):
     tau = wrenches(SMALL)
     tau[..., PLANE] *= 50
     _, _, got = deliver(tau)
-    assert np.abs(got - tau)[..., HEAVE].max() < NEAR
+    deviation("allocation.heave_next", np.abs(got - tau)[..., HEAVE], NEAR)
 
 
 def test_a_sway_of_rounding_takes_no_surge_where_heave_is_at_its_limit(deliver):
@@ -113,13 +113,14 @@ def test_a_sway_of_rounding_takes_no_surge_where_heave_is_at_its_limit(deliver):
     np.testing.assert_allclose(got[LIGHT, :, 0], 20.0, atol=NEAR)
 
 
-def test_surge_and_sway_keep_their_direction(deliver):
+def test_surge_and_sway_keep_their_direction(deliver, deviation):
     tau = wrenches(SMALL)
     tau[..., PLANE] *= 50
     _, _, got = deliver(tau)
     asked, given = tau[..., PLANE], got[..., PLANE]
     across = asked[..., 0] * given[..., 1] - asked[..., 1] * given[..., 0]
-    assert (np.abs(across) / np.linalg.norm(asked, axis=-1)).max() < NEAR
+    aside = np.abs(across) / np.linalg.norm(asked, axis=-1)
+    deviation("allocation.direction", aside, NEAR)
     share = np.sum(asked * given, axis=-1) / np.sum(asked**2, axis=-1)
     assert np.all(share > 0)
     assert np.all(share < 1.001)  # NEAR on demands above 40 N.
@@ -204,7 +205,7 @@ def best(B, commanded, low, high, tau):
     return had
 
 
-def test_to_limits_meets_all_that_can_be_met(faulty, methods):
+def test_to_limits_meets_all_that_can_be_met(faulty, methods, deviation):
     """Against linear programming: attitude, then heave, then surge and sway along their line."""
     vehicles, given = faulty
     tau = demands(LARGE)
@@ -219,7 +220,7 @@ def test_to_limits_meets_all_that_can_be_met(faulty, methods):
         for wanted, gives in zip(rows, got[k], strict=True):
             can = best(B, commanded, low, high, wanted)
             # Thrusts below 0.005 N are left out; the solver's 1e-7 is far less.
-            np.testing.assert_allclose(gives[commanded], can[commanded], atol=NEAR)
+            deviation.close("allocation.to_limits", gives[commanded], can[commanded], atol=NEAR)
             short.append(np.abs(wanted - can)[commanded].max() > 1.0)
     assert np.mean(short) > 0.5  # The demands did saturate.
 

@@ -57,7 +57,7 @@ def c_jacobian(model, data):
     return turn @ J, turn @ rate - np.kron(np.eye(2), S) @ turn @ J
 
 
-def test_fields_against_mujoco_c(plants, kicked):
+def test_fields_against_mujoco_c(plants, kicked, deviation):
     (p, q, nu), wrench, M_RB, force = kicked
     M_A = np.asarray(plants.params.M_A)
     for i, model in enumerate(plants.models):
@@ -68,21 +68,22 @@ def test_fields_against_mujoco_c(plants, kicked):
             J, J_dot = c_jacobian(model, data)
             back = np.linalg.inv(J)
             # The same sums in float64 in another order, on numbers up to 1e2.
-            near = {"rtol": 1e-11, "atol": 1e-11, "err_msg": plants.names[i]}
+            near = {"rtol": 1e-11, "atol": 1e-11}
             np.testing.assert_allclose(J @ data.qvel, nu[i, k], **near)
-            np.testing.assert_allclose(M_RB[i, k], back.T @ full @ back, **near)
+            near["about"] = plants.names[i]
+            deviation.close("mujoco.mass_matrix", M_RB[i, k], back.T @ full @ back, **near)
             bias = back.T @ (data.qfrc_bias - full @ back @ J_dot @ data.qvel)
-            np.testing.assert_allclose(force[i, k], -bias, **near)
+            deviation.close("mujoco.bias", force[i, k], -bias, **near)
             # nu' = J v' + J' v: added mass joins as J^T M_A J on the left and J^T M_A J' v on the
             # right of C's equation in its own coordinates.
             total = full + J.T @ M_A[i] @ J
             right = J.T @ (wrench[i, k] - M_A[i] @ J_dot @ data.qvel) - data.qfrc_bias
             theirs = J @ np.linalg.solve(total, right) + J_dot @ data.qvel
             ours = np.linalg.solve(M_RB[i, k] + M_A[i], force[i, k] + wrench[i, k])
-            np.testing.assert_allclose(ours, theirs, **near)
+            deviation.close("mujoco.acceleration", ours, theirs, **near)
 
 
-def test_forward_dynamics_of_mujoco_c_with_a_wrench_from_outside(plants, kicked):
+def test_forward_dynamics_of_mujoco_c_with_a_wrench_from_outside(plants, kicked, deviation):
     (p, q, nu), wrench, M_RB, force = kicked
     for i, model in enumerate(plants.models):
         data = c_state(model, p[i, 0], q[i, 0], nu[i, 0])
@@ -92,10 +93,11 @@ def test_forward_dynamics_of_mujoco_c_with_a_wrench_from_outside(plants, kicked)
         J, J_dot = c_jacobian(model, data)
         ours = np.linalg.solve(M_RB[i, 0], force[i, 0] + wrench[i, 0])
         # float64 rounding on accelerations up to 1e2.
-        np.testing.assert_allclose(J @ data.qacc + J_dot @ data.qvel, ours, rtol=1e-11, atol=1e-11)
+        theirs = J @ data.qacc + J_dot @ data.qvel
+        deviation.close("mujoco.forward", theirs, ours, rtol=1e-11, atol=1e-11)
 
 
-def test_rigid_body_against_pinocchio(plants, kicked):
+def test_rigid_body_against_pinocchio(plants, kicked, deviation):
     pinocchio = pytest.importorskip("pinocchio", reason="extra `plan` brings pinocchio")
     (p, q, nu), wrench, M_RB, force = kicked
     for i, (config, name) in enumerate(plants.configs):
@@ -109,11 +111,13 @@ def test_rigid_body_against_pinocchio(plants, kicked):
             placed = np.concatenate([p[i, k], q[i, k, 1:], q[i, k, :1]])
             # A free flyer's velocity is nu there too, so both are in F; float64 rounding.
             upper = np.triu(pinocchio.crba(model, data, placed))
-            near = {"rtol": 1e-11, "atol": 1e-11, "err_msg": plants.names[i]}
-            np.testing.assert_allclose(M_RB[i, k], upper + np.triu(upper, 1).T, **near)
+            near = {"rtol": 1e-11, "atol": 1e-11, "about": plants.names[i]}
+            theirs = upper + np.triu(upper, 1).T
+            deviation.close("pinocchio.mass_matrix", M_RB[i, k], theirs, **near)
             nu_dot = np.linalg.solve(M_RB[i, k], force[i, k] + wrench[i, k])
             inverse = pinocchio.rnea(model, data, placed, nu[i, k], nu_dot)
-            np.testing.assert_allclose(inverse, wrench[i, k], rtol=1e-11, atol=1e-10)
+            near = {"rtol": 1e-11, "atol": 1e-10, "about": plants.names[i]}
+            deviation.close("pinocchio.inverse_dynamics", inverse, wrench[i, k], **near)
 
 
 def test_gravity_is_that_of_the_water(plants):

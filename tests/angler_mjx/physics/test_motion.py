@@ -72,7 +72,7 @@ TIMES = HOLD_S * np.arange(1, 101)
 
 
 @pytest.mark.parametrize(("axis", "v0"), [(2, 0.8), (5, 1.2)], ids=["heave", "yaw"])
-def test_free_decay_has_its_closed_form(simple, axis, v0):
+def test_free_decay_has_its_closed_form(simple, axis, v0, deviation):
     nu = np.zeros(6)
     nu[axis] = v0
     after = np.asarray(fly(simple, neutral(simple.params), nu=nu).nu)
@@ -83,13 +83,15 @@ def test_free_decay_has_its_closed_form(simple, axis, v0):
     # at most in yaw at the start (BlueROV2), 12 1/s in heave; it falls with the speed, and the
     # slower decay of too fast a speed makes most of the error up again.
     error = np.abs(after[:, :, axis] - exact)
-    assert error.max() < (1e-3 if axis == 2 else 3e-3)
-    assert error[:, 10:].max() < 1e-4
+    name = "heave" if axis == 2 else "yaw"
+    deviation(f"decay.{name}", error, 1e-3 if axis == 2 else 3e-3)
+    deviation(f"decay.{name}_after_1_s", error[:, 10:], 1e-4)
     rest = np.delete(after, axis, axis=2)
-    assert np.abs(rest).max() < 1e-12  # Nothing couples into the other axes; rounding.
+    # Nothing couples into the other axes; rounding.
+    deviation("decay.other_axes", np.abs(rest), 1e-12)
 
 
-def test_free_roll_is_the_pendulum_with_drag(simple):
+def test_free_roll_is_the_pendulum_with_drag(simple, deviation):
     angle = 0.6
     q = [np.cos(angle / 2), np.sin(angle / 2), 0, 0]
     after = fly(simple, neutral(simple.params), q=q)
@@ -108,10 +110,10 @@ def test_free_roll_is_the_pendulum_with_drag(simple):
         ).y[0]
         # The pendulum's phase errs by (omega dt)^2 / 12 a radian, omega = 4 1/s at most and 30 rad
         # in 10 s: 4e-3 of the 0.6 rad without drag; with it the swing is gone before that.
-        np.testing.assert_allclose(roll[i], exact, atol=5e-4, err_msg=simple.names[i])
+        deviation.close("decay.roll", roll[i], exact, atol=5e-4, about=simple.names[i])
 
 
-def test_terminal_speed_in_heave(simple):
+def test_terminal_speed_in_heave(simple, deviation):
     """Vertical thrusters down at 5 N each and the net buoyancy up, against damping."""
     vertical = np.asarray(simple.params.B)[:, 2] < -0.5
     thrust = jnp.asarray(5.0 * vertical)[:, None, :]
@@ -123,10 +125,10 @@ def test_terminal_speed_in_heave(simple):
     exact = 2 * force / (D_l + np.sqrt(D_l**2 - 4 * D_q * force))
     # The difference dies out with J / M >= 1.4 1/s: e^-14 = 1e-6 is left after 10 s. A steady
     # state of the equation is one of the scheme, so no step size enters.
-    np.testing.assert_allclose(w, exact, rtol=5e-6)
+    deviation.close("terminal.heave", w, exact, rtol=5e-6)
 
 
-def test_a_neutral_vehicle_takes_the_speed_of_a_uniform_current(simple):
+def test_a_neutral_vehicle_takes_the_speed_of_a_uniform_current(simple, deviation):
     # Along one body axis, so that the slip has a closed form.
     for axis in (0, 1, 2):
         v_c = np.zeros(3)
@@ -137,7 +139,7 @@ def test_a_neutral_vehicle_takes_the_speed_of_a_uniform_current(simple):
         m = inertia(simple, axis)
         slip = decay(0.3, TIMES, m[:, None], D_l[:, None], D_q[:, None])
         # (J dt / M)^2 / 12 as above, J / M = 6 1/s at most: 3e-4 of 0.3 m/s.
-        np.testing.assert_allclose(0.3 - after[:, :, axis], slip, atol=1e-4)
+        deviation.close("current.slip", 0.3 - after[:, :, axis], slip, atol=1e-4)
         assert np.all(slip[:, -1] < 0.03)
 
 
@@ -185,7 +187,7 @@ def orbit(pressure, vehicle, engine, body, current, radius, seconds):
     return jax.lax.scan(second, state, length=seconds)[1]
 
 
-def test_a_neutral_sphere_keeps_its_orbit_in_a_vortex(simple):
+def test_a_neutral_sphere_keeps_its_orbit_in_a_vortex(simple, deviation):
     """With the pressure-gradient force it is a particle of water; without, it spirals out."""
     first = plant_module.pick(simple.params, 0)
     added = 0.5 * first.mass_kg  # A sphere's added mass is half the water that it displaces.
@@ -208,9 +210,9 @@ def test_a_neutral_sphere_keeps_its_orbit_in_a_vortex(simple):
     paths = np.asarray(run(jnp.array([1.0, 0.0]), vehicle, simple.engine, body, current))
     radii = np.hypot(paths[..., 0], paths[..., 1])
     # Second order at 10 ms: an angle of v dt / r = 2e-3 rad a step, squared, over 12 turns.
-    np.testing.assert_allclose(radii[0], 2.0, atol=1e-3)
+    deviation.close("vortex.orbit", radii[0], 2.0, atol=1e-3)
     # The known outcome without the force is "about 6 m"; an independent solution says exactly.
-    np.testing.assert_allclose(radii[1], spiral(float(first.mass_kg), added), atol=1e-3)
+    deviation.close("vortex.spiral", radii[1], spiral(float(first.mass_kg), added), atol=1e-3)
     assert 5.5 < radii[1, -1] < 6.5
 
 

@@ -47,7 +47,7 @@ def run(plants, current, body, vehicle, p, q, nu, thrust):
     return jax.lax.scan(one, state, jnp.arange(N_STEP))[0]
 
 
-def test_gradients_equal_finite_differences(plants, current):
+def test_gradients_equal_finite_differences(plants, current, deviation):
     vehicle, body = (plant_module.pick(x, 4) for x in (plants.params, plants.body))
     p, q, nu = (x[0] for x in plant_module.random_states(11, (1,)))
     rng = np.random.default_rng(12)
@@ -80,11 +80,11 @@ def test_gradients_equal_finite_differences(plants, current):
         (float(loss(x + h * e)) - float(loss(x - h * e))) / (2 * h) for e in np.eye(x.size)
     ]
     # Central differences: h^2 of truncation and 1e-16 / h of rounding, both 1e-10, on values to 10.
-    np.testing.assert_allclose(gradient, difference, rtol=1e-7, atol=1e-8)
+    deviation.close("step.gradient", gradient, difference, rtol=1e-7, atol=1e-8)
     assert np.all(gradient != 0)
 
 
-def test_a_batch_equals_a_loop(plants, current):
+def test_a_batch_equals_a_loop(plants, current, deviation):
     n = len(plants)
     p, q, nu = plant_module.random_states(13, (n,))
     exists = np.asarray(plants.params.thruster_exists)
@@ -99,9 +99,8 @@ def test_a_batch_equals_a_loop(plants, current):
         )
         for field in ("p", "q", "nu", "thrust"):
             # XLA fuses by shape, so the last bits differ: a few roundings of float64 a step.
-            np.testing.assert_allclose(
-                getattr(batch, field)[i], getattr(alone, field), rtol=1e-12, atol=1e-12
-            )
+            ours, theirs = getattr(batch, field)[i], getattr(alone, field)
+            deviation.close("step.batch", ours, theirs, rtol=1e-12, atol=1e-12)
 
 
 def test_strong_damping_is_stable(plants):

@@ -46,7 +46,7 @@ def commands_of(plants):
     return rng.uniform(-12, 15, (len(plants), N_COMMAND, exists.shape[-1])) * exists
 
 
-def test_accelerations_at_random_states(plants, current, vehicles):
+def test_accelerations_at_random_states(plants, current, vehicles, deviation):
     n, k = len(plants), 40
     p, q, nu = plant_module.random_states(1, (n, k))
     exists = np.asarray(plants.params.thruster_exists)
@@ -63,7 +63,8 @@ def test_accelerations_at_random_states(plants, current, vehicles):
             vehicle.acceleration(p[i, j], q[i, j], nu[i, j], thrust[i, j, :n_t]) for j in range(k)
         ]
         # Two orders of summation in float64 on accelerations up to 100 m/s^2 and rad/s^2.
-        np.testing.assert_allclose(ours[i], theirs, rtol=1e-11, atol=1e-11, err_msg=plants.names[i])
+        near = {"rtol": 1e-11, "atol": 1e-11, "about": plants.names[i]}
+        deviation.close("textbook.acceleration", ours[i], theirs, **near)
 
 
 def simulate(plants, current, dt):
@@ -89,7 +90,7 @@ def simulate(plants, current, dt):
     )
 
 
-def test_whole_trajectories_in_a_current(plants, current, vehicles):
+def test_whole_trajectories_in_a_current(plants, current, vehicles, deviation):
     coarse, fine = simulate(plants, current, 0.01), simulate(plants, current, 0.005)
     commands = commands_of(plants)
     first = np.concatenate(
@@ -107,11 +108,15 @@ def test_whole_trajectories_in_a_current(plants, current, vehicles):
         for name, true, rough, good in zip("pq\u03bd", truth, coarse, fine, strict=True):
             message = f"{plants.names[i]} {name}"
             error = np.abs(rough[i] - true).max()
-            # 10 ms steps: p within millimetres, q and nu alike; measured 1.3e-3 m at most.
-            assert error < (0.02 if name == "\u03bd" else 0.004), message
+            # 10 ms steps: p within millimetres, q and nu alike.
+            kind = {"p": "position", "q": "attitude", "\u03bd": "velocity"}[name]
+            bound = 0.02 if kind == "velocity" else 0.004
+            deviation(f"textbook.trajectory_{kind}", error, bound, about=message)
             # The scheme is of second order: half the step, a quarter of the error (the third-order
             # part makes it a little more) ...
-            assert np.abs(good[i] - true).max() < error / 3.3, message
+            share = np.abs(good[i] - true).max() / error
+            deviation("textbook.trajectory_halved", share, 1 / 3.3, about=message)
             # ... and what extrapolation leaves is of third order, 0.01 s times the rates (5 1/s).
             limit = (4 * good[i] - rough[i]) / 3
-            assert np.abs(limit - true).max() < 0.1 * error, message
+            left = np.abs(limit - true).max() / error
+            deviation("textbook.trajectory_extrapolated", left, 0.1, about=message)

@@ -26,20 +26,20 @@ def pair(request, double, play):
     return request.param, play(double, "mjx", commanded), play(double, "fused", commanded)
 
 
-def assert_close(ours, theirs):
+def assert_close(deviation, key, ours, theirs):
     for (path, x), y in zip(
         jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True
     ):
         name = jax.tree_util.keystr(path)
         if jnp.issubdtype(y.dtype, jnp.floating):
-            np.testing.assert_allclose(x, y, rtol=TOLERANCE, atol=TOLERANCE, err_msg=name)
+            deviation.close(key, x, y, rtol=TOLERANCE, atol=TOLERANCE, marks=True, about=name)
         else:
             np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-def test_states_and_samples_are_those_of_mjx(pair):
-    _, theirs, ours = pair
-    assert_close(ours, theirs)
+def test_states_and_samples_are_those_of_mjx(pair, deviation):
+    name, theirs, ours = pair
+    assert_close(deviation, f"fused.{name.replace(' ', '_')}", ours, theirs)
 
 
 def test_the_worlds_are_worth_comparing(pair, double):
@@ -89,7 +89,7 @@ def test_a_mixed_fleet_is_grouped_by_vehicle(double):
     assert [(group.first, group.count) for group in double.fleet.groups] == [(0, 4), (4, 2)]
 
 
-def test_reset_is_that_of_mjx(double, engines_by_name):
+def test_reset_is_that_of_mjx(double, engines_by_name, deviation):
     states = []
     with jax.enable_x64(True):
         for engine in engines_by_name.values():
@@ -98,4 +98,4 @@ def test_reset_is_that_of_mjx(double, engines_by_name):
                     double.fleet, double.worlds
                 )
             )
-    assert_close(states[1], states[0])
+    assert_close(deviation, "fused.reset", states[1], states[0])

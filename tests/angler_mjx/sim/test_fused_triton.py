@@ -19,18 +19,18 @@ EVERY = 4
 """Control steps from one sample to the next."""
 
 
-def assert_close(ours, theirs, tolerance):
+def assert_close(deviation, key, ours, theirs, tolerance):
     for (path, x), y in zip(
         jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True
     ):
         name = jax.tree_util.keystr(path)
         if jnp.issubdtype(y.dtype, jnp.floating):
-            np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance, err_msg=name)
+            deviation.close(key, x, y, rtol=tolerance, atol=tolerance, marks=True, about=name)
         else:
             np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-def test_segment_is_that_of_mjx(double, play):
+def test_segment_is_that_of_mjx(double, play, deviation):
     """A mixed fleet among obstacles; 6 worlds in programs of 4, so that two lanes are padding."""
     n, engine = 6, TritonEngine(lanes=4, interpret=True)
     after, samples = play(double, "mjx", False)
@@ -44,12 +44,12 @@ def test_segment_is_that_of_mjx(double, play):
         run = quickly(partial(engine.segment, double.spec, **count))
         ours, seen = run(double.fleet, worlds, start)
     # As for the fused engine: float64 leaves rounding no room; found is 1e-13.
-    assert_close(ours, theirs, 1e-9)
-    assert_close(seen, theirs_seen, 1e-9)
+    assert_close(deviation, "triton.segment", ours, theirs, 1e-9)
+    assert_close(deviation, "triton.segment", seen, theirs_seen, 1e-9)
     assert {Touched.CELL, Touched.OBSTACLE} <= set(np.unique(theirs.tally.touched))
 
 
-def test_control_step_takes_signals(scenes):
+def test_control_step_takes_signals(scenes, deviation):
     """One kind of robot, nothing to meet, float32, signals from outside."""
     build, members, obstacles = scenes
     scene = build(3, members=members("bluerov2"), config=obstacles["none"])
@@ -64,8 +64,8 @@ def test_control_step_takes_signals(scenes):
             state, sample = step(scene.fleet, scene.worlds, state, command)
         ends.append((state.vehicles, state.step, sample))
     # Eight steps: an ulp or two of 12 m, and as much of forces of 120 N.
-    assert_close(ends[0][0].p, ends[1][0].p, 4e-6)
-    assert_close(ends[0][0].nu, ends[1][0].nu, 4e-6)
+    assert_close(deviation, "triton.single", ends[0][0].p, ends[1][0].p, 4e-6)
+    assert_close(deviation, "triton.single", ends[0][0].nu, ends[1][0].nu, 4e-6)
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
     np.testing.assert_array_equal(ends[0][2].pwm_us, signals[-1].astype(np.float32))
     assert np.abs(ends[0][0].nu).max() > 0.1

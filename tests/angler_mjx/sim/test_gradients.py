@@ -46,7 +46,7 @@ def vector(gains):
     return np.array(jax.tree.leaves(gains))
 
 
-def test_is_the_gradient_by_finite_differences(costs):
+def test_is_the_gradient_by_finite_differences(costs, deviation):
     with jax.enable_x64(True):
         functions, gains = costs
         flat, tree = jax.tree.flatten(gains)
@@ -59,15 +59,15 @@ def test_is_the_gradient_by_finite_differences(costs):
         differences = [(cost(i, 1e-6) - cost(i, -1e-6)) / 2e-6 for i in range(len(flat))]
     # The cost is 7e-3, a sum of thousands of terms: rounded to about 1e-16, over steps of 2e-6.
     # Found is 3e-10.
-    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-9)
+    deviation.close("gradient.differences", gradient, differences, rtol=1e-5, atol=1e-9)
     # The gains that are at work at all in two seconds.
     assert np.count_nonzero(np.abs(gradient) > 1e-6) >= 5
 
 
-def test_is_the_gradient_of_mjx(costs):
+def test_is_the_gradient_of_mjx(costs, deviation):
     with jax.enable_x64(True):
         functions, gains = costs
         (ours, gradient), (theirs, other) = functions["fused"](gains), functions["mjx"](gains)
     # Equal equations: rounding only, grown by forty steps back.
-    np.testing.assert_allclose(ours, theirs, rtol=1e-10)
-    np.testing.assert_allclose(vector(gradient), vector(other), rtol=1e-7, atol=1e-12)
+    deviation.close("gradient.cost", ours, theirs, rtol=1e-10)
+    deviation.close("gradient.mjx", vector(gradient), vector(other), rtol=1e-7, atol=1e-12)

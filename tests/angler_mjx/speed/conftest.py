@@ -32,7 +32,7 @@ def rows_file(tmp_path):
     ]
     write_rows(path, faster, commit="def2")
     big = [make_row(worlds=n, median=n * 1e6, low=n * 0.99e6, high=n * 1.01e6) for n in (16, 4096)]
-    write_rows(path, big, device="NVIDIA H200", commit="def2", bound=1.5e10)
+    write_rows(path, big, device="NVIDIA H200", commit="def2", fma_flops_per_s=6e13)
     none = {name: None for name in ("median", "low", "high", "compile_s")}
     refused = make_row(worlds=65536, **none, refused="out of device memory", out_of_memory=True)
     return write_rows(path, [refused], commit="def2")

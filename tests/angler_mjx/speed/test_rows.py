@@ -8,6 +8,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.speed import chart
 from angler_mjx.speed import rows as speed
+from angler_mjx.speed.ceilings import with_bounds
 from angler_mjx.speed.compare import compare, latest
 from angler_mjx.speed.report import around, complete
 from angler_mjx.speed.roofline import DeviceSpeed, bound
@@ -129,6 +130,25 @@ def test_the_table_takes_its_place_in_a_document(tmp_path, rows_file):
     assert "65,536" not in text
     chart.write_table(rows_file, document)
     assert document.read_text() == text
+
+
+def test_bounds_of_many_days_are_of_one_definition(tmp_path):
+    """The greatest limits of a device, and operations counted as they are now, or no bound."""
+    path = tmp_path / "rows.jsonl"
+    old = "at least: loops that run until something happens count once"
+    write_rows(path, [make_row(flops_from=old)], device="A", fma_flops_per_s=2e10)
+    write_rows(path, [make_row(), make_row(devices=2)], device="A", fma_flops_per_s=4e10)
+    write_rows(path, [make_row()], device="A", fma_flops_per_s=3e10)
+    write_rows(path, [make_row(flops_from=f"{old}, branches as the cheapest")], device="B")
+    write_rows(path, [make_row()], device="C", copy_bytes_per_s=None, fma_flops_per_s=None)
+    bounds = [row["bound"] for row in with_bounds(speed.read(path))]
+    assert bounds == [None, 1e7, 2e7, 1e7, 2e7, None]
+
+
+def test_a_processor_is_known_by_its_cores(tmp_path):
+    path = write_rows(tmp_path / "rows.jsonl", [make_row()], cpu_count=2)
+    write_rows(path, [make_row()], cpu_count=64, copy_bytes_per_s=1e11, fma_flops_per_s=4e12)
+    assert [row["bound"] for row in with_bounds(speed.read(path))] == [2e7, 1e9]
 
 
 def test_a_document_without_a_place_is_left_alone(tmp_path, rows_file):

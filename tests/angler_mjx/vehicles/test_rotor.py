@@ -41,13 +41,13 @@ def respond(heavy):
     return lambda commands: tuple(map(np.asarray, run(commands)))
 
 
-def test_the_step_response_is_the_published_one(respond):
+def test_the_step_response_is_the_published_one(respond, deviation):
     thrust, _ = respond(jnp.ones((STEPS, 8)))
     time = STEP_S * np.arange(1, STEPS + 1)
     system = signal.TransferFunction([6136.0, 108700.0], [1.0, 89.0, 9258.0, 108700.0])
     _, expected = signal.step(system, T=np.concatenate([[0.0], time]))
     # float64: 300 steps of rounding.
-    np.testing.assert_allclose(thrust, np.tile(expected[1:, None], 8), rtol=0, atol=1e-12)
+    deviation.close("rotor.third_order_step", thrust, np.tile(expected[1:, None], 8), atol=1e-12)
     one = thrust[:, 0]
     # The numbers of the published model: two or three digits.
     assert one[19] == pytest.approx(0.63, abs=0.005)
@@ -56,7 +56,7 @@ def test_the_step_response_is_the_published_one(respond):
     assert time[np.abs(one - 1) > 0.05][-1] == pytest.approx(0.121, abs=0.002)
 
 
-def test_any_held_command_is_followed_exactly(respond):
+def test_any_held_command_is_followed_exactly(respond, deviation):
     """Commands that jump every 10 ms; and the mean of every step, by steps of a tenth."""
     random = np.random.default_rng(0)
     commands = np.repeat(random.uniform(-40, 50, (STEPS // 10, 8)), 10, axis=0)
@@ -68,7 +68,7 @@ def test_any_held_command_is_followed_exactly(respond):
         held = np.concatenate([commands[:, i], [0.0]])
         _, expected, _ = signal.lsim(system, held, time, interp=False)
         # float64 on 50 N; scipy's states are 1e4 times larger than the thrust.
-        np.testing.assert_allclose(thrust[:, i], expected[1:], rtol=0, atol=1e-8)
+        deviation.close("rotor.third_order_commands", thrust[:, i], expected[1:], atol=1e-8)
     # Ten short steps of one command are one long one: thrusts, and means.
     heavy = params.build(load("bluerov2_heavy"), None, 16.0, rotor_response="third_order")
     states = rotors.at_rest(heavy, float)

@@ -1,0 +1,46 @@
+"""`angler validate`: what the physics is, held against independent references, measured anew."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+EXIT_WORSE = 1
+
+
+def validate(
+    quick: bool = False,
+    from_: Annotated[Path | None, tyro.conf.arg(name="from")] = None,
+    page: bool = False,
+    check: bool = False,
+    store: bool = False,
+    out: Path | None = None,
+) -> None:
+    """Measure every term against its reference, compare with what was stored, write the page.
+
+    Runs the tests that measure, and studies of convergence, engines and precision. Ends with 1 and
+    a line for each number that got worse. Needs a checkout.
+
+    Args:
+        quick: Only what takes seconds, and few worlds; the page keeps the rest as it was.
+        from_: Take what tests already measured (pytest --deviations FILE, as make test does), and
+            run nothing.
+        page: Measure nothing; write the page again from what is stored.
+        check: Compare only, also the page with what it is made from; nothing is written.
+        store: What is found is what is expected from now on, also where it got worse.
+        out: Folder for validation.md and validation.json; docs/ of the checkout if left out.
+    """
+    from angler_mjx.validation import terms
+    from angler_mjx.validation.validate import Request
+    from angler_mjx.validation.validate import validate as run
+
+    request = Request(
+        quick=quick, measured=from_, page_only=page, check=check, store=store, out=out
+    )
+    bad = run(request, terms.checkout(), lambda line: print(line, file=sys.stderr, flush=True))
+    for fault in bad:
+        print(f"angler validate: {fault}")
+    if bad:
+        sys.exit(EXIT_WORSE)
+    print("angler validate: nothing got worse")

@@ -1,0 +1,57 @@
+"""`angler warm`: compile what a run needs, and run nothing."""
+
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.cli.device import Device, choose, keep_all_programs
+
+
+def warm(
+    scenario: Annotated[str, tyro.conf.Positional],
+    worlds: int | None = None,
+    engine: Literal["mjx", "fused"] | None = None,
+    kernels: Literal["xla", "triton"] | None = None,
+    device: Device | None = None,
+    devices: int | None = None,
+    tile: int | None = None,
+    record_hz: float | None = None,
+) -> None:
+    """Compile the programs of a scenario into the cache, so that `angler rollout` starts sooner.
+
+    Give the flags that the run will get: each of these changes the programs. The last line that is
+    printed is the folder that keeps them.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        worlds: Number of worlds; the scenario's if left out. Counts where the tile is left out.
+        engine: Physics engine; the scenario's if left out.
+        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
+        device: Where to compute; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all there are if left out.
+        tile: Worlds in one device call.
+        record_hz: Rate of the stored trajectories; 0 stores none.
+    """
+    choose(device)
+    keep_all_programs()
+    import jax
+
+    from angler_mjx.cli.given import scenario_given
+    from angler_mjx.simulator.simulator import Simulator
+
+    given = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}
+    overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    if record_hz is not None:
+        overrides["time"] = {"record_hz": record_hz}
+    simulator = Simulator(scenario_given(scenario, **overrides), devices=devices)
+    took = simulator.compile()
+    parts = {"prepare": took.prepare_s, "reset": took.reset_s, "segment": took.segment_s}
+    for name, seconds in parts.items():
+        print(f"{name:8} {seconds:6.1f} s")
+    count = f"{simulator.tile} world{'' if simulator.tile == 1 else 's'} a tile"
+    print(
+        f"{took.total_s:.1f} s in all: {simulator.scenario.name}, engine "
+        f"{simulator.scenario.engine}, {count}, {simulator.devices} x "
+        f"{jax.local_devices()[0].device_kind}"
+    )
+    print(jax.config.jax_compilation_cache_dir or "no folder keeps it: the cache is off")

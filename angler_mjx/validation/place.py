@@ -1,0 +1,42 @@
+"""Where and when something was measured, as it stands beside the numbers of the page."""
+
+import os
+from typing import Any
+
+
+def describe() -> dict[str, Any]:
+    """Versions, machine and commit of this process, and what changes its rounding or its tests."""
+    from angler_mjx.runs.provenance import describe_environment
+
+    found = describe_environment()
+    kept = ("versions", "python", "platform", "cpu_count", "backend", "device", "commit")
+    return {
+        **{name: found[name] for name in kept},
+        "processor": processor(),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "ardusub": "ANGLER_ARDUSUB" in os.environ,
+    }
+
+
+def processor() -> str:
+    """Name of the processor's model; empty where the system does not say."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            lines = [line for line in file if line.startswith("model name")]
+    except OSError:
+        return ""
+    return lines[0].partition(":")[2].strip() if lines else ""
+
+
+def said(about: dict[str, Any]) -> str:
+    """One sentence: place, date and commit of what was measured."""
+    where = about["device"] if about["backend"] != "cpu" else about.get("processor") or "CPU"
+    cores = f", {about['cpu_count']} cores" if about["backend"] == "cpu" else ""
+    jax = about["versions"].get("jax")
+    commit = str(about["commit"] or "unknown")
+    changed = " and changes that were not committed" if commit.endswith("-changed") else ""
+    flags = f", `XLA_FLAGS={about['xla_flags']}`" if about.get("xla_flags") else ""
+    return (
+        f"{about['at_utc'][:10]}, {where}{cores}, jax {jax}, "
+        f"commit {commit.removesuffix('-changed')[:9]}{changed}{flags}"
+    )

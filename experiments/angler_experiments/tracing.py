@@ -1,0 +1,174 @@
+"""Which decision turned rounding into a difference: two flights of the same worlds, robot by robot.
+
+For every robot that ended otherwise the quantities that could have led to it are looked at in the
+order of time: what was drawn, the plan, the obstacle or robot that it touched in either run, where
+it aimed, itself. The first that is further apart than rounding explains is named, with its size
+then and a second before. Where none is, the two runs were one to the end, and a threshold (touch,
+arrival, edge of the region) lay between them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_experiments.engine_parity import bound_m
+from angler_experiments.flights import Flight
+from angler_mjx.sim.state import Outcome, Touched
+
+type Array = NDArray[Any]
+
+PLAN_M = 1e-3
+"""Plans further apart are two plans: the planner has cells of metres."""
+TURN_M = 1e-3
+"""An obstacle whose way in one control step (50 ms) differs by more from that in the one before was
+thrown back: 0.02 m/s of velocity, 0.4 m/s^2; the water does not push it so hard."""
+
+
+class Cause(StrEnum):
+    """What differed first."""
+
+    WORLD = "the world that was drawn"
+    PLAN = "plan: a tie of the planner"
+    BOUNCE = "a bounce of the obstacle that it touched"
+    DRIFT = "the drift of the obstacle that it touched"
+    ROBOT = "the robot that it touched"
+    AIM = "guidance: where it aims"
+    SELF = "its own motion"
+    TOUCH = "a touch by a margin"
+    ARRIVAL = "arrival before something else"
+    EDGE = "another threshold at the end"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trace:
+    """One robot that ended otherwise."""
+
+    world: int
+    robot: int
+    outcomes: tuple[str, str]
+    end_s: tuple[float, float]
+    cause: Cause
+    at_s: float
+    """When it was further apart than rounding explains, or when the first of the two ended."""
+    size_m: float
+    """How far apart it was then; metres."""
+    before_m: float
+    """And a second earlier."""
+
+
+def different(a: Flight, b: Flight) -> Array:
+    """Which robots [W, R] end in another way, or on another thing."""
+    same: Array = (
+        (a.outcome == b.outcome) & (a.touched == b.touched) & (a.touched_index == b.touched_index)
+    )
+    return ~same
+
+
+def trace(a: Flight, b: Flight, dt_s: float, physics_steps: int) -> list[Trace]:
+    """Every robot that ended otherwise, by world and number.
+
+    Args:
+        a: one run.
+        b: the other, of the same worlds.
+        dt_s: control period.
+        physics_steps: in a control step.
+    """
+    reach = float(np.abs(a.p[np.isfinite(a.p)]).max())
+    steps = np.arange(a.p.shape[1], dtype=np.float64) * physics_steps
+    bound = bound_m(steps, reach)
+    return [_trace(a, b, int(w), int(r), bound, dt_s) for w, r in np.argwhere(different(a, b))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Sign:
+    """Something that can have come first."""
+
+    cause: Cause
+    step: int
+    gap: Array
+    """[T] m."""
+
+
+def _trace(a: Flight, b: Flight, w: int, r: int, bound: Array, dt_s: float) -> Trace:
+    ends = (float(a.end_time_s[w, r]), float(b.end_time_s[w, r]))
+    last = min(len(bound) - 1, max(0, round(min(ends) / dt_s)))
+    signs = sorted(_signs(a, b, w, r, bound, last), key=lambda sign: sign.step)
+    first = signs[0] if signs else _threshold(a, b, w, r, last)
+    second = round(1.0 / dt_s)
+    return Trace(
+        world=w,
+        robot=r,
+        outcomes=(_name(a.outcome[w, r]), _name(b.outcome[w, r])),
+        end_s=ends,
+        cause=first.cause,
+        at_s=first.step * dt_s,
+        size_m=float(first.gap[first.step]),
+        before_m=float(first.gap[max(0, first.step - second)]),
+    )
+
+
+def _signs(a: Flight, b: Flight, w: int, r: int, bound: Array, last: int) -> Iterator[_Sign]:
+    """What is further apart than rounding explains before the first of the two ends.
+
+    Things of the same step come in the order of cause and effect.
+    """
+    drawn = ("cells", "variant", "redraws")
+    if any(not np.array_equal(getattr(a, n)[w], getattr(b, n)[w]) for n in drawn):
+        yield _Sign(cause=Cause.WORLD, step=0, gap=np.full(last + 1, np.inf))
+    for name in ("start_m", "goal_m", "plan_m"):
+        gap = float(np.abs(getattr(a, name)[w, r] - getattr(b, name)[w, r]).max())
+        if gap > PLAN_M:
+            cause = Cause.PLAN if name == "plan_m" else Cause.WORLD
+            yield _Sign(cause=cause, step=0, gap=np.full(last + 1, gap))
+    for flight in (a, b):
+        index = int(flight.touched_index[w, r])
+        if flight.touched[w, r] == Touched.OBSTACLE:
+            there, other = a.obstacle_p[w, :, index], b.obstacle_p[w, :, index]
+            yield from _beyond(Cause.BOUNCE, there, other, bound, last)
+        if flight.touched[w, r] == Touched.ROBOT:
+            yield from _beyond(Cause.ROBOT, a.p[w, :, index], b.p[w, :, index], bound, last)
+    # What it aims at moves with the robot's own place; rounding of both.
+    yield from _beyond(Cause.AIM, a.target_m[w, :, r], b.target_m[w, :, r], 2 * bound, last)
+    yield from _beyond(Cause.SELF, a.p[w, :, r], b.p[w, :, r], bound, last)
+
+
+def _beyond(cause: Cause, a: Array, b: Array, bound: Array, last: int) -> Iterator[_Sign]:
+    """When two tracks [T, 3] leave each other."""
+    gap = np.linalg.norm(a.astype(np.float64) - b, axis=-1)
+    outside = np.flatnonzero(gap[: last + 1] > bound[: last + 1])
+    if not outside.size:
+        return
+    step = int(outside[0])
+    if cause is Cause.BOUNCE and not (_thrown(a, step) or _thrown(b, step)):
+        cause = Cause.DRIFT
+    yield _Sign(cause=cause, step=step, gap=gap)
+
+
+def _thrown(track: Array, step: int) -> bool:
+    """Whether an obstacle was thrown back within three control steps of one."""
+    near = track[max(0, step - 3) : step + 4].astype(np.float64)
+    return bool(np.abs(np.diff(near, 2, axis=0)).max(initial=0.0) > TURN_M)
+
+
+def _threshold(a: Flight, b: Flight, w: int, r: int, last: int) -> _Sign:
+    """Two runs that were one until the first ended: which threshold lay between them."""
+    kinds = {int(a.outcome[w, r]), int(b.outcome[w, r])}
+    touching = {Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT}
+    cause = Cause.TOUCH if kinds & touching else Cause.EDGE
+    if cause is Cause.EDGE and Outcome.REACHED in kinds:
+        cause = Cause.ARRIVAL
+    gap = np.linalg.norm(a.p[w, :, r].astype(np.float64) - b.p[w, :, r], axis=-1)
+    for flight in (a, b):
+        if flight.touched[w, r] == Touched.OBSTACLE:
+            index = int(flight.touched_index[w, r])
+            there = a.obstacle_p[w, :, index].astype(np.float64) - b.obstacle_p[w, :, index]
+            gap = np.maximum(gap, np.linalg.norm(there, axis=-1))
+    return _Sign(cause=cause, step=last, gap=gap)
+
+
+def _name(outcome: Any) -> str:
+    return Outcome(int(outcome)).name.lower()
