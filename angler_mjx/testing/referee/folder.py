@@ -56,7 +56,7 @@ def read_rows(path: Path, robots: int) -> dict[int, list[Row]]:
             "world": table["world"].to_numpy(),
             "robot": table["robot"].to_numpy(),
             **{name: table[name].to_pylist() for name in WORDS},
-            **{name: table[name].cast(pa.float64()).to_numpy() for name in NUMBERS},
+            **{name: _numbers(table[name], name) for name in NUMBERS},
         }
     found: dict[int, list[Row]] = {}
     for i in range(table.num_rows):
@@ -66,6 +66,14 @@ def read_rows(path: Path, robots: int) -> dict[int, list[Row]]:
         if [int(row["robot"]) for row in rows] != list(range(robots)):
             raise ConfigError(f"{path}: world {world} has not one row for each of {robots} robots")
     return found
+
+
+def _numbers(column: Any, name: str) -> Any:
+    """A column of numbers; a robot without others is infinitely far from them."""
+    numbers = column.cast(pa.float64())
+    if name == "min_separation_m":
+        numbers = numbers.fill_null(float("inf"))
+    return numbers.to_numpy()
 
 
 def read_copies(folder: Path) -> dict[str, Path]:

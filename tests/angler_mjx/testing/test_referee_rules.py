@@ -203,6 +203,14 @@ def test_a_damaged_result_is_named(quantity, stored, tmp_path):
     assert wrong(verdict) <= alone.get(quantity, {quantity})
 
 
+def test_a_robot_without_others_may_have_no_separation(stored, tmp_path):
+    """Runs store nulls where there is no number; older ones stored infinity."""
+    path = stored(tmp_path, into_a_rock)
+    assert referee.judge(path).agrees
+    edit_rows(path, 0, 0, min_separation_m=None)
+    assert referee.judge(path).agrees
+
+
 TILTED = [0.995, 0.0, 0.0, 0.0998]
 
 STORED = {
