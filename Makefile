@@ -15,10 +15,10 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test fuzz mutants lint types imports format clean
+.PHONY: help venv demo test fuzz fuzz-sim mutants lint types imports format clean
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
 
 venv: $(STAMP)  ## build .venv, or bring it up to date
 
@@ -32,7 +32,7 @@ demo: $(STAMP)  ## 256 fleets across generated reefs, into runs/demo (or demo-2,
 # Most of the tests' time is XLA's. Its older emitters and less optimisation take two thirds of it
 # (128 s instead of 197 for four files), and results differ by rounding. For tests that are compiled
 # as everything else is: XLA_FLAGS= make test
-test mutants: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters \
+test mutants fuzz-sim: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters \
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
@@ -42,6 +42,11 @@ fuzz: COUNT ?= 100000
 fuzz: SEED ?= 0
 fuzz: $(STAMP)  ## feed COUNT=100000 wrong inputs (SEED=0) to all that reads files and packets
 	JAX_PLATFORMS=cpu $(BIN)/python -m tests.fuzz.run --count $(COUNT) --seed $(SEED) $(FUZZ_ARGS)
+
+fuzz-sim: WORLDS ?= 1000
+fuzz-sim: SEED ?= 0
+fuzz-sim: $(STAMP)  ## fly WORLDS=1000 random worlds (SEED=0) with both engines and judge them
+	$(BIN)/python -m tests.fuzz.simulator --worlds $(WORLDS) --seed $(SEED) $(FUZZ_ARGS)
 
 # Not a part of what CI runs: 300 mutants take a night. See docs/mutants.md.
 mutants: $(STAMP)  ## put small faults into the code and see whether tests find them

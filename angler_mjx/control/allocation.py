@@ -181,15 +181,9 @@ def _signals(params: AllocationParams, thrust: jax.Array) -> ThrusterPwm:
     return ThrusterPwm(pwm_us=jnp.where(jnp.abs(thrust) < LEAST_THRUST_N, NEUTRAL_US, pwm))
 
 
-def _largest_share(
-    base: jax.Array,
-    extra: jax.Array,
-    low: jax.Array,
-    high: jax.Array,
-    least_n: float = 1e-6,
-) -> jax.Array:
+def _largest_share(base: jax.Array, extra: jax.Array, low: jax.Array, high: jax.Array) -> jax.Array:
     """Largest factor in [0, 1] that keeps ``base + factor * extra`` [n] within [low, high]."""
-    moving = jnp.abs(extra) > least_n
+    moving = jnp.abs(extra) > _STILL_N
     room = jnp.where(extra > 0, high - base, low - base) / jnp.where(moving, extra, 1.0)
     return jnp.clip(jnp.min(jnp.where(moving, room, 1.0)), 0.0, 1.0)
 
@@ -203,7 +197,7 @@ def _reachable_share(
     d = extra / mode. There is such a z as long as no lower bound l_i passes an upper one u_j.
     """
     free = params.mode != 0.0
-    alone = _largest_share(base, jnp.where(free, 0.0, extra), low, high, _STILL_N)
+    alone = _largest_share(base, jnp.where(free, 0.0, extra), low, high)
     least, most = _room(params, base, low, high)
     rate = extra / jnp.where(free, params.mode, 1.0)
     closing = rate[None, :] - rate[:, None]  # of [i, j]: of l_i on u_j

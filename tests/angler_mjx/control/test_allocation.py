@@ -103,6 +103,16 @@ def test_heave_comes_before_surge_and_sway(deliver, deviation):
     deviation("allocation.heave_next", np.abs(got - tau)[..., HEAVE], NEAR)
 
 
+def test_a_sway_of_rounding_takes_no_surge_where_heave_is_at_its_limit(deliver):
+    """Sway rolls the vehicle a little, which the vertical thrusters answer; they have no room."""
+    tau = np.zeros((2, N, 6))
+    tau[..., 0], tau[..., 2] = 20.0, 1000.0
+    tau[..., 1] = np.linspace(-1e-3, 1e-3, N)  # float32 of a demand of 20 N is good to 1e-6 N
+    pwm, _, got = deliver(tau)
+    np.testing.assert_allclose(np.abs(pwm[LIGHT, :, 4:6] - 1500.0), 400.0, atol=0.01)
+    np.testing.assert_allclose(got[LIGHT, :, 0], 20.0, atol=NEAR)
+
+
 def test_surge_and_sway_keep_their_direction(deliver, deviation):
     tau = wrenches(SMALL)
     tau[..., PLANE] *= 50
