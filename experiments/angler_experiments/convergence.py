@@ -21,8 +21,8 @@ import tyro
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from angler_experiments import schemes
-from angler_experiments.driving import CASES, HOLD_S, Case, draw_commands
+from angler_experiments.shared import schemes
+from angler_experiments.shared.driving import CASES, HOLD_S, Case, draw_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.physics import mjx_engine, step

@@ -3,8 +3,8 @@ r"""CPU against GPU: the same worlds on both, and which decision made rounding a
     python -m angler_experiments.devices_parity --out devices.json
 
 flies 256 worlds of `reef_fleet`, seed 7, in a process for each platform at the same time, and
-traces every robot that ended otherwise (`angler_experiments.tracing`). It needs a machine with
-both. Two runs of one platform are compared by their tiles or by flags of XLA:
+traces every robot that ended otherwise (`angler_experiments.shared.tracing`). It needs a machine
+with both. Two runs of one platform are compared by their tiles or by flags of XLA:
 
     python -m angler_experiments.devices_parity --platforms cpu cpu --tiles 128 64
     python -m angler_experiments.devices_parity --platforms cpu cpu \
@@ -22,9 +22,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from angler_experiments import flights, tracing
-from angler_experiments.flights import Flight
-from angler_experiments.tracing import Trace
+from angler_experiments.shared import flights, tracing
+from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.tracing import Trace
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome

@@ -4,7 +4,7 @@
 
 Runs are made in float32. Here every world is flown in float64 too, from the same numbers, so that
 what float32 costs stands by itself: for rounding alone, and for the robots whose episodes end
-otherwise, traced to what differed first (`angler_experiments.tracing`).
+otherwise, traced to what differed first (`angler_experiments.shared.tracing`).
 """
 
 import math
@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from angler_experiments import flights, tracing
 from angler_experiments.devices_parity import Settings, numbers, to_markdown
-from angler_experiments.flights import Flight
+from angler_experiments.shared import flights, tracing
+from angler_experiments.shared.flights import Flight
 from angler_mjx.validation.found import Number, save_result
 
 

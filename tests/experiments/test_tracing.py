@@ -5,9 +5,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from angler_experiments import devices_parity, flights, tracing
-from angler_experiments.flights import Flight
-from angler_experiments.tracing import Cause
+from angler_experiments import devices_parity
+from angler_experiments.shared import flights, tracing
+from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.tracing import Cause
 from angler_mjx.sim.state import Outcome, Touched
 
 DT_S, STEPS, PHYSICS_STEPS = 0.05, 200, 5

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import angler_mjx.vehicles
-from angler_experiments.driving import CASES, HOLD_S, draw_commands
+from angler_experiments.shared.driving import CASES, HOLD_S, draw_commands
 from angler_mjx import frames
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.sim import fleet

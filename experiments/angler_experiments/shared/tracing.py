@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_experiments.engine_parity import bound_m
-from angler_experiments.flights import Flight
+from angler_experiments.shared.flights import Flight
 from angler_mjx.sim.state import Outcome, Touched
 
 type Array = NDArray[Any]

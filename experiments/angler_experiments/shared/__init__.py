@@ -1,0 +1,1 @@
+"""What several studies share: what is driven, flown, integrated and traced."""
