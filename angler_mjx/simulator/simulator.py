@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import NamedSharding, PartitionSpec
 
-from angler_kernels import threefry
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
@@ -103,7 +102,6 @@ class Simulator:
                 there are fewer devices.
         """
         cache.switch_on()
-        threefry.write_out_on_cpu()
         self.scenario = scenario
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self._spec = scenario.sim_spec()

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels import threefry
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
@@ -110,7 +109,6 @@ def generate_batch(
         raise ConfigError(f"seed = {seed}: must lie between 0 and 2^32 - 1")
     check_fleet(recipe, radius)
     radii = jnp.broadcast_to(jnp.asarray(radius, float), (count, radius.shape[-1]))
-    threefry.write_out_on_cpu()
     batch: Environment = _batch(recipe, radii, seed, first_index, horizon_s, water_density_kgm3)
     return batch
 

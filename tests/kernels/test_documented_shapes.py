@@ -27,7 +27,6 @@ NOT_SAID = {
     "table.take",
     "thruster.rotor_filter",
     "thruster.rotor_lag",
-    "threefry.hashed",
     # They give a tree, `Field`, whose fields say their shapes.
     "current_field.lamb_oseen",
     "current_field.smooth_knots",

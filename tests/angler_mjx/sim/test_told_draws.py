@@ -13,7 +13,7 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.sensing import instruments, params
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim import senses
-from angler_mjx.sim.state import Crew, SimSpec
+from angler_mjx.sim.state import InstrumentedRobots, SimSpec
 from angler_mjx.world.grid import Grid
 
 from ..independence import assert_uncorrelated
@@ -26,7 +26,7 @@ def crew(source):
     """All robots, told in the same way."""
     one = NavigationParams(sensors=params.build(SensorsConfig(), 0.05, 9.81))
     each = jax.tree.map(lambda x: jnp.broadcast_to(jnp.asarray(x), (N, *jnp.shape(x))), one)
-    return SimSpec(crews=(Crew(first=0, count=N, source=source, params=each),))
+    return SimSpec(instrumented=(InstrumentedRobots(first=0, count=N, source=source, params=each),))
 
 
 @pytest.fixture(scope="module")
