@@ -137,7 +137,8 @@ class Telling:
     def _faults(self, end: int) -> list[str]:
         """What is wrong with the trajectory; ``end`` is the state that ended the episode."""
         world, robot, faults = self._scene.world, self._robot, []
-        if not np.array_equal(world.p[0, robot], world.place["start_m"][robot]):
+        start_m = np.float32(world.place["start_m"][robot])  # as states are stored
+        if not np.array_equal(np.float32(world.p[0, robot]), start_m):
             faults.append("it does not begin at the world's start")
         if world.nu[0, robot].any():
             faults.append("it does not begin at rest")

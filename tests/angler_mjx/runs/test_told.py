@@ -63,8 +63,10 @@ def run(tmp_path_factory):
 
 def test_robots_arrive_by_their_own_estimate(run):
     _, done = run
-    outcomes = done.episodes["outcome"].to_pylist()
-    assert outcomes.count("reached") == len(outcomes) == 16
+    rows = done.episodes.to_pylist()
+    assert {row["outcome"] for row in rows if row["planned"]} == {"reached"}
+    # The planner has no way for one of them, whatever it is told.
+    assert sum(row["planned"] for row in rows) == 15
 
 
 def test_the_estimate_is_as_wrong_as_it_says(run):
