@@ -76,7 +76,7 @@ try:
 except UnsupportedError as error:
     print("unsupported", error)
     raise SystemExit
-from angler_sitl.ports import allocate, number
+from angler_sitl.wire.ports import allocate, number
 one, two = allocate(2)
 two.fdm.sendto(b"here", ("127.0.0.1", number(one.fdm)))
 one.fdm.settimeout(20)
