@@ -244,7 +244,7 @@ def test_a_full_disk_is_said_and_leaves_nothing_behind(run, tmp_path):
 
 FAULTS = {
     "no such world": (["--worlds", "0,7"], ["--worlds 7", "worlds 0 to 1"]),
-    "not numbers": (["--worlds", "0;1"], ["--worlds 0;1", "0,3"]),
+    "not numbers": (["--worlds", "0;1"], ["--worlds '0;1'", "0,3"]),
     "none": (["--worlds", ""], ["--worlds"]),
 }
 
