@@ -12,17 +12,16 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from angler_kernels import lanes
 from angler_mjx.control.stack import Command, ControlParams
-from angler_mjx.engines.lanes import judge as lane_judge
-from angler_mjx.engines.lanes import pairs as pair_search
+from angler_mjx.engines.lanes import pairs
 from angler_mjx.engines.lanes.layout import (
     Given,
     Moving,
     Robots,
     Scene,
+    lanes_of_group,
     moving_of,
     of_group,
     scene_of,
@@ -33,7 +32,6 @@ from angler_mjx.engines.lanes.layout import (
     vehicles_of,
     world_state,
 )
-from angler_mjx.engines.lanes.search import Others
 from angler_mjx.engines.lanes.steps import Cells, OnLanes, Shape
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
@@ -178,8 +176,8 @@ class OfGroup(Everywhere):
     given: Given
     said: Any = None
     """Instead of their paths."""
-    met: tuple[Others, list[Others]] | None = None
-    """Obstacles, and robots of every group, when all have moved."""
+    met: Contact | None = None
+    """The nearest thing to each robot of the group, when all have moved."""
 
     @property
     def params(self) -> ControlParams:
@@ -200,18 +198,7 @@ class OfGroup(Everywhere):
         """See `phase.Here`."""
         if self.met is None:
             raise RuntimeError("a phase that meets others began before they had moved")
-        group, (obstacles, robots) = self.given.group, self.met
-        return lane_judge.contact(
-            self.shape,
-            self.params.vehicle,
-            self.cells,
-            now["tally"],
-            now["vehicle"],
-            obstacles,
-            robots if self.scene.n_robot > 1 else [],
-            group.first + np.arange(group.count)[:, None],
-            pair_search.among_listed,
-        )
+        return self.met
 
 
 def _control_step(
@@ -241,10 +228,10 @@ def _control_step(
     sample = side_by_side(records)
     obstacles, seen = _obstacles(Everywhere(**where), moving.obstacles)
     sample |= seen
-    met = pair_search.all_met(scene, groups, obstacles)
+    met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
     after, records = [], []
     for given, now in zip(scene.groups, groups, strict=True):
-        place = OfGroup(**where, given=given, met=met)
+        place = OfGroup(**where, given=given, met=lanes_of_group(met, given.group))
         judged, record = lanes.shared(partial(_run, place, MEETING, now))
         after.append(Robots(**{name: judged[name] for name in KEPT}))
         records.append(record)

@@ -6,7 +6,7 @@ The tally that results is the same.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -33,9 +33,30 @@ from angler_mjx.world.obstacles import Obstacles
 from angler_mjx.world.obstacles.types import STATIC, bounding_radius
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Hull:
+    """What can touch of robots: the part of `VehicleParams` that is so called there, as lanes."""
+
+    capsule_a_m: Lanes
+    capsule_b_m: Lanes
+    capsule_r_m: Lanes
+    radius_m: Lanes
+
+
+def hull_of(vehicle: VehicleParams) -> Hull:
+    """The hull of vehicles whose leaves are lanes."""
+    return Hull(
+        capsule_a_m=vehicle.capsule_a_m,
+        capsule_b_m=vehicle.capsule_b_m,
+        capsule_r_m=vehicle.capsule_r_m,
+        radius_m=vehicle.radius_m,
+    )
+
+
 def contact(
     shape: Shape,
-    vehicle: VehicleParams,
+    hull: Hull,
     cells: Cells,
     tally: Tally,
     state: VehicleState,
@@ -48,7 +69,7 @@ def contact(
 
     Args:
         shape: of the grid.
-        vehicle: parameters of the robots.
+        hull: of the robots.
         cells: of their worlds.
         tally: so far.
         state: of the robots after the step.
@@ -57,12 +78,12 @@ def contact(
         row: which of its world's robots each lane is.
         search: how the nearest shape is found; `of_lanes` if None.
     """
-    a, b = lanes.apply(_hull, vehicle, state.p, state.q)
+    a, b = lanes.apply(_placed, hull, state.p, state.q)
     v = lanes.apply(_velocity, state.q, state.nu)
     running = tally.outcome[()] == Outcome.RUNNING
     below = jnp.where(running, jnp.maximum(tally.min_clearance_m[()], 0.0), 0.0)
     to_cells, to_floor = lanes.apply(
-        partial(_to_ground, shape), vehicle, a, b, state.p, cells, lanes.pack([below], ())
+        partial(_to_ground, shape), hull.capsule_r_m, a, b, state.p, cells, lanes.pack([below], ())
     )
     zero = jnp.zeros_like(state.p[0])
     start = Nearest(
@@ -76,8 +97,8 @@ def contact(
         p=state.p,
         a=a,
         b=b,
-        r=vehicle.capsule_r_m,
-        radius_m=vehicle.radius_m,
+        r=hull.capsule_r_m,
+        radius_m=hull.radius_m,
         running=one([running]),
         limit_m=tally.min_clearance_m,
     )
@@ -100,7 +121,7 @@ def _to_obstacle(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
 
 def _to_robot(me: Seeker, met: Met) -> tuple[Any, Any, Lanes]:
     other, q, its_v = met.details()
-    theirs = lanes.apply(_hull, other, met.p, q)
+    theirs = lanes.apply(_placed, other, met.p, q)
     gap = lanes.apply(clearance.capsules_capsules, me.a, me.b, me.r, *theirs, other.capsule_r_m)
     return gap[()], np.bool_(False), its_v
 
@@ -122,14 +143,14 @@ def _tree(nearest: Nearest) -> tuple[Lanes, Lanes, Lanes, Lanes]:
     return gap, index, fixed, lanes.pack(nearest.v, (3,))
 
 
-def _hull(vehicle: VehicleParams, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _placed(hull: Hull, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Ends [c, 3] of the axes of one robot's capsules, in W."""
     turn = quaternion.to_matrix(q)
 
     def place(points: jax.Array) -> jax.Array:
         return p + jnp.sum(turn[None, :, :] * points[:, None, :], axis=2)
 
-    return place(vehicle.capsule_a_m), place(vehicle.capsule_b_m)
+    return place(hull.capsule_a_m), place(hull.capsule_b_m)
 
 
 def _obstacle_gap(
@@ -146,7 +167,7 @@ def _velocity(q: jax.Array, nu: jax.Array) -> jax.Array:
 
 def _to_ground(
     shape: Shape,
-    vehicle: VehicleParams,
+    r: jax.Array,
     a: jax.Array,
     b: jax.Array,
     p: jax.Array,
@@ -156,7 +177,6 @@ def _to_ground(
     """Distance [] of one hull to the cells, if less than ``below`` [], and to the floor."""
     index, lo = clearance.neighbour_window(p, cells.origin_m, cells.cell_m, shape)
     mask = take(cells.neighbours, index)
-    r = vehicle.capsule_r_m
     gap = clearance.capsules_neighbours(a, b, r, p, lo, mask, cells.cell_m, below)
     lowest = jnp.min(jnp.minimum(a[:, 2], b[:, 2]) - r)
     return gap, lowest - cells.floor_z_m

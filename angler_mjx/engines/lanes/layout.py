@@ -69,16 +69,41 @@ class Scene:
     n_obstacle: int
 
 
-def side_by_side(parts: Sequence[Any]) -> Any:
-    """Trees of lanes [n, W] of the groups as one, [R, W]."""
+def side_by_side(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
+    """Trees of lanes [n, W] of the groups as one, [R, W].
+
+    Where ``like`` gives lanes of each group, elements may be one number for all robots of a group;
+    a constant that all groups have in common stays one.
+    """
+    if len(parts) == 1:
+        return parts[0]
+
+    def beside(items: Sequence[Any]) -> Any:
+        if all(isinstance(x, np.generic) and x == items[0] for x in items):
+            return items[0]
+        if like:
+            items = [jnp.broadcast_to(x, there.shape) for x, there in zip(items, like, strict=True)]
+        return jnp.concatenate(items)
 
     def one(*leaves: np.ndarray) -> np.ndarray:
         out = np.empty_like(leaves[0])
         for index in np.ndindex(*out.shape):
-            out[index] = jnp.concatenate([leaf[index] for leaf in leaves])
+            out[index] = beside([leaf[index] for leaf in leaves])
         return out
 
     return jax.tree.map(one, *parts)
+
+
+def lanes_of_group(tree: Any, group: Group) -> Any:
+    """The robots of a group of lanes [R, W]."""
+
+    def one(leaf: np.ndarray) -> np.ndarray:
+        out = np.empty_like(leaf)
+        for index in np.ndindex(*out.shape):
+            out[index] = leaf[index][group.first : group.first + group.count]
+        return out
+
+    return jax.tree.map(one, tree)
 
 
 def of_group(tree: Any, group: Group) -> Any:

@@ -1,8 +1,9 @@
-"""The search for the nearest shape, for the few pairs that need it: plain JAX's way.
+"""What robots meet, and the search for the nearest shape among the few pairs that need it.
 
 Of thousands of pairs of a robot and a shape a handful are near enough to matter. All pairs are
 looked at for that; those that are wanted are listed, and their distances worked out a chunk at a
-time. A kernel, whose lanes are few, does better with `lane_search.of_lanes`.
+time. This is plain JAX's way. A kernel, whose lanes are few, does better with
+`search.of_lanes`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,10 +16,10 @@ import numpy as np
 
 from angler_kernels import lanes
 from angler_mjx.engines.lanes import judge as lane_judge
-from angler_mjx.engines.lanes.layout import Scene
+from angler_mjx.engines.lanes.layout import Scene, side_by_side
 from angler_mjx.engines.lanes.search import Exact, Met, Nearest, Others, Seeker
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.sim.detection import Contact
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
 CHUNK = 128
@@ -38,13 +39,13 @@ def pick(tree: Any, index: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def met_robot(params: VehicleParams, state: VehicleState, index: Any) -> Met:
-    """Robots of a group, at an index of lanes [n, W]."""
-    vehicle, now = pick((params, state), index)
+def met_robot(hull: lane_judge.Hull, state: VehicleState, index: Any) -> Met:
+    """Robots at an index of lanes [n, W]."""
+    theirs, now = pick((hull, state), index)
     return Met(
         p=now.p,
-        reach=vehicle.radius_m[()],
-        details=lambda: (vehicle, now.q, lane_judge.velocity(now.q, now.nu)),
+        reach=theirs.radius_m[()],
+        details=lambda: (theirs, now.q, lane_judge.velocity(now.q, now.nu)),
     )
 
 
@@ -58,20 +59,33 @@ def met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, i
     )
 
 
-def all_met(
+def contact(
     scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState
-) -> tuple[Others, list[Others]]:
-    """What robots can meet when all have moved: obstacles, and robots of every group."""
-    robots = [
+) -> Contact:
+    """The nearest thing to each robot of a scene when all have moved; ``groups`` are their slots.
+
+    Robots of all groups at once: code for each pair of groups would take most of the time that it
+    takes to compile a step.
+    """
+    vehicles = [now["vehicle"] for now in groups]
+    state, tally = side_by_side(vehicles), side_by_side([now["tally"] for now in groups])
+    hulls = [lane_judge.hull_of(given.params.vehicle) for given in scene.groups]
+    hull = side_by_side(hulls, like=[vehicle.p[0] for vehicle in vehicles])
+    robots = Others(count=scene.n_robot, load=partial(met_robot, hull, state))
+    return lane_judge.contact(
+        scene.shape,
+        hull,
+        scene.cells,
+        tally,
+        state,
         Others(
-            count=given.group.count,
-            load=partial(met_robot, given.params.vehicle, now["vehicle"]),
-            first=given.group.first,
-        )
-        for given, now in zip(scene.groups, groups, strict=True)
-    ]
-    met = partial(met_obstacle, scene.obstacles, scene.reach, obstacles)
-    return Others(count=scene.n_obstacle, load=met), robots
+            count=scene.n_obstacle,
+            load=partial(met_obstacle, scene.obstacles, scene.reach, obstacles),
+        ),
+        [robots] if scene.n_robot > 1 else [],
+        np.arange(scene.n_robot)[:, None],
+        among_listed,
+    )
 
 
 def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:

@@ -19,7 +19,7 @@ from angler_mjx.engines.lanes.steps import Lanes
 class Met:
     """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
 
-    ``details`` gives what it is (Obstacles or VehicleParams), its attitude q [4], and its velocity
+    ``details`` gives what it is (Obstacles or `judge.Hull`), its attitude q [4], and its velocity
     [3] in W.
     """
 

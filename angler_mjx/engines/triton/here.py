@@ -139,7 +139,7 @@ class OfGroup(Program):
         others = [self._robots_met(places["vehicle"], other) for other in tile.groups]
         return lane_judge.contact(
             self.shape,
-            self.params.vehicle,
+            lane_judge.hull_of(self.params.vehicle),
             self.cells,
             now["tally"],
             now["vehicle"],
@@ -159,8 +159,8 @@ class OfGroup(Program):
 
             def details() -> Any:
                 q, nu = state(lambda x: (x.q, x.nu))
-                vehicle = tile.params_at(data, other, place).vehicle
-                return vehicle, q, lane_judge.velocity(q, nu)
+                hull = lane_judge.hull_of(tile.params_at(data, other, place).vehicle)
+                return hull, q, lane_judge.velocity(q, nu)
 
             reach = tile.params_at(data, other, place).vehicle.radius_m[()]
             return Met(p=state(lambda x: x.p), reach=reach, details=details)

@@ -11,7 +11,7 @@ arrays of lanes in place of its variables. A loop runs until all lanes are done.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -108,14 +108,26 @@ def _is_elementwise(eqn: Any) -> bool:
     """
     if len(eqn.outvars) != 1 or not eqn.invars or _AXES & eqn.params.keys():
         return False
-    numbers = [jax.ShapeDtypeStruct((), var.aval.dtype) for var in eqn.invars]
     try:
         shape = np.broadcast_shapes(*(var.aval.shape for var in eqn.invars))
-        if shape != ():
-            jax.eval_shape(partial(eqn.primitive.bind, **eqn.params), *numbers)
+    except ValueError:
+        return False
+    if shape != eqn.outvars[0].aval.shape:
+        return False
+    return shape == () or _takes_numbers(
+        eqn.primitive, tuple(var.aval.dtype for var in eqn.invars), tuple(eqn.params.items())
+    )
+
+
+@cache
+def _takes_numbers(primitive: Any, dtypes: tuple[Any, ...], params: tuple[Any, ...]) -> bool:
+    """Whether an operation is one on numbers too."""
+    numbers = [jax.ShapeDtypeStruct((), dtype) for dtype in dtypes]
+    try:
+        jax.eval_shape(partial(primitive.bind, **dict(params)), *numbers)
     except (TypeError, ValueError, IndexError):
         return False
-    return bool(shape == eqn.outvars[0].aval.shape)
+    return True
 
 
 def _closed_over(value: Any) -> Elements:
