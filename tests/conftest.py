@@ -2,6 +2,8 @@
 
 import gc
 
+import pytest
+
 from . import deviations
 
 # Tracing makes millions of objects that stay: that of a rollout takes 7.1 s instead of 8.4.
@@ -25,8 +27,12 @@ pytest_sessionfinish = deviations.pytest_sessionfinish
 
 
 def pytest_collection_modifyitems(config, items):
+    nightly = {item: item.get_closest_marker("nightly") for item in items}
+    for item, mark in nightly.items():
+        if mark and not mark.kwargs.get("by"):
+            raise pytest.UsageError(f"{item.nodeid}: nightly(by=...) says what proves it in small")
     if "nightly" not in config.getoption("markexpr"):
-        long = [item for item in items if item.get_closest_marker("nightly")]
+        long = [item for item in items if nightly[item]]
         config.hook.pytest_deselected(items=long)
         items[:] = [item for item in items if item not in long]
 

@@ -8,7 +8,13 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 
-@pytest.mark.parametrize(("page", "examples"), [("README.md", 9), ("docs/policies.md", 9)])
+@pytest.mark.parametrize(
+    ("page", "examples"),
+    [
+        ("README.md", 9),
+        pytest.param("docs/policies.md", 9, marks=pytest.mark.nightly(by="sim/test_policy.py")),
+    ],
+)
 def test_the_python_examples(page, examples, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = doctest.testfile(str(ROOT / page), module_relative=False, encoding="utf-8")

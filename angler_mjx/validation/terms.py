@@ -50,6 +50,8 @@ class Term(FileModel):
     test: str
     """What pytest is given to have it measured, from the root of the checkout."""
     quick: bool = False
+    nightly: bool = False
+    """Whether its test runs only where all are asked for."""
 
 
 class Study(FileModel):
@@ -87,6 +89,9 @@ class Terms(FileModel):
         unknown = {term.worse for term in self.term} - set(self.worse)
         if unknown:
             raise ValueError(f"worse = {', '.join(sorted(unknown))}: no [worse.NAME] of that name")
+        slow = [term.key for term in self.term if term.quick and term.nightly]
+        if slow:
+            raise ValueError(f"key {', '.join(slow)}: cannot be both quick and nightly")
         return self
 
     def tests(self, *, quick: bool) -> list[str]:

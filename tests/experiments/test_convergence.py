@@ -18,6 +18,7 @@ def rows():
     )
 
 
+@pytest.mark.nightly(by="test_motion.py, and angler validate runs the study")
 def test_schemes_converge_at_their_order(rows):
     coarse, fine = rows
     assert (coarse.step_ms, fine.step_ms) == (20, 10)

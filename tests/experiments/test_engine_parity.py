@@ -15,6 +15,7 @@ def parity():
     return engine_parity.compare(scenario, tile=32)
 
 
+@pytest.mark.nightly(by="test_fused.py, and angler validate runs the study")
 def test_runs_agree_but_for_decisions(parity):
     n = parity.outcome.shape[1]
     assert n == 32 * 4
@@ -31,6 +32,7 @@ def test_runs_agree_but_for_decisions(parity):
     assert len(np.unique(parity.outcome)) >= 2
 
 
+@pytest.mark.nightly(by="test_fused.py, and angler validate runs the study")
 def test_says_what_it_found(parity):
     names = [f"kind {i}" for i in range(5)]
     text = engine_parity.report(parity, names)

@@ -25,6 +25,7 @@ max_speed_mps = 0.3
 """
 
 
+@pytest.mark.nightly(by="tuning/test_tuning.py")
 def test_tuning_lowers_the_cost(tmp_path):
     path = tmp_path / "alone.toml"
     path.write_text(SCENARIO)

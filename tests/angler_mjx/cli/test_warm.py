@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 SCENARIO = """
 schema_version = 1
 name = "small"
@@ -53,6 +55,7 @@ def kept(tmp_path):
     return sorted(name for name in names if any(part in name for part in PROGRAMS))
 
 
+@pytest.mark.nightly(by="test_compiling.py")
 def test_a_run_after_it_compiles_nothing_of_its_own(tmp_path):
     (tmp_path / "small.toml").write_text(SCENARIO)
     told = angler(tmp_path, "warm", "small.toml", "--engine", "fused", "--device", "cpu")

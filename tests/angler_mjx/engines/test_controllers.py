@@ -148,7 +148,20 @@ def assert_close(ours, theirs, tolerance):
             np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-@pytest.mark.parametrize("name", stages.CONTROLLERS)
+DAILY = ("cascade", "tracking", "ardusub")
+"""Flown by both engines in every run of the tests: a controller of each kind of stage. On lanes all
+of them are compared in `control/laws/test_lanes.py`."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        if name in DAILY
+        else pytest.param(name, marks=pytest.mark.nightly(by="control/laws/test_lanes.py"))
+        for name in stages.CONTROLLERS
+    ],
+)
 def test_both_engines_fly_it_alike(name, flown):
     ours, _ = flown(name, "fused", LONGEST)
     theirs, _ = flown(name, "mjx", PARITY)

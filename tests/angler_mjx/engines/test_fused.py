@@ -19,7 +19,13 @@ from .stored import store
 TOLERANCE = 1e-9
 
 
-@pytest.fixture(scope="module", params=["closed loop", "random signals"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "closed loop",
+        pytest.param("random signals", marks=pytest.mark.nightly(by="closed loop")),
+    ],
+)
 def pair(request, double, play):
     """The final states, and samples of every step [steps, W, ...], of both engines."""
     commanded = request.param == "random signals"

@@ -30,6 +30,7 @@ def assert_close(deviation, key, ours, theirs, tolerance):
             np.testing.assert_array_equal(x, y, err_msg=name)
 
 
+@pytest.mark.nightly(by="a control step of these kernels is, in test_control_step_takes_signals")
 def test_segment_is_that_of_mjx(double, play, deviation):
     """A mixed fleet among obstacles; 6 worlds in programs of 4, so that two lanes are padding."""
     n, engine = 6, TritonEngine(lanes=4, interpret=True)

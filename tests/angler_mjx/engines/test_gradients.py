@@ -64,6 +64,7 @@ def test_is_the_gradient_by_finite_differences(costs, deviation):
     assert np.count_nonzero(np.abs(gradient) > 1e-6) >= 5
 
 
+@pytest.mark.nightly(by="test_is_the_gradient_by_finite_differences")
 def test_is_the_gradient_of_mjx(costs, deviation):
     with jax.enable_x64(True):
         functions, gains = costs

@@ -36,6 +36,8 @@ FLOW_ENU = np.array([0.15, 0.1, -0.02])
 START = np.array([[-100.0, 0.0, -300.0], [0.0, 0.0, -300.0], [100.0, 0.0, -300.0]])
 ROUND = "inertia_kgm2 = [0.16, 0.16, 0.16]"
 SKEWED = "inertia_kgm2 = [[0.26, 0.02, -0.03], [0.02, 0.23, 0.04], [-0.03, 0.04, 0.37]]"
+pytestmark = pytest.mark.nightly(by="physics/test_mjx_engine.py, field by field")
+
 ORDERS = ([0, 1, 2], [1, 2, 0], [2, 0, 1])
 """Which of the three kinds comes first decides, second and third do not."""
 

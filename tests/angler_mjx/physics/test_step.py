@@ -47,6 +47,7 @@ def run(plants, current, body, vehicle, p, q, nu, thrust):
     return jax.lax.scan(one, state, jnp.arange(N_STEP))[0]
 
 
+@pytest.mark.nightly(by="engines/test_gradients.py")
 def test_gradients_equal_finite_differences(plants, current, deviation):
     vehicle, body = (plant_module.pick(x, 4) for x in (plants.params, plants.body))
     p, q, nu = (x[0] for x in plant_module.random_states(11, (1,)))

@@ -115,6 +115,7 @@ def assert_same(one, other):
     assert files(one) == files(other)
 
 
+@pytest.mark.nightly(by="two processes are, in test_two_processes_write_the_same_run")
 @pytest.mark.parametrize("name", ["3_devices_2", "3_devices_100", "8_devices_100"])
 def test_the_same_bytes_on_any_number_of_devices_and_for_any_chunk(runs, name):
     out, _, _ = runs

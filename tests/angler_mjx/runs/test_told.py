@@ -112,6 +112,7 @@ def test_what_is_recorded(run):
     assert Scenario.model_validate(scenario.model_dump(mode="json")) == scenario
 
 
+@pytest.mark.nightly(by="test_senses.py: test_without_noise_the_filter_is_near_the_truth")
 def test_noise_that_is_off_gives_the_same_bytes_as_the_truth(tmp_path):
     seen = []
     for told in ("", 'estimate = "noisy"\n[fleet.sensors]\nnoise = false'):

@@ -18,6 +18,7 @@ def test_the_fused_engine_conforms(heavies, borrowed):
     assert not [result for result in results if result.skipped]
 
 
+@pytest.mark.nightly(by="test_the_fused_engine_conforms")
 def test_the_mjx_engine_conforms_with_another_vehicle(calm):
     """Six thrusters beside the eight of the other robot; this session is really closed."""
     results = check_session(

@@ -83,6 +83,7 @@ def test_the_fused_engine_tells_the_same(double):
     assert_close(ours, theirs, 1e-9)
 
 
+@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same")
 def test_kernels_tell_the_same(double):
     scene, (_, theirs) = double
     with jax.enable_x64(True):

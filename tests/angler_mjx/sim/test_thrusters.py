@@ -60,6 +60,7 @@ def fly(scene):
     return run
 
 
+@pytest.mark.nightly(by="test_fused.py")
 def test_the_fused_engine_flies_them_as_mjx_does(fly, scene, deviation):
     theirs, ours = (fly(name, scene.worlds) for name in ("mjx", "fused"))
     assert set(np.unique(scene.worlds.variant)) == {0, 1, 2}

@@ -40,7 +40,9 @@ vehicle = "bluerov2"
 """
 
 
-@pytest.mark.parametrize("controller", ["cascade", "los"])
+@pytest.mark.parametrize(
+    "controller", ["cascade", pytest.param("los", marks=pytest.mark.nightly(by="cascade"))]
+)
 def test_four_thrusters_fly_across_a_current(controller, tmp_path):
     made_up.write(tmp_path / "four.toml", made_up.FOUR)
     (tmp_path / "s.toml").write_text(SCENARIO.format(controller=controller))

@@ -2,10 +2,12 @@
 
 import jax
 import numpy as np
+import pytest
 
 from angler_mjx.simulator.simulator import Simulator
 
 
+@pytest.mark.nightly(by="test_generate.py: test_a_world_is_the_same_in_a_batch_of_any_size")
 def test_a_world_made_alone_is_that_of_a_tile(scenario):
     tile = Simulator(scenario).worlds(0)
     alone = Simulator(scenario.model_copy(update={"tile": 1})).worlds(1)

@@ -40,6 +40,7 @@ def test_the_rate_at_which_the_disk_keeps_up():
     assert break_even_hz(100.0, 100.0, 2e6, 0.01) == pytest.approx(50.0)
 
 
+@pytest.mark.nightly(by="test_the_command_says_what_recording_found")
 def test_a_row_of_recording(scenario, tmp_path):
     folder = tmp_path / "disk"
     sized = {"label": "recording/short", "worlds": 2, "repeats": 10}

@@ -64,6 +64,9 @@ def test_keys_are_given_once():
         parse(Terms, {"worse": kinds, "term": [row, row]}, source="terms")
     with pytest.raises(ConfigError, match=r"no \[worse"):
         parse(Terms, {"worse": kinds, "term": [{**row, "worse": "x"}]}, source="terms")
+    both = {**row, "quick": True, "nightly": True}
+    with pytest.raises(ConfigError, match="both quick and nightly"):
+        parse(Terms, {"worse": kinds, "term": [both]}, source="terms")
 
 
 def test_the_page_has_a_place_for_everything(held):

@@ -100,6 +100,7 @@ def test_a_world_is_the_same_wherever_its_batch_begins(worlds):
         np.testing.assert_array_equal(here[5:], np.asarray(there)[: COUNT - 5])
 
 
+@pytest.mark.nightly(by="test_worlds_are_complete")
 def test_a_grid_of_64_cells_a_side_is_one_cavern_with_open_ways():
     big = config(preset="reef", shape=[64, 64, 64], fill=0.2)
     worlds = jax.tree.map(np.asarray, generate_batch(big, np.full(2, 0.4), 3, 0, 2))
@@ -148,6 +149,7 @@ def test_a_world_is_the_same_in_a_batch_of_any_size(picky, monkeypatch):
         np.testing.assert_array_equal(here[last : last + 1], one)
 
 
+@pytest.mark.nightly(by="test_a_world_is_the_same_in_a_batch_of_any_size")
 def test_a_batch_of_batches_is_the_same_too():
     walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
     one = partial(drawing.draw, resolve(walls), jnp.array([0.4]))
