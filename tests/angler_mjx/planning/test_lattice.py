@@ -153,7 +153,8 @@ def draw(seed):
     occupied[start] = occupied[goal] = False
     low, high = ORIGIN, ORIGIN + CELL * np.array(SHAPE)
     centre = rng.uniform(low, high, (LAYERS, OTHERS, 3))
-    radius = rng.uniform(-0.2, 0.9, (LAYERS, OTHERS))
+    radius = rng.uniform(0.0, 0.9, (LAYERS, OTHERS))
+    radius[rng.random((LAYERS, OTHERS)) < 0.3] = -1.0  # as `balls` says that one does not count
     sphere = np.array([*rng.uniform(low, high), 0.3])
     return Case(
         occupied,

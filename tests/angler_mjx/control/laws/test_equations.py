@@ -69,8 +69,9 @@ def scattered(rng, gains):
     if "ANGLE_MAX" in made:
         made["SERVO_TRIM"] = rng.uniform(1400.0, 1600.0, N)
         made["MOT_PWM_MIN"], made["MOT_PWM_MAX"] = np.full(N, 1120.0), np.full(N, 1910.0)
-        made["ATC_ACCEL_Y_MAX"] = rng.uniform(1000.0, 30000.0, N)
-        made["ATC_ACCEL_R_MAX"], made["ATC_ACCEL_P_MAX"] = rng.uniform(4e3, 2e5, (2, N))
+        # Half of these are looked at between 40 and 720 degrees/s^2, 10 and 120 for yaw.
+        made["ATC_ACCEL_Y_MAX"] = 10 ** rng.uniform(3.0, 4.7, N)
+        made["ATC_ACCEL_R_MAX"], made["ATC_ACCEL_P_MAX"] = 10 ** rng.uniform(3.5, 5.5, (2, N))
     return gains(**made)
 
 
