@@ -29,7 +29,7 @@ class Row:
         return f"{self.size + 1} of {2 * 5}"
 
 
-def least(a: int | float, b: int) -> int | None:
+def least(a: int | float, *, b: int) -> int | None:
     if a < b:
         raise ValueError(f"{a} is less than {b - 7} by {b - a}", 8)
     for x, y in zip([a], [b], strict=True):

@@ -59,8 +59,10 @@ def sample(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mu
 
 def _places(operators: dict[str, dict[str, Operator]], file: str, code: str) -> Iterator[_Place]:
     """All places of a file, in the order of the operators' families and then of the file."""
-    spared = _spared(code)
     nodes = list(ast_nodes(get_ast(code)))
+    # The bare stars and strokes of parameters are no products: a call by name is the same.
+    bare = [node for node in nodes if node.type == "operator" and node.parent.type == "parameters"]
+    spared = [*_spared(code), *((node.start_pos, node.end_pos) for node in bare)]
     for family, each in operators.items():
         at: dict[tuple[int, int], list[tuple[str, int]]] = {}
         for name, operator in each.items():

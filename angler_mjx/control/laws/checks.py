@@ -13,7 +13,7 @@ def check_gains(law: str, gains: Any, positive: Collection[str] = ()) -> None:
 
     Args:
         law: what the user calls it.
-        gains: dataclass of numbers, or of such dataclasses.
+        gains: dataclass of numbers.
         positive: names of those that must not be zero either (divisors, thicknesses).
 
     Raises:
@@ -21,10 +21,7 @@ def check_gains(law: str, gains: Any, positive: Collection[str] = ()) -> None:
     """
     faults = []
     for entry in dataclasses.fields(gains):
-        value = getattr(gains, entry.name)
-        if dataclasses.is_dataclass(value):
-            continue
-        number = float(value)
+        number = float(getattr(gains, entry.name))
         if not math.isfinite(number) or number < 0:
             faults.append(f"{entry.name} = {number:g} must be a finite number, 0 or more")
         elif number == 0 and entry.name in positive:

@@ -260,6 +260,9 @@ def test_a_path_goes_to_joints_and_back():
     # Up, east, south, south-west.
     at_points = [0.3, 0.0, -np.pi / 2, -3 * np.pi / 4, -3 * np.pi / 4]
     np.testing.assert_allclose(joints.position[:5, 3], at_points, atol=1e-6)
+    # Put in place of something else it leads to its points: all its joints are commanded.
+    joined = join_at(made(goal(1)), jnp.array(1.0), joints)
+    np.testing.assert_allclose(joined.position[1:, :3], path.position_m[1:], atol=1e-6)
     assert np.all(np.abs(target.yaw_rad) <= np.pi + 1e-6)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.closed_form import ClosedForm
-from angler_mjx.vehicles import mjcf
+from angler_mjx.vehicles import library, mjcf
 
 from ..compiling import quickly
 from . import plants as plant_module
@@ -165,6 +165,15 @@ def test_only_single_free_bodies_are_taken():
     body.add_geom(size=[0.1, 0, 0])
     with pytest.raises(ValueError, match="one free body"):
         mjx_engine.build([spec])
+
+
+def test_models_stand_on_the_first_of_the_processes_own_devices(monkeypatch):
+    spec = mjcf.to_spec(library.load("bluerov2"), "blue_gazebo", shapes=False)
+    own = jax.local_devices()[0]
+    monkeypatch.setattr(jax, "local_devices", lambda: [own, "another one of this process"])
+    engine, _ = mjx_engine.build([spec])
+    arrays = [leaf for leaf in jax.tree.leaves(engine) if isinstance(leaf, jax.Array)]
+    assert {device for leaf in arrays for device in leaf.devices()} == {own}
 
 
 def test_mjx_is_loaded_by_those_who_compute_with_it_alone():

@@ -15,6 +15,8 @@ from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
 
+from ..compiling import quickly
+
 CELL = 1.5
 SHAPE = (12, 10, 9)
 RADIUS = np.array([0.4, 0.45, 0.35, 0.4], np.float32)
@@ -132,7 +134,7 @@ def dijkstra(occupied, start, goal, weight):
 
 @pytest.fixture(scope="module")
 def planner():
-    @jax.jit
+    @quickly
     def run(worlds):
         return jax.vmap(lambda w: plan(w, jnp.asarray(RADIUS), jnp.asarray(SPEED), CONFIG))(worlds)
 
@@ -247,7 +249,7 @@ def test_same_input_same_bytes(planner, plans, worlds):
 
 def test_batch_equals_single(planner, plans, worlds):
     # The loops of a batch end when its slowest world ends; alone, a world ends earlier.
-    single = jax.jit(plan, static_argnums=3)
+    single = quickly(plan, static_argnums=3)
     for w in (1, 4, 7):
         alone = single(worlds[w], jnp.asarray(RADIUS), jnp.asarray(SPEED), CONFIG)
         np.testing.assert_array_equal(alone.found, plans.found[w])
@@ -259,7 +261,7 @@ def test_batch_equals_single(planner, plans, worlds):
 def test_marking_robots_in_groups_marks_the_same(plans, worlds, monkeypatch):
     # Four robots in groups of three: the last group is not full.
     monkeypatch.setattr(search, "AT_ONCE", 3)
-    in_groups = jax.jit(partial(plan, config=CONFIG))(worlds[0], RADIUS, SPEED)
+    in_groups = quickly(partial(plan, config=CONFIG))(worlds[0], RADIUS, SPEED)
     for got, want in zip(jax.tree.leaves(in_groups), jax.tree.leaves(plans), strict=True):
         np.testing.assert_array_equal(got, want[0])
 
@@ -322,7 +324,7 @@ def test_closed_goal_fails_alone(planner, worlds):
 @pytest.fixture(scope="module")
 def passing():
     """A function (starts, goals, config) -> world and plans of two robots in open water."""
-    run = jax.jit(plan, static_argnums=3)
+    run = quickly(plan, static_argnums=3)
     config = GridPlannerConfig(margin_m=0.9)
 
     def call(starts, goals):
@@ -349,17 +351,15 @@ def test_robots_keep_the_margin_beyond_their_radii(passing, first_stays):
     assert gap >= config.margin_m - 2e-3
 
 
-def test_ends_nearer_to_rock_than_the_margin_are_met_at_cruise_speed():
-    """There the last leg keeps to the timetable of the search, and that has to count it."""
-    occupied = np.zeros((8, 7, 7), bool)
-    occupied[1, 4, 3] = occupied[6, 4, 3] = True
-    world = make_world(occupied, [[1, 3, 3]], [[6, 3, 3]])
-    # 0.45 m from the rock's face: the hull has 5 cm to spare, the margin is 20 cm.
-    towards = np.float32([[0.0, 0.3, 0.0]])
-    start, goal = world.start_m + towards, world.goal_m + towards
-    moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
-    config = GridPlannerConfig(margin_m=0.2)
-    path = jax.jit(plan, static_argnums=3)(moved, RADIUS[:1], SPEED[:1], config)
+@pytest.mark.parametrize(
+    "off", [(0.0, 0.3, 0.0), (0.7, 0.3, 0.7), (-0.7, 0.3, 0.7)], ids=["near", "corner", "behind"]
+)
+def test_ends_nearer_to_rock_than_the_margin_are_met_at_cruise_speed(beside_rock, off):
+    """There the last leg keeps to the timetable of the search, and that has to count it.
+
+    From a corner of the cell to its centre it is farther than a layer's way.
+    """
+    start, goal, path = beside_rock(off)
     assert path.found[0]
     np.testing.assert_array_equal(path.position_m[0, 0], start[0])
     np.testing.assert_array_equal(path.position_m[0, -1], goal[0])
@@ -369,13 +369,35 @@ def test_ends_nearer_to_rock_than_the_margin_are_met_at_cruise_speed():
     assert (way <= SPEED[0] * span + 1e-3).all()
 
 
+@pytest.fixture(scope="module")
+def beside_rock():
+    """A function off -> start, goal and plan; both lie so beside the centre of their cell."""
+    occupied = np.zeros((8, 7, 7), bool)
+    occupied[1, 4, 3] = occupied[6, 4, 3] = True
+    world = make_world(occupied, [[1, 3, 3]], [[6, 3, 3]])
+    config = GridPlannerConfig(margin_m=0.2)
+    run = quickly(partial(plan, config=config))
+
+    def call(off):
+        # 0.45 m from the rock's face: the hull has 5 cm to spare, the margin is 20 cm.
+        start, goal = world.start_m + np.float32(off), world.goal_m + np.float32(off)
+        moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
+        return start, goal, run(moved, RADIUS[:1], SPEED[:1])
+
+    return call
+
+
 def test_goal_past_the_horizon_is_not_found():
-    world = make_world(np.zeros(SHAPE, bool), STARTS[:1], GOALS[:1])
-    needed = float(np.linalg.norm(world.goal_m[0] - world.start_m[0]) / SPEED[0])
-    config = GridPlannerConfig(horizon_s=0.99 * needed)
-    late = jax.jit(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], config)
-    assert not late.found[0]
-    assert (np.asarray(late.position_m) == world.start_m[0]).all()
+    """In open water, and behind a wall, where each leg of the way alone ends before it."""
+    wall = np.zeros(SHAPE, bool)
+    wall[6, :, :8] = True
+    for occupied in (np.zeros(SHAPE, bool), wall):
+        world = make_world(occupied, STARTS[:1], GOALS[:1])
+        needed = float(np.linalg.norm(world.goal_m[0] - world.start_m[0]) / SPEED[0])
+        config = GridPlannerConfig(horizon_s=0.99 * needed)
+        late = quickly(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], config)
+        assert not late.found[0]
+        assert (np.asarray(late.position_m) == world.start_m[0]).all()
 
 
 def test_static_obstacles_and_floor_are_kept_clear():
@@ -395,7 +417,7 @@ def test_static_obstacles_and_floor_are_kept_clear():
     world = make_world(
         np.zeros((12, 7, 7), bool), [[0, 3, 3]], [[11, 3, 3]], obstacles, floor_below=-2.0
     )
-    path = jax.jit(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], CONFIG)
+    path = quickly(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], CONFIG)
     assert path.found[0]
     track = dense(np.asarray(path.time_s[0]), np.asarray(path.position_m[0]), step=0.1)
 
@@ -420,7 +442,7 @@ def test_starts_and_goals_off_the_centres_are_met_exactly():
     start = world.start_m + np.float32([[0.3, -0.2, 0.25]])
     goal = world.goal_m + np.float32([[-0.4, 0.1, 0.3]])
     moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
-    path = jax.jit(plan, static_argnums=3)(moved, RADIUS[:1], SPEED[:1], CONFIG)
+    path = quickly(plan, static_argnums=3)(moved, RADIUS[:1], SPEED[:1], CONFIG)
     assert path.found[0]
     np.testing.assert_array_equal(path.position_m[0, 0], start[0])
     np.testing.assert_array_equal(path.position_m[0, -1], goal[0])

@@ -139,17 +139,18 @@ def test_nearest_obstacle_and_whether_it_stands(heavy):
 
 def test_hulls_side_by_side(heavy):
     world = environment([], [], 3)
-    places = [[0.0, -1.5, -8.0], [0.0, 0.0, -8.0], [0.0, 1.0, -8.0]]
-    vehicles, state = fleet_of(heavy, places, [[0.3, 0, 0], [0, 0, 0], [0, 0.4, 0]])
+    # The one in the middle comes first: robot 0 is a neighbour as any other.
+    places = [[0.0, 0.0, -8.0], [0.0, -1.5, -8.0], [0.0, 1.0, -8.0]]
+    vehicles, state = fleet_of(heavy, places, [[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0]])
     contact = jax.jit(detect)(world, vehicles, state, still([]))
     # Half width 0.1605 + 0.127 on each side.
     width = 2 * 0.2875
     np.testing.assert_allclose(
-        contact.separation_m, [1.5 - width, 1.0 - width, 1.0 - width], atol=TOLERANCE_M
+        contact.separation_m, [1.0 - width, 1.5 - width, 1.0 - width], atol=TOLERANCE_M
     )
     np.testing.assert_array_equal(contact.nearest, [Touched.ROBOT] * 3)
-    np.testing.assert_array_equal(contact.nearest_index, [1, 2, 1])
-    np.testing.assert_allclose(contact.closing_speed_mps, [0.3, 0.4, 0.4], atol=1e-6)
+    np.testing.assert_array_equal(contact.nearest_index, [2, 0, 0])
+    np.testing.assert_allclose(contact.closing_speed_mps, [0.4, 0.3, 0.4], atol=1e-6)
 
 
 def test_a_robot_alone_has_no_separation(heavy):

@@ -9,14 +9,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.control import stages
 from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate, PoseTarget, ThrusterPwm
 from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.control.laws import follow
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim.policy import Policy
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.aboard import Aboard
+from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.vehicles import library, params
+from angler_mjx.world import currents
 
 from ..compiling import quickly
 
@@ -257,6 +264,55 @@ def test_every_level_is_taken(scene):
     for command in (joints(2), BodyWrench(tau=jnp.zeros((2, 6)))):
         state = jax.eval_shape(reset, scene.fleet, scene.worlds, Gives(what=command, period=2))
         assert type(state.policy.command) is type(command)
+
+
+@pytest.mark.parametrize(("signals", "taken"), [(8, True), (6, False)])
+def test_signals_are_as_many_as_the_thrusters(signals, taken):
+    """Eight on a Heavy; as many as a wrench has components are too few."""
+    heavy = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
+    two = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), heavy)
+    still = jnp.zeros((2, 3))
+    knows = Known(
+        belief=Estimate(p=still, q=jnp.zeros((2, 4)), nu=jnp.zeros((2, 6))),
+        time_s=jnp.zeros(()),
+        goal_m=still,
+        path=(),
+        params=ControlParams(vehicle=two, allocation=(), cruise_speed_mps=jnp.ones(2)),
+    )
+    policy = Gives(what=ThrusterPwm(pwm_us=jnp.zeros((2, signals))))
+    begin = partial(policies.begin, policy, stages.named("cascade"))
+    key = jax.random.key_data(jax.random.key(0))
+    if taken:
+        assert begin(key, knows).carry == ()
+    else:
+        with pytest.raises(
+            ConfigError, match=r"pwm_us has the shape \[1, 2, 6\]: must be \[1, 2, 8\]"
+        ):
+            begin(key, knows)
+
+
+@pytest.mark.parametrize("number", [0, 1, 7])
+def test_a_policy_is_told_the_time_and_the_current_of_then(scene, number):
+    world = jax.tree.map(lambda leaf: leaf[1], scene.worlds)
+    start = world.environment.start_m
+    vehicles = VehicleState(
+        p=start,
+        q=jnp.tile(jnp.array([1.0, 0, 0, 0]), (len(start), 1)),
+        nu=jnp.zeros((len(start), 6)),
+        force_before=jnp.zeros((len(start), 6)),
+        thrust=jnp.zeros((len(start), 6)),
+    )
+    here = Aboard(
+        spec=scene.spec, policy=Meet(), world=world, number=jnp.asarray(number), vehicles=vehicles
+    )
+    known = here.known(None)
+    # Steps of 50 ms.
+    assert float(known.time_s) == pytest.approx(0.05 * number)
+    flow = [
+        currents.velocity(world.environment.current, p, jnp.asarray(0.05 * number)) for p in start
+    ]
+    np.testing.assert_allclose(known.belief.flow, flow, atol=1e-6)  # float32
+    np.testing.assert_array_equal(known.goal_m, world.environment.goal_m)
 
 
 def test_worlds_without_keys_are_refused(scene):

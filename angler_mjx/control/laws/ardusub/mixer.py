@@ -61,7 +61,7 @@ def mix(factors: jax.Array, demand: jax.Array, coupling: float) -> tuple[jax.Arr
     output = jnp.where(pitches, grouped, added)
     cut = jnp.where(
         pitches,
-        (largest_attitude > 1.0) | (largest_plane > 1.0) | (jnp.max(jnp.abs(grouped)) > 1.0),
+        (largest_attitude > 1.0) | (largest_plane > 1.0),
         jnp.max(jnp.abs(added)) > 1.0,
     )
     return jnp.clip(output, -1.0, 1.0), cut

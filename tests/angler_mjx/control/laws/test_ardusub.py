@@ -12,26 +12,9 @@ from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.laws.ardusub import mixer as ardusub_mixer
 from angler_mjx.control.laws.ardusub import pid as ardusub_pid
 
+from .equations import HEAVY, SIX, in_flu
+
 DT = 0.05
-# Motors 1 to 8 of vectored_6dof: roll, pitch, yaw, throttle, forward, lateral, in FRD.
-HEAVY = np.array(
-    [
-        [0, 0, 1, 0, -1, 1],
-        [0, 0, -1, 0, -1, -1],
-        [0, 0, -1, 0, 1, 1],
-        [0, 0, 1, 0, 1, -1],
-        [1, -1, 0, -1, 0, 0],
-        [-1, -1, 0, -1, 0, 0],
-        [1, 1, 0, -1, 0, 0],
-        [-1, 1, 0, -1, 0, 0],
-    ]
-)
-
-
-def in_flu(rows):
-    """The same factors [n, 6] as forward, left, up, roll, pitch, yaw: three signs turn."""
-    roll, pitch, yaw, throttle, forward, lateral = rows.T
-    return np.stack([forward, -lateral, throttle, roll, -pitch, -yaw])
 
 
 def test_frame_factors_are_the_firmwares(robots):
@@ -39,11 +22,7 @@ def test_frame_factors_are_the_firmwares(robots):
     heavy = np.asarray(ardusub_mixer.frame_factors(vehicles.B[0]))
     np.testing.assert_array_equal(heavy, in_flu(HEAVY))
     six = np.asarray(ardusub_mixer.frame_factors(vehicles.B[3]))
-    expected = in_flu(HEAVY).astype(float)
-    # Two vertical thrusters abeam: right and left, no pitch; the last two places are padding.
-    expected[:, 4:6] = in_flu(np.array([[1, 0, 0, -1, 0, 0], [-1, 0, 0, -1, 0, 0]]))
-    expected[:, 6:] = 0
-    np.testing.assert_array_equal(six, expected)
+    np.testing.assert_array_equal(six, in_flu(SIX))
 
 
 def test_groups_are_scaled_as_a_whole(robots):
