@@ -77,7 +77,7 @@ def rollout(
     place, processes = Path(out), processes or OneProcess()
     with _telling(processes), ExitStack() as stack:
         if processes.index == 0:
-            claims.require_none(place)
+            folder.require_none(place)
         simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")

@@ -131,13 +131,29 @@ def read_episodes(path: Path) -> pa.Table:
         return results.checked(table)
 
 
+def left(building: Path) -> str | None:
+    """What can be done about the hidden folder of a process that is gone; None if it holds nothing.
+
+    A run can go on as soon as it says of what it is; logs of robots are kept.
+    """
+    if (building / CONFIG).exists():
+        return claims.RESUMABLE
+    held = (building / ROBOTS).exists() or holds_results(building)
+    return claims.BROKEN_OFF if held else None
+
+
+def require_none(out: Path) -> None:
+    """Refuse the name of a run that is taken; see `claims.require_none`."""
+    claims.require_none(out, left=left)
+
+
 def create(out: Path) -> Claim:
     """Take the name of a run and make the hidden folder in which it is built.
 
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    claimed = claims.claim(out)
+    claimed = claims.claim(out, left=left)
     try:
         (claimed.building / PARTS).mkdir()
     except OSError as error:

@@ -28,7 +28,11 @@ def create(out: Path) -> Claim:
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return claims.claim(out, what="tuning")
+    return claims.claim(out, what="tuning", left=_left)
+
+
+def _left(building: Path) -> str | None:
+    return claims.RESUMABLE if (building / CHECKPOINT).exists() else None
 
 
 def reopen(out: Path) -> tuple[Claim, dict[str, Any]]:
