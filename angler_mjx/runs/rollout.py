@@ -128,6 +128,7 @@ def resume(
         if processes.index == 0:
             if scenario is not None:
                 opening.require_same(place, scenario)
+            require_policy(folder.where(place), policy if simulator is None else simulator.policy)
             claimed = folder.reopen(place, told.tell)
             stack.enter_context(opening.held(claimed, new=False))
         processes.meet("found")

@@ -150,7 +150,7 @@ def test_the_name_is_taken_and_given_back(tmp_path):
 
 def test_a_name_under_a_file_says_that_this_is_no_folder(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="a part of .*file is no folder"):
+    with pytest.raises(ConfigError, match=r"a part of .*file is no folder"):
         claims.claim(tmp_path / "file" / "out")
 
 
