@@ -256,10 +256,10 @@ class Simulator:
             ConfigError: as `worlds`.
         """
         number = key_number("seed", self.scenario.seed if seed is None else seed)
-        firsts = [key_number("first", first) for first in firsts]
+        indices = [key_number("first", first) for first in firsts]
         # Put in their places, as `compile` says they are: otherwise it is another program.
         numbers = jax.device_put(
-            (number, np.asarray(firsts, np.uint32)),
+            (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
         return self._gate.own(self._prepare(self.fleet, *numbers))

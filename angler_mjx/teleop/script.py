@@ -81,16 +81,16 @@ def load(path: Path) -> list[TimedKey]:
         if not (stripped := re.sub(r"(^|\s)#.*", "", line).strip()):
             continue
         try:
-            begin, count, key = _parse(stripped)
+            begin, presses, pressed = _parse(stripped)
             if begin < latest:
                 raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
-            if len(timed) + count > MOST:  # asked before they are made
+            if len(timed) + presses > MOST:  # asked before they are made
                 raise ValueError(f"more than {MOST:,} keys up to here; drive for a shorter time")
         except ValueError as error:
             faults.append(f"  line {number}: {shown(stripped)}: {error}")
             continue
         latest = begin
-        timed += [TimedKey(begin + i * REPEAT_S, key) for i in range(count)]
+        timed += [TimedKey(begin + i * REPEAT_S, pressed) for i in range(presses)]
     if faults:
         count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
         more = [f"  and {len(faults) - SHOWN} more"] if len(faults) > SHOWN else []
