@@ -58,6 +58,8 @@ def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
     from angler_mjx.trials import document, figures, listing, steps, trial
     from angler_mjx.viewing import style
 
+    if out is not None:
+        document.require_place(out)
     vehicles = kinds.shipped()
     console = Console(stderr=True)
     trials = []

@@ -4,6 +4,7 @@ JAX is imported only by the commands that compute, so that `angler --help` answe
 """
 
 import gc
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -31,7 +32,7 @@ from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck
 from angler_mjx.errors import AnglerError
 
-EXIT_FAULT, EXIT_INTERRUPTED = 2, 130
+EXIT_FAULT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
 
 GARBAGE = (100_000, 20, 20)
 """Thresholds of Python's garbage collector. With its own it looks 900 times while JAX traces what a
@@ -94,8 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command.
 
     Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
-    be used or a run cannot go on, with 130 when it was interrupted, and with 1 after a traceback: a
-    fault of angler's own, to be reported.
+    be used or a run cannot go on, with 130 when it was interrupted, with 141 when nobody reads what
+    it prints any more, and with 1 after a traceback: a fault of angler's own, to be reported.
     """
     # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -118,6 +119,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             args=given,
             config=(tyro.conf.OmitArgPrefixes,),
         )
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Who read it has read enough (angler --help | head): what is left goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_UNREAD)
     except AnglerError as error:
         print(f"angler: {error}", file=sys.stderr)
         sys.exit(EXIT_FAULT)

@@ -1,6 +1,5 @@
 """Where a number comes from: versions, device, machine, commit and command of this process."""
 
-import json
 import os
 import platform
 import resource
@@ -17,6 +16,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.policy import Policy
 from angler_mjx.storage import folder
+from angler_mjx.storage.damage import read_table
 
 
 def describe_environment() -> dict[str, Any]:
@@ -82,13 +82,13 @@ def require_policy(building: Path, policy: Policy | None) -> None:
     """Refuse to go on with a run under another policy than its own.
 
     Raises:
-        ConfigError: it was begun with another one.
+        ConfigError: it was begun with another one, or what says so is damaged.
     """
     path = building / folder.POLICY
-    before = json.loads(path.read_text()) if path.exists() else None
+    before = read_table(path) if path.exists() else None
     now = None if policy is None else policies.describe(policy)
     if before != now:
-        had, has = ("no policy" if one is None else one["class"] for one in (before, now))
+        had, has = ("no policy" if one is None else str(one.get("class")) for one in (before, now))
         other = " of other numbers" if had == has else ""
         raise ConfigError(
             f"{path}: the run was begun with {had} and is to go on with {has}{other}; "

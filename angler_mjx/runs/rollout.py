@@ -77,7 +77,7 @@ def rollout(
     place, processes = Path(out), processes or OneProcess()
     with _telling(processes), ExitStack() as stack:
         if processes.index == 0:
-            claims.require_none(place)
+            folder.require_none(place)
         simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
@@ -128,6 +128,7 @@ def resume(
         if processes.index == 0:
             if scenario is not None:
                 opening.require_same(place, scenario)
+            require_policy(folder.where(place), policy if simulator is None else simulator.policy)
             claimed = folder.reopen(place, told.tell)
             stack.enter_context(opening.held(claimed, new=False))
         processes.meet("found")

@@ -1,12 +1,16 @@
 """Worlds from their indices: drawn, furnished and planned."""
 
+import operator
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels.clearance import cell_neighbours
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -20,6 +24,25 @@ to compile instead of 39 s, and memory grows with the planner's history."""
 
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
+
+
+def key_number(name: str, value: Any) -> np.uint32:
+    """A seed or an index of a world, as keys take it.
+
+    Args:
+        name: for messages.
+        value: any whole number, of Python or NumPy.
+
+    Raises:
+        ConfigError: it is none, or keys cannot hold it.
+    """
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**32:
+        raise ConfigError(f"{name} = {shown(value)}: give a whole number from 0 to {2**32 - 1}")
+    return np.uint32(number)
 
 
 def preparer(scenario: Scenario, tile: int, *, policy: bool = False) -> Prepare:

@@ -41,7 +41,7 @@ from angler_mjx.simulator.devices import (
     too_large,
     tree_bytes,
 )
-from angler_mjx.simulator.prepare import preparer
+from angler_mjx.simulator.prepare import key_number, preparer
 from angler_mjx.vehicles import library
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
@@ -239,6 +239,9 @@ class Simulator:
 
         Returns:
             World with [devices * tile] leading on every leaf.
+
+        Raises:
+            ConfigError: index or seed is no whole number from 0 to 2**32 - 1.
         """
         return self.wave([first + i * self.tile for i in range(self.devices)], seed=seed)
 
@@ -248,11 +251,15 @@ class Simulator:
         Args:
             firsts: global indices, one a device.
             seed: instead of the scenario's.
+
+        Raises:
+            ConfigError: as `worlds`.
         """
-        number = np.uint32(self.scenario.seed if seed is None else seed)
+        number = key_number("seed", self.scenario.seed if seed is None else seed)
+        indices = [key_number("first", first) for first in firsts]
         # Put in their places, as `compile` says they are: otherwise it is another program.
         numbers = jax.device_put(
-            (number, np.asarray(firsts, np.uint32)),
+            (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
         return self._gate.own(self._prepare(self.fleet, *numbers))

@@ -10,9 +10,13 @@ from angler_mjx.errors import ConfigError, RunError
 
 def require_free(path: Path, *, flag: str, force: bool = False) -> None:
     """Refuse a file that cannot take its name; see `replacing`."""
-    if path.is_dir():
+    try:
+        folder, there = path.is_dir(), path.exists()
+    except OSError as error:  # too long, or in a folder that must not be looked into
+        raise ConfigError(f"{flag} {path}: cannot be written ({error.strerror})") from error
+    if folder:
         raise ConfigError(f"{flag} {path}: is a folder; give the name of a file")
-    if path.exists() and not force:
+    if there and not force:
         how = "--force" if flag.startswith("--") else "force=True"
         raise ConfigError(f"{flag} {path}: exists; give another name, or replace it with {how}")
 

@@ -11,6 +11,7 @@ import os
 import platform
 import shutil
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,9 @@ from angler_mjx.storage import atomic
 
 LOCK = "lock"
 PREFIX, SUFFIX = ".", ".partial"
+
+RESUMABLE, BROKEN_OFF = "go on with it with --resume, or remove", "it cannot go on; remove"
+"""What can be done about an unfinished folder whose process has ended."""
 
 
 @dataclass(kw_only=True)
@@ -80,13 +84,28 @@ def partial_path(out: Path) -> Path:
     return out.parent / f"{PREFIX}{out.name}{SUFFIX}"
 
 
-def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
+def kept(building: Path) -> str | None:
+    """What can be done about a hidden folder that holds anything but its lock."""
+    return RESUMABLE if any(path.name != LOCK for path in building.iterdir()) else None
+
+
+def claim(
+    out: Path,
+    *,
+    flag: str = "--out",
+    what: str = "run",
+    left: Callable[[Path], str | None] = kept,
+) -> Claim:
     """Take a name and make the hidden folder.
+
+    What a process that was killed left behind is taken away first where it is worth nothing.
 
     Args:
         out: the folder to be.
         flag: how a person named it.
         what: is made, in a word.
+        left: what can be done about the hidden folder that a dead process left, for a message;
+            None if nothing in it is worth keeping.
 
     Raises:
         ConfigError: the name is taken, by something unfinished perhaps, or cannot be had.
@@ -95,10 +114,16 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
     building = partial_path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ConfigError(
+            f"{flag} {out}: cannot be written (a part of {out.parent} is no folder)"
+        ) from error
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
     try:
-        require_none(out, flag=flag, what=what)
+        require_none(out, flag=flag, what=what, left=left)
+        if building.is_dir():
+            _sweep(out, building, f"{flag} {out}", what)
         building.mkdir()
         try:
             out.mkdir()
@@ -119,8 +144,16 @@ def claim(out: Path, *, flag: str = "--out", what: str = "run") -> Claim:
     return Claim(out=out, building=building, flag=flag, handle=handle)
 
 
-def require_none(out: Path, *, flag: str = "--out", what: str = "run") -> None:
-    """Refuse a name that is taken: by a link to nothing too, or by something unfinished.
+def require_none(
+    out: Path,
+    *,
+    flag: str = "--out",
+    what: str = "run",
+    left: Callable[[Path], str | None] = kept,
+) -> None:
+    """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
+
+    Arguments as of `claim`.
 
     Raises:
         ConfigError: it is.
@@ -128,14 +161,38 @@ def require_none(out: Path, *, flag: str = "--out", what: str = "run") -> None:
     require_name(out, flag=flag)
     building = partial_path(out)
     if building.is_dir():
+        locked = (building / LOCK).exists()
         os.close(_lock(building / LOCK, f"{flag} {out}", what))
+        # Without a lock another process may be about to make one.
+        advice = left(building)
+        if advice is None and locked and _is_bare(out):
+            return
+        both = f"{out} and {building}" if os.path.lexists(out) else str(building)
         raise ConfigError(
-            f"{flag} {out}: an unfinished {what} lies in {building}; remove it and {out}, or if "
-            "it can be taken up again, do that with --resume"
+            f"{flag} {out}: an unfinished {what} lies in {building}, and its process has ended; "
+            f"{advice or BROKEN_OFF} {both}"
         )
     if os.path.lexists(out):
         link = "" if out.exists() else " as a link to nothing"
         raise ConfigError(f"{flag} {out}: exists{link}; give another folder or remove it")
+
+
+def _is_bare(out: Path) -> bool:
+    """Whether a name is free, or taken by nothing but the empty folder of a claim."""
+    if not os.path.lexists(out):
+        return True
+    return out.is_dir() and not out.is_symlink() and not any(out.iterdir())
+
+
+def _sweep(out: Path, building: Path, named: str, what: str) -> None:
+    """Take away what a dead process left, while nobody else can."""
+    handle = _lock(building / LOCK, named, what)
+    try:
+        with suppress(FileNotFoundError):
+            out.rmdir()
+        shutil.rmtree(building)
+    finally:
+        os.close(handle)
 
 
 def reclaim(out: Path, *, flag: str = "--resume", what: str = "run") -> Claim | None:

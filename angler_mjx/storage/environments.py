@@ -233,7 +233,8 @@ def make(
         RunError: the path cannot be written.
     """
     tile = min(tile, count)
-    claimed = claims.claim(path, what="file of environments")
+    # What a process that was killed left cannot be gone on with: it is made anew.
+    claimed = claims.claim(path, what="file of environments", left=lambda building: None)
     invalid, done = 0, 0
     try:
         group = zarr.open_group(claimed.building, mode="a")

@@ -131,13 +131,29 @@ def read_episodes(path: Path) -> pa.Table:
         return results.checked(table)
 
 
+def left(building: Path) -> str | None:
+    """What can be done about the hidden folder of a process that is gone; None if it holds nothing.
+
+    A run can go on as soon as it says of what it is; logs of robots are kept.
+    """
+    if (building / CONFIG).exists():
+        return claims.RESUMABLE
+    held = (building / ROBOTS).exists() or holds_results(building)
+    return claims.BROKEN_OFF if held else None
+
+
+def require_none(out: Path) -> None:
+    """Refuse the name of a run that is taken; see `claims.require_none`."""
+    claims.require_none(out, left=left)
+
+
 def create(out: Path) -> Claim:
     """Take the name of a run and make the hidden folder in which it is built.
 
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    claimed = claims.claim(out)
+    claimed = claims.claim(out, left=left)
     try:
         (claimed.building / PARTS).mkdir()
     except OSError as error:
@@ -165,6 +181,12 @@ def begin(
     write_json(building / ENVIRONMENT, environment)
 
 
+def where(out: Path) -> Path:
+    """Where the run of this name lies: hidden while it is built, also by one that was killed."""
+    building = partial_path(out)
+    return building if building.exists() else out
+
+
 def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
     """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
 
@@ -181,15 +203,15 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
             raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
         if "interrupted" in summary:
             raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
-    place = partial_path(out) if partial_path(out).exists() else out
+    place = where(out)
     if not (place / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    read_scenario(place)  # before anything is moved
+    read_scenario(place)  # before anything is moved, as the next
+    inputs.require_unchanged(place, flag=f"--resume {out}")
     claimed = claims.reclaim(out)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     try:
-        inputs.require_unchanged(claimed.building, flag=f"--resume {out}")
         _unfold(claimed.building)
         _set_aside(claimed.building, tell)
     except OSError as error:

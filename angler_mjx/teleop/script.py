@@ -81,16 +81,16 @@ def load(path: Path) -> list[TimedKey]:
         if not (stripped := re.sub(r"(^|\s)#.*", "", line).strip()):
             continue
         try:
-            found = _parse(stripped)
-            if found[0].time_s < latest:
+            begin, presses, pressed = _parse(stripped)
+            if begin < latest:
                 raise ValueError(f"comes before the line above it ({latest:g} s); sort the lines")
-            if len(timed) + len(found) > MOST:
+            if len(timed) + presses > MOST:  # asked before they are made
                 raise ValueError(f"more than {MOST:,} keys up to here; drive for a shorter time")
         except ValueError as error:
             faults.append(f"  line {number}: {shown(stripped)}: {error}")
             continue
-        latest = found[0].time_s
-        timed += found
+        latest = begin
+        timed += [TimedKey(begin + i * REPEAT_S, pressed) for i in range(presses)]
     if faults:
         count = f"{len(faults)} fault{'s' if len(faults) > 1 else ''}"
         more = [f"  and {len(faults) - SHOWN} more"] if len(faults) > SHOWN else []
@@ -107,8 +107,8 @@ def save(path: Path, timed: Sequence[TimedKey]) -> None:
     path.write_text("".join(["# seconds of the scene, key\n", *lines]), encoding="utf-8")
 
 
-def _parse(line: str) -> list[TimedKey]:
-    """Keys of a line.
+def _parse(line: str) -> tuple[float, int, str]:
+    """The first time of a line, how often its key comes, and the key.
 
     Raises:
         ValueError: saying what of it makes no sense.
@@ -118,12 +118,11 @@ def _parse(line: str) -> list[TimedKey]:
     begin = _seconds(match["begin"])
     key = _key(match["key"])
     if match["end"] is None:
-        return [TimedKey(begin, key)]
+        return begin, 1, key
     end = _seconds(match["end"])
     if end <= begin:
         raise ValueError(f"is held until {end:g} s, which is not after {begin:g} s")
-    count = int((end - begin) / REPEAT_S + _SLACK_S) + 1
-    return [TimedKey(begin + i * REPEAT_S, key) for i in range(count)]
+    return begin, int((end - begin) / REPEAT_S + _SLACK_S) + 1, key
 
 
 def _seconds(text: str) -> float:

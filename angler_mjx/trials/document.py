@@ -36,6 +36,15 @@ def text(trials: Sequence[Trial], third_order: Sequence[Step], images: str) -> s
     return "\n\n".join(parts)
 
 
+def require_place(document: Path) -> None:
+    """Refuse a document that `write` could not write into, before hours of flights.
+
+    Raises:
+        ConfigError: as `write`.
+    """
+    tables.require_place(document, BEGIN, END)
+
+
 def write(document: Path, body: str) -> None:
     """Put a text between the two marks of a document.
 

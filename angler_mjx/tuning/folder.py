@@ -6,6 +6,7 @@ hidden (``.NAME.partial``).
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,11 +29,21 @@ def create(out: Path) -> Claim:
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return claims.claim(out, what="tuning")
+    return claims.claim(out, what="tuning", left=_left)
 
 
-def reopen(out: Path) -> tuple[Claim, dict[str, Any]]:
+def _left(building: Path) -> str | None:
+    return claims.RESUMABLE if (building / CHECKPOINT).exists() else None
+
+
+def reopen(
+    out: Path, require: Callable[[dict[str, Any]], None] = lambda known: None
+) -> tuple[Claim, dict[str, Any]]:
     """The hidden folder of an interrupted tuning, and its checkpoint.
+
+    Args:
+        out: name of the tuning.
+        require: raises where it is not to be gone on with; asked before anything is moved.
 
     Raises:
         ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
@@ -45,6 +56,8 @@ def reopen(out: Path) -> tuple[Claim, dict[str, Any]]:
     table = _read(place)
     if table["complete"] and not hidden:
         raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
+    with reading(place / CHECKPOINT, ADVICE):
+        require(table)
     claimed = claims.reclaim(out, what="tuning")
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")

@@ -132,11 +132,11 @@ def _open(
             claimed.withdraw()
             raise
         return claimed, table, history
-    claimed, known = folder.reopen(out)
+    wanted = settings.table()
+    claimed, known = folder.reopen(out, lambda known: _require_same(known["settings"], wanted, out))
     try:
         with reading(claimed.building / folder.CHECKPOINT, folder.ADVICE):
             table = {name: known[name] for name in ("settings", "provenance")}
-            _require_same(table["settings"], settings.table(), out)
             return claimed, table, search.replayed(optimiser, folder.generations(known))
     except BaseException:
         claimed.release()
@@ -145,9 +145,10 @@ def _open(
 
 def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> None:
     """Refuse to go on with a tuning of other settings."""
-    for name, value in stored.items():
-        if wanted[name] != value:
-            shown = "" if name == "scenario" else f" ({value} there, {wanted[name]} here)"
+    for name in sorted({*wanted, *stored}):
+        value = stored.get(name)
+        if name not in wanted or wanted[name] != value:
+            shown = "" if name == "scenario" else f" ({value} there, {wanted.get(name)} here)"
             raise ConfigError(
                 f"--resume {out}: that tuning has another {name}{shown}; give the same again"
             )

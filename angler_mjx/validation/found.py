@@ -95,7 +95,7 @@ def read[M: FileModel](model: type[M], path: Path) -> M:
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: holds no object")

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,6 +19,9 @@ TEST_XLA_FLAGS = (
     "--xla_backend_optimization_level=1"
 )
 """Those of ``make test``: most of the tests' time is XLA's."""
+
+EVERY_S = 20.0
+"""Between two lines that say that something goes on."""
 
 type Say = Callable[[str], None]
 
@@ -74,11 +78,20 @@ def _spread() -> list[str]:
 def _run(
     command: Sequence[str], root: Path, defaults: dict[str, str], say: Say, name: str
 ) -> tuple[list[str], int]:
-    """Lines and exit status of a process; says every half minute that it goes on."""
+    """Lines and exit status of a process; says every ``EVERY_S`` that it goes on.
+
+    Also where the process is silent: a study compiles for minutes before its first line.
+    """
     # Without a terminal pytest-xdist prints in blocks; what it printed last is read at the end.
     environment = {**defaults, **os.environ, "PYTHONUNBUFFERED": "1"}
-    begun = last = time.monotonic()
+    begun, done = time.monotonic(), threading.Event()
     lines = list[str]()
+
+    def tell() -> None:
+        while not done.wait(EVERY_S):
+            said = f", {lines[-1][-60:]}" if lines else ""
+            say(f"{name}: {time.monotonic() - begun:.0f} s{said}")
+
     with subprocess.Popen(
         command,
         cwd=root,
@@ -89,11 +102,13 @@ def _run(
         stderr=subprocess.STDOUT,
     ) as process:
         assert process.stdout is not None
-        for line in process.stdout:
-            lines.append(line.rstrip("\n"))
-            if time.monotonic() - last > 20.0:
-                last = time.monotonic()
-                say(f"{name}: {last - begun:.0f} s, {lines[-1][-60:]}")
+        teller = threading.Thread(target=tell, daemon=True)
+        teller.start()
+        try:
+            lines.extend(line.rstrip("\n") for line in process.stdout)
+        finally:
+            done.set()
+            teller.join()
     say(f"{name}: done after {time.monotonic() - begun:.0f} s")
     return lines, process.returncode
 

@@ -126,6 +126,7 @@ def _measure(
     if request.measured is not None:
         return found.read(Measured, request.measured), {}, []
     tests = here.terms.tests(quick=request.quick)
+    say(_plan(request, here, len(tests)))
     measured, failed = running.run_tests(here.root, tests, say)
     results = dict[str, Result]()
     for study in here.terms.study:
@@ -133,6 +134,22 @@ def _measure(
         if arguments is not None:
             results[study.name] = running.run_study(here.root, study, arguments, say)
     return measured, results, failed
+
+
+def _plan(request: Request, here: Checkout, tests: int) -> str:
+    """What a person waits for, before it begins."""
+    studies = [
+        study.name
+        for study in here.terms.study
+        if (study.quick if request.quick else study.arguments) is not None
+    ]
+    named = f" and {len(studies)} studies ({', '.join(studies)})" if studies else ""
+    long = "minutes" if request.quick else "tens of minutes on two cores"
+    instead = "" if request.quick else ", --quick runs those that take seconds"
+    return (
+        f"runs {tests} tests{named} now: {long}. --from FILE takes what make test measured "
+        f"(.cache/deviations.json) and runs nothing{instead}"
+    )
 
 
 def _with(expected: Expected, measured: Measured | None, results: dict[str, Result]) -> Expected:

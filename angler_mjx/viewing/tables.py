@@ -12,6 +12,15 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def require_place(document: Path, begin: str, end: str) -> None:
+    """Refuse a document that `put` could not write into, before what goes there is made.
+
+    Raises:
+        ConfigError: as `put`.
+    """
+    _around(document, begin, end)
+
+
 def put(document: Path, begin: str, body: str, end: str) -> None:
     """Put a text between two marks of a document.
 
@@ -24,12 +33,23 @@ def put(document: Path, begin: str, body: str, end: str) -> None:
     Raises:
         ConfigError: the document cannot be read or written, or has no marks.
     """
+    before, after = _around(document, begin, end)
     try:
-        old = document.read_text(encoding="utf-8")
-        before, mark, rest = old.partition(begin)
-        _, last, after = rest.partition(end)
-        if not mark or not last:
-            raise ConfigError(f"--out {document}: has no place for tables ({begin} ... {end})")
         document.write_text(f"{before}{begin}\n{body}\n{end}{after}", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+
+
+def _around(document: Path, begin: str, end: str) -> tuple[str, str]:
+    """What stands before the first mark and behind the second."""
+    try:
+        old = document.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"--out {document}: cannot be read ({error})") from error
+    before, mark, rest = old.partition(begin)
+    _, last, after = rest.partition(end)
+    if not mark or not last:
+        raise ConfigError(f"--out {document}: has no place for tables ({begin} ... {end})")
+    return before, after

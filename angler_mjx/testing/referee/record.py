@@ -159,11 +159,12 @@ def worlds(run: Run, chosen: Sequence[int]) -> Iterator[World]:
     Raises:
         ConfigError: an array is missing, damaged or of another shape; says which world.
     """
-    per_world = sum(
-        array.nbytes // array.shape[0]
-        for _, array in run.group.members()
-        if hasattr(array, "nbytes") and array.ndim > 1
-    )
+    with reading(run.path / "trajectories.zarr"):
+        per_world = sum(
+            array.nbytes // max(array.shape[0], 1)
+            for _, array in run.group.members()
+            if hasattr(array, "nbytes") and array.ndim > 1
+        )
     most = max(1, BLOCK_BYTES // max(per_world, 1))
     block: list[int] = []
     for index in chosen:

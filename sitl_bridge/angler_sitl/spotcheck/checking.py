@@ -13,7 +13,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.folder import Run
+from angler_mjx.storage.folder import POLICY, Run
 from angler_mjx.vehicles import library
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
@@ -61,8 +61,8 @@ def check(
         What was found; not complete after an interruption (Ctrl-C), and then as far as it came.
 
     Raises:
-        ConfigError: no such run, fewer worlds than asked for, no trajectories, a vehicle without a
-            frame, no ArduSub, or a folder that cannot be used.
+        ConfigError: no such run, one that a policy commanded, fewer worlds than asked for, no
+            trajectories, a vehicle without a frame, no ArduSub, or a folder that cannot be used.
         RunError: a world cannot be made again, or an autopilot ended. What was flown stays.
     """
     found = _plan(run_path, settings)
@@ -93,6 +93,11 @@ def check(
 def _plan(run_path: Path, settings: Settings) -> Found:
     """Everything that can be refused before anything is computed."""
     run = Run(run_path)
+    if (run.path / POLICY).exists():
+        raise ConfigError(
+            f"{run.path / POLICY}: a policy commanded the robots of this run, and autopilots fly "
+            "plans, not that; give a run without a policy"
+        )
     scenario = run.scenario
     _ = run.trajectories
     fleet = len(scenario.members())

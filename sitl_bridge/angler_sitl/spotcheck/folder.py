@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.storage import claims
 from angler_mjx.storage.atomic import replacing
 from angler_mjx.storage.damage import read_table, reading
 
@@ -22,12 +23,13 @@ def create(out: Path) -> None:
     Raises:
         ConfigError: it exists, or its parent cannot be written.
     """
+    claims.require_name(out, flag="--out")
     if (out / TABLE).is_file() and not read(out)["complete"]:
         raise ConfigError(
             f"--out {out}: an unfinished spot check lies there; take it up again with --resume or "
             "remove it"
         )
-    if out.exists():
+    if out.exists() or out.is_symlink():
         raise ConfigError(f"--out {out}: exists; give another folder or remove it")
     try:
         (out / FLIGHTS).mkdir(parents=True)
@@ -45,6 +47,7 @@ def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: there is none, it is complete, or it was asked something else.
     """
+    claims.require_name(out, flag="--resume")
     if not (out / TABLE).is_file():
         raise ConfigError(f"--resume {out}: there is no spot check of that name")
     table = read(out)

@@ -86,6 +86,20 @@ def test_fault_is_one_message_and_exit_code_2(fault, capsys):
     assert len(shown.err) < 1000
 
 
+def test_a_reader_that_has_read_enough_is_no_fault():
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "angler_mjx.cli.main", "--help"],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        timeout=60,
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
 def test_version_is_that_of_the_package(capsys):
     main(["--version"])
     assert capsys.readouterr().out == f"angler {angler_mjx.__version__}\n"

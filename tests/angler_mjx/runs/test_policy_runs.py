@@ -17,7 +17,7 @@ from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.folder import partial_path
+from angler_mjx.storage.folder import Run, partial_path
 
 SCENARIO = """
 schema_version = 1
@@ -118,10 +118,16 @@ def test_an_interrupted_run_goes_on_with_its_policy_alone(scenario, simulator, r
     out = tmp_path / "run"
     half = rollout(scenario, out=out, simulator=simulator, progress=Stopping())
     assert not half.summary["complete"]
+    text = (out / "policy.json").read_text()
     other = Simulator(scenario, policy=Signals(pwm_us=1530.0))
     with pytest.raises(ConfigError, match=r"policy\.json.*Signals of other numbers"):
         resume(out, simulator=other)
-    assert partial_path(out).exists()
+    assert Run(out).summary == half.summary  # what is refused keeps its name
+    assert not partial_path(out).exists()
+    (out / "policy.json").write_text(text[:20])
+    with pytest.raises(ConfigError, match=r"policy\.json: cannot be read"):
+        resume(out, simulator=simulator)
+    (out / "policy.json").write_text(text)
     whole = resume(out, simulator=simulator)
     np.testing.assert_array_equal(
         np.asarray(whole.trajectories["p_m"]), np.asarray(run.trajectories["p_m"])

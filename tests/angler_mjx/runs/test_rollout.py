@@ -364,6 +364,23 @@ def test_another_scenario_is_not_resumed(cut, scenario):
     assert not Run(cut).summary["complete"]
 
 
+def test_a_refused_resume_leaves_the_folder_under_its_name(cut, tmp_path):
+    """The vehicle was edited since, as far as the list of inputs says."""
+    out = tmp_path / "run"
+    shutil.copytree(cut, out)
+    index = out / "inputs" / "inputs.json"
+    table = json.loads(index.read_text())
+    for one in table["files"]:
+        one["sha256"] = "0" * 64
+    index.write_text(json.dumps(table))
+    before = sorted(out.rglob("*"))
+    with pytest.raises(ConfigError, match="edited since the run began"):
+        resume(out)
+    assert sorted(out.rglob("*")) == before
+    assert list(tmp_path.iterdir()) == [out]
+    assert not Run(out).summary["complete"]
+
+
 def damaged_part(building):
     place = building / "parts" / "before.parquet"
     place.write_bytes(place.read_bytes()[:-40])

@@ -4,6 +4,8 @@ import jax
 import numpy as np
 import pytest
 
+from angler_mjx.errors import ConfigError
+from angler_mjx.simulator.prepare import key_number
 from angler_mjx.simulator.simulator import Simulator
 
 
@@ -19,3 +21,15 @@ def test_a_world_made_alone_is_that_of_a_tile(scenario):
         np.testing.assert_allclose(
             one[0], many[1], rtol=3e-7, atol=1e-7, err_msg=jax.tree_util.keystr(path)
         )
+
+
+@pytest.mark.parametrize("value", [-1, 2**32, 10**20, 1.5, "7", None])
+def test_what_keys_cannot_hold_is_refused(value):
+    with pytest.raises(ConfigError, match=r"seed = .*: give a whole number from 0 to 4294967295"):
+        key_number("seed", value)
+
+
+def test_whole_numbers_of_any_kind_make_keys():
+    for value in (2**32 - 1, np.int64(2**32 - 1), np.uint32(2**32 - 1)):
+        assert key_number("first", value) == 2**32 - 1
+        assert key_number("first", value).dtype == np.uint32

@@ -6,10 +6,12 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.storage import atomic, claims
+from angler_mjx.storage import atomic, claims, environments, folder
+from angler_mjx.world.config import WorldConfig
 
 HOLD = """
 import sys, time
@@ -52,6 +54,65 @@ def test_a_living_process_is_respected_and_a_dead_one_followed(holder, tmp_path)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["out", "result"]
 
 
+LEAVE = """
+import os, signal, sys
+from pathlib import Path
+from angler_mjx.storage import claims
+held = claims.claim(Path(sys.argv[1]))
+if sys.argv[2:]:
+    (held.building / sys.argv[2]).write_text("{}")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def leave(out, *name):
+    """What a process leaves that is killed after it took a name (and wrote one file)."""
+    done = subprocess.run([sys.executable, "-c", LEAVE, str(out), *name], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert out.is_dir()
+    assert claims.partial_path(out).is_dir()
+
+
+def test_an_empty_claim_of_a_dead_process_is_no_hindrance(tmp_path):
+    leave(tmp_path / "out")
+    folder.require_none(tmp_path / "out")
+    held = claims.claim(tmp_path / "out")
+    (held.building / "result").write_text("whole")
+    held.publish()
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["out", "result"]
+
+
+def test_what_somebody_put_under_the_name_of_a_dead_claim_stays(tmp_path):
+    leave(tmp_path / "out")
+    (tmp_path / "out" / "mine").write_text("of another")
+    with pytest.raises(ConfigError, match=r"it cannot go on; remove .*out and .*\.out\.partial"):
+        claims.claim(tmp_path / "out")
+    assert (tmp_path / "out" / "mine").read_text() == "of another"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (folder.CONFIG, "go on with it with --resume, or remove"),
+        (folder.ROBOTS, "it cannot go on; remove"),
+    ],
+)
+def test_an_unfinished_run_says_the_one_way_on(name, words, tmp_path):
+    leave(tmp_path / "out", name)
+    for take in (folder.create, folder.require_none):
+        with pytest.raises(ConfigError, match=f"its process has ended; {words}"):
+            take(tmp_path / "out")
+    assert (tmp_path / ".out.partial" / name).exists()
+
+
+def test_environments_of_a_killed_process_are_made_anew(tmp_path):
+    leave(tmp_path / "envs.zarr", "zarr.json")
+    config = WorldConfig.model_validate({"preset": "open"})
+    assert environments.make(tmp_path / "envs.zarr", config, np.full(1, 0.4), 0, 1, 1) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["envs.zarr"]
+    assert environments.open_file(tmp_path / "envs.zarr")["valid"].shape == (1,)
+
+
 def test_where_there_are_no_locks_the_file_says_who_it_is(tmp_path, monkeypatch):
     def no_locks(handle, operation):
         raise OSError(95, "Operation not supported")
@@ -87,6 +148,12 @@ def test_the_name_is_taken_and_given_back(tmp_path):
         claims.claim(tmp_path / "empty")
 
 
+def test_a_name_under_a_file_says_that_this_is_no_folder(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match=r"a part of .*file is no folder"):
+        claims.claim(tmp_path / "file" / "out")
+
+
 def test_what_is_in_the_way_at_the_end_stays_and_so_does_the_work(tmp_path):
     held = claims.claim(tmp_path / "out")
     (held.building / "result").write_text("whole")
@@ -114,6 +181,8 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     long = tmp_path / ("x" * 300)
     with pytest.raises(ConfigError, match="written"), atomic.replacing(long, flag="--out"):
         pass
+    with pytest.raises(ConfigError, match=r"--mcap .*too long"):
+        atomic.require_free(long, flag="--mcap")
     with atomic.replacing(path, flag="--out", force=True) as writing:
         writing.write_text("new")
     assert path.read_text() == "new"

@@ -73,6 +73,13 @@ def test_a_file_of_something_else_fills_no_screen(file):
     assert str(caught.value).endswith("and 30 more")
 
 
+def test_keys_that_are_too_many_are_not_made_first(file):
+    """A day's worth of keys on each of 2,000 lines would be 1.7e9 of them, some 100 GB."""
+    with pytest.raises(ConfigError, match="1999 faults") as caught:
+        read(file, "0-86400 i\n" * 2000)
+    assert "line 2: '0-86400 i': more than 1,000,000 keys up to here" in str(caught.value)
+
+
 def test_files_without_keys_are_refused(file, tmp_path):
     with pytest.raises(ConfigError, match="holds no key"):
         read(file, "# nothing\n")

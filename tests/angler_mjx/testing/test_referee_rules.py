@@ -363,6 +363,16 @@ def _remove(*names):
     return cut
 
 
+def _describe(name, edit):
+    def edited(path):
+        place = path / "trajectories.zarr" / name / "zarr.json"
+        text = place.read_text()
+        place.write_text(edit(text))
+        assert place.read_text() != text
+
+    return edited
+
+
 def _not_recorded(path):
     config = json.loads((path / "config.json").read_text())
     config["time"]["record_hz"] = 0.0
@@ -378,6 +388,9 @@ def _not_recorded(path):
         (lambda path: (path / "config.json").write_text("{"), "config.json"),
         (lambda path: (path / "config.json").write_text("[1]"), "no JSON object"),
         (_remove("trajectories.zarr/p_m"), "trajectories.zarr"),
+        (_describe("p_m", lambda text: text[: len(text) // 2]), "trajectories.zarr"),
+        (_describe("q", lambda text: text.replace('"bytes"', '"nosuch"')), "trajectories.zarr"),
+        (_describe("nu", lambda text: text.replace('"float32"', '"complex64"')), "trajectories"),
         (_remove("episodes.parquet"), "episodes.parquet"),
         (lambda path: (path / "episodes.parquet").write_bytes(b"PAR1"), "episodes.parquet"),
         (lambda path: edit_rows(path, 0, 0, robot=1), "not one row for each"),

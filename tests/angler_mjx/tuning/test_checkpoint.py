@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import AnglerError, ConfigError
-from angler_mjx.tuning import folder
+from angler_mjx.tuning import folder, tune
 from angler_mjx.tuning.search import Generation, History
 
 VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
@@ -29,6 +29,20 @@ def test_a_whole_checkpoint_is_taken_up(stored):
     with pytest.raises(ConfigError, match="another process makes this tuning"):
         folder.reopen(out)
     claimed.release()
+
+
+def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
+    out = tmp_path / "tuned"
+    claimed = folder.create(out)
+    folder.save(claimed.building, {"settings": {}, "provenance": {}}, History(), complete=False)
+    claimed.publish()
+
+    def require(known):
+        tune._require_same(known["settings"], {"seed": 1}, out)
+
+    with pytest.raises(ConfigError, match=r"another seed \(None there, 1 here\)"):
+        folder.reopen(out, require)
+    assert [path.name for path in tmp_path.rglob("*")] == ["tuned", folder.CHECKPOINT]
 
 
 def test_damaged_checkpoints_end_in_our_errors_and_stay(stored):

@@ -7,6 +7,7 @@ which needs a real ArduSub.
 import csv
 import importlib.util
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -193,6 +194,27 @@ def world(made):
         control=None,
         path=Trajectory(time_s=times, position_m=np.float32([plans]), found=np.ones((1, 4), bool)),
     )
+
+
+def test_a_run_that_a_policy_commanded_is_refused(run, settings, tmp_path, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(run.path, copy)
+    (copy / "policy.json").write_text('{"class": "mine.Policy", "sha256": "0"}')
+    out = tmp_path / "out"
+    with pytest.raises(SystemExit) as left:
+        main(["spotcheck", str(copy), "--ardusub", str(settings.binary), "--out", str(out)])
+    assert left.value.code == 2
+    said = capsys.readouterr().err
+    assert said.count("angler: ") == 1
+    assert "policy.json: a policy commanded the robots of this run" in " ".join(said.split())
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("flag", ["--out", "--resume"])
+def test_a_name_that_cannot_be_is_refused(flag, run, settings, tmp_path):
+    long = tmp_path / ("x" * 300)
+    with pytest.raises(ConfigError, match=f"{flag} x.*has 300 bytes"):
+        checking.check(run.path, settings, long, None, resume=flag == "--resume")
 
 
 def test_a_world_is_made_again_byte_by_byte(run, world):
