@@ -120,7 +120,7 @@ def wheel(tmp_path_factory):
     return path
 
 
-@pytest.mark.nightly
+@pytest.mark.nightly(by="test_what_is_imported_is_declared")
 def test_the_wheel_holds_every_package_and_its_data_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as opened:
         held = {name for name in opened.namelist() if ".dist-info/" not in name}
@@ -134,7 +134,7 @@ def test_the_wheel_holds_every_package_and_its_data_and_nothing_else(wheel):
     assert "angler_mjx/scenario/shipped/reef_fleet.toml" in held
 
 
-@pytest.mark.nightly
+@pytest.mark.nightly(by="test_what_is_imported_is_declared")
 def test_the_wheel_lists_its_scenarios_and_vehicles_away_from_any_checkout(wheel, tmp_path):
     """With what is installed here, but this checkout not on the path."""
     with zipfile.ZipFile(wheel) as opened:

@@ -11,7 +11,7 @@ from angler_experiments import referee_campaign
 from angler_mjx.scenario.scenario import shipped
 
 
-@pytest.mark.nightly(by="the flight of one scenario below")
+@pytest.mark.nightly(by="test_referee_judges_the_judge.py")
 @pytest.mark.parametrize("engine", ["mjx", "fused"])
 @pytest.mark.parametrize("name", [*shipped()])
 def test_a_shipped_scenario_is_judged_the_same_way_twice(name, engine):
