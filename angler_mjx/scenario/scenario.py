@@ -52,7 +52,7 @@ class Scenario(FileModel):
     time: TimeConfig = TimeConfig()
     water: WaterConfig = WaterConfig()
     world: WorldConfig
-    fleet: tuple[FleetEntry, ...] = Field(min_length=1)
+    fleet: tuple[FleetEntry, ...] = Field(min_length=1, max_length=256)
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
 

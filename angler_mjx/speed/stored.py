@@ -33,6 +33,10 @@ class StoredRow(FileModel):
     flops: Amount | None = None
     least_bytes: Amount | None = None
     bound: Amount | None = None
+    flops_from: str | None = None
+    copy_bytes_per_s: Amount | None = None
+    fma_flops_per_s: Amount | None = None
+    cpu_count: Count | None = None
     engine: Word | None = None
     kernels: Word | None = None
     controller: Word | None = None

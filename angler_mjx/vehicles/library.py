@@ -17,7 +17,7 @@ _THRUSTERS = _VEHICLES / "thrusters"
 
 def available() -> list[str]:
     """Names of the shipped vehicles, sorted."""
-    return _names(_VEHICLES)
+    return list(_names(_VEHICLES))
 
 
 def load(name_or_path: str) -> VehicleConfig:
@@ -96,7 +96,9 @@ def reach_m(config: VehicleConfig) -> float:
     )
 
 
+@lru_cache
 def _names(folder: Path) -> list[str]:
+    """Of the files that are shipped, which do not change."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
