@@ -72,6 +72,7 @@ def test_marks_are_near_to_themselves_alone(recorded):
             deviation.close("a key", [ours], [theirs], atol=0.1, marks=marks)
 
 
+@pytest.mark.nightly(by="make test, which runs two")
 def test_what_two_processes_found_comes_into_one_file(tmp_path):
     (tmp_path / "conftest.py").write_text(
         (TESTS / "conftest.py").read_text().replace("from . import", "import")

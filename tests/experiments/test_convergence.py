@@ -31,6 +31,7 @@ def test_schemes_converge_at_their_order(rows):
     assert fine.error_cm["ours"] < 0.1 * fine.error_cm["Euler, body velocity"]
 
 
+@pytest.mark.nightly(by="test_motion.py, and angler validate runs the study")
 def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "study", lambda *_, **__: rows)
     convergence.main(json=tmp_path / "result.json")
@@ -42,6 +43,7 @@ def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
     }
 
 
+@pytest.mark.nightly(by="test_motion.py, and angler validate runs the study")
 def test_a_scheme_that_blows_up_is_named(rows):
     assert "blows up" in convergence.to_markdown(
         [

@@ -92,6 +92,7 @@ def balance(worlds, samples, **changed):
     return books
 
 
+@pytest.mark.nightly(by="physics/test_energy.py")
 def test_energy_is_what_thrusters_and_water_gave(flown):
     worlds, _, samples, _ = flown
     books = balance(worlds, samples)
@@ -100,6 +101,7 @@ def test_energy_is_what_thrusters_and_water_gave(flown):
     assert np.median(books.turned_over) > 50.0
 
 
+@pytest.mark.nightly(by="physics/test_energy.py")
 @pytest.mark.parametrize(
     ("name", "factor"),
     [("D_q", 1.3), ("M_A", 1.5), ("thrust_n", 1.15), ("volume_m3", 1.05), ("mass_kg", 1.05)],
@@ -110,6 +112,7 @@ def test_energy_of_another_vehicle_does_not_balance(flown, name, factor):
     assert balance(worlds, samples, vehicle=other).worst.max() > 1.0
 
 
+@pytest.mark.nightly(by="physics/test_energy.py")
 def test_energy_of_still_water_does_not_balance(flown):
     worlds, _, samples, _ = flown
     assert balance(worlds, samples, current=()).worst.max() > 1.0

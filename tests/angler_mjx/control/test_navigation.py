@@ -42,14 +42,25 @@ def truths():
     return world.times(jnp.float32, SECONDS)
 
 
+class Flown(dict):
+    """Errors, covariances, standard deviations, rejections of each filter: [run, second, ...].
+
+    A filter flies when it is asked for first: each is a program of its own.
+    """
+
+    def __init__(self, truths):
+        self._truths = truths
+
+    def __missing__(self, name):
+        keys = jax.random.split(jax.random.key(1), RUNS)
+        filters = world.build(**FILTERS[name])
+        self[name] = jax.device_get(world.fleet(filters, self._truths, keys))
+        return self[name]
+
+
 @pytest.fixture(scope="module")
 def flown(truths):
-    """Errors, covariances, standard deviations, rejections of each filter: [run, second, ...]."""
-    keys = jax.random.split(jax.random.key(1), RUNS)
-    return {
-        name: jax.device_get(world.fleet(world.build(**tables), truths, keys))
-        for name, tables in FILTERS.items()
-    }
+    return Flown(truths)
 
 
 def rms(flown, name, second):
@@ -62,8 +73,19 @@ def nees(error, covariance):
     return np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=-1)
 
 
+of_others = pytest.mark.nightly(by="dead reckoning, and fixes prompt and late")
+
+
 @pytest.mark.parametrize(
-    "name", ["dead reckoning with DVL", "USBL", "arms", "late USBL", "outliers", "without DVL"]
+    "name",
+    [
+        "dead reckoning with DVL",
+        "USBL",
+        "late USBL",
+        pytest.param("arms", marks=of_others),
+        pytest.param("outliers", marks=of_others),
+        pytest.param("without DVL", marks=of_others),
+    ],
 )
 def test_the_covariance_says_how_large_the_errors_are(flown, name):
     error, covariance, _, _ = flown[name]
@@ -93,6 +115,7 @@ def test_with_dvl_the_position_drifts_by_centimetres_in_a_minute(flown):
     assert np.all(rms(flown, "dead reckoning with DVL", -1)[3:6] < 0.0075)
 
 
+@pytest.mark.nightly(by="dead reckoning, and fixes prompt and late")
 def test_without_dvl_the_position_is_lost(flown):
     error = rms(flown, "without DVL", slice(None))
     horizontal = np.hypot(error[:, 0], error[:, 1])
@@ -117,6 +140,7 @@ def test_a_late_fix_is_worth_nearly_as_much_as_a_prompt_one(flown):
     assert np.mean(late) < 1.1 * np.mean(prompt)
 
 
+@pytest.mark.nightly(by="test_good_readings_are_seldom_thrown_away")
 def test_outliers_are_thrown_away(flown):
     rejected = flown["outliers"][3].sum(axis=(0, 1))
     fixes = RUNS * 30
@@ -146,7 +170,8 @@ def test_constant_errors_are_found_where_another_instrument_shows_them(flown):
 
 
 def test_covariances_stay_positive_in_float32(flown):
-    for _, covariance, _, _ in flown.values():
+    for name in ("dead reckoning with DVL", "USBL", "late USBL"):
+        _, covariance, _, _ = flown[name]
         # Variances of the biases are of the order of 1e-8 at least.
         assert np.linalg.eigvalsh(covariance.astype(np.float64)).min() > 1e-9
         np.testing.assert_array_equal(covariance, np.swapaxes(covariance, -1, -2))

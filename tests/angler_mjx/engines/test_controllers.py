@@ -185,7 +185,15 @@ def test_a_segment_of_it_can_be_put_together(name, scene, at_rest, engines_by_na
     assert sample.target_m.shape == (WORLDS, 1, 1, 3)
 
 
-@pytest.mark.parametrize("name", stages.CONTROLLERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        if name in DAILY
+        else pytest.param(name, marks=pytest.mark.nightly(by="control/laws/test_closed_loops.py"))
+        for name in stages.CONTROLLERS
+    ],
+)
 def test_it_brings_robots_to_their_goals(name, flown):
     _, end = flown(name, "fused", LONGEST)
     assert np.all(np.asarray(end.tally.outcome) == Outcome.REACHED), np.asarray(end.tally.outcome)

@@ -1,4 +1,4 @@
-"""Runs the same scenario on 1, 3 and 8 devices; a process of its own, for they are forced.
+"""Runs the same scenario on 1 and 3 devices; a process of its own, for they are forced.
 
 Arguments: scenario file, folder for the runs. Prints the compiled segment of the last simulator.
 """
@@ -14,7 +14,7 @@ from angler_mjx.simulator.simulator import Simulator
 
 def main(scenario_file, out):
     scenario = load_scenario(scenario_file)
-    for devices in (1, 3, 8):
+    for devices in (1, 3):
         simulator = Simulator(scenario, devices=devices)
         simulator.compile()
         for chunk in (2, 100) if devices == 3 else (100,):

@@ -61,6 +61,7 @@ def run(tmp_path_factory):
     return scenario, done
 
 
+@pytest.mark.nightly(by="control/test_navigation.py and sim/test_senses.py")
 def test_robots_arrive_by_their_own_estimate(run):
     _, done = run
     rows = done.episodes.to_pylist()
@@ -69,6 +70,7 @@ def test_robots_arrive_by_their_own_estimate(run):
     assert sum(row["planned"] for row in rows) == 15
 
 
+@pytest.mark.nightly(by="control/test_navigation.py and sim/test_senses.py")
 def test_the_estimate_is_as_wrong_as_it_says(run):
     _, done = run
     arrays, told = done.trajectories, done.trajectories["estimate"]
@@ -86,6 +88,7 @@ def test_the_estimate_is_as_wrong_as_it_says(run):
     assert np.nanmax(error) < 0.6
 
 
+@pytest.mark.nightly(by="control/test_navigation.py and sim/test_senses.py")
 def test_a_dvl_that_loses_readings_costs_little(run):
     _, done = run
     std = done.trajectories["estimate/velocity_std_mps"][:, 20]
@@ -94,6 +97,7 @@ def test_a_dvl_that_loses_readings_costs_little(run):
     assert 1.0 < ratio < 1.6
 
 
+@pytest.mark.nightly(by="control/test_navigation.py and sim/test_senses.py")
 def test_what_is_recorded(run):
     scenario, done = run
     told = done.trajectories["estimate"]

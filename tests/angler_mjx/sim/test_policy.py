@@ -147,7 +147,15 @@ def assert_close(ours, theirs, tolerance):
 
 
 @pytest.mark.parametrize(
-    "engine", [MjxEngine(), FusedEngine(), TritonEngine(lanes=2, interpret=True)]
+    "engine",
+    [
+        MjxEngine(),
+        FusedEngine(),
+        pytest.param(
+            TritonEngine(lanes=2, interpret=True),
+            marks=pytest.mark.nightly(by="the fused engine in plain JAX"),
+        ),
+    ],
 )
 def test_a_policy_that_is_the_first_stage_flies_as_the_stack(double, engine):
     with jax.enable_x64(True):
@@ -197,7 +205,16 @@ def test_segments_go_on_with_the_carry_and_worlds_are_their_own(scene, dice):
     np.testing.assert_array_equal(alone.pwm_us[0], seen.pwm_us[1])
 
 
-@pytest.mark.parametrize("engine", [FusedEngine(), TritonEngine(lanes=2, interpret=True)])
+@pytest.mark.parametrize(
+    "engine",
+    [
+        FusedEngine(),
+        pytest.param(
+            TritonEngine(lanes=2, interpret=True),
+            marks=pytest.mark.nightly(by="the fused engine in plain JAX"),
+        ),
+    ],
+)
 def test_a_command_holds_for_its_period(scene, engine):
     after, seen = fly(engine, scene, Dice(period=3), samples=5, every=1)
     key = scene.worlds.policy_key[2]
@@ -321,6 +338,7 @@ def test_worlds_without_keys_are_refused(scene):
         jax.eval_shape(partial(FusedEngine().reset, scene.spec), scene.fleet, bare, Meet())
 
 
+@pytest.mark.nightly(by="engines/test_gradients.py")
 def test_parameters_have_derivatives(double):
     """A policy's numbers are arguments; the slope is that of a difference."""
     with jax.enable_x64(True):

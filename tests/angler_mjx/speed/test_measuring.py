@@ -37,6 +37,7 @@ def measured():
     return row
 
 
+@pytest.mark.nightly(by="test_the_command_measures_compares_and_tabulates")
 def test_a_simulation_fills_its_row(measured):
     assert measured.refused is None
     assert (measured.workload, measured.engine, measured.kernels) == (

@@ -131,6 +131,7 @@ def cascade():
     return Problem(settings())
 
 
+@pytest.mark.nightly(by="tuning/test_search.py")
 def test_the_gradient_is_that_of_the_flights_and_evolution_goes_the_same_way(cascade):
     d = len(cascade.knobs)
     origin = np.zeros((1, d))
