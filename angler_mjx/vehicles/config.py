@@ -5,6 +5,7 @@ Every group of numbers carries its ``source``. The base frame of a vehicle file 
 about the centre of mass.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
@@ -31,6 +32,12 @@ class Capsule(FileModel):
     """The other end."""
     radius_m: Positive
     """Of the cylinder and its ends."""
+
+    @model_validator(mode="after")
+    def _has_a_length(self) -> Self:
+        if math.dist(self.from_m, self.to_m) < 1e-3:
+            raise ValueError("from_m and to_m: must be at least 1 mm apart, also for a ball")
+        return self
 
 
 class Base(FileModel):

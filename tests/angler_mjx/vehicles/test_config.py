@@ -89,6 +89,7 @@ ADDED = (*SET, "added_mass", "coefficients")
         (("default_set",), "wu2019", "wu2019"),
         (("rotor", "lag", "time_constant_s"), 0.0, "greater than 0"),
         (("hull", "capsules", 0, "radius_m"), -0.1, "greater than 0"),
+        (("hull", "capsules", 0, "to_m"), HEAVY["hull"]["capsules"][0]["from_m"], "1 mm apart"),
         (("hull", "height"), 0.254, "unknown key"),
     ],
 )
