@@ -17,8 +17,9 @@ def x64():
         yield
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def rng():
+    """Of each test its own: what is found must not depend on which others run."""
     return np.random.default_rng(0)
 
 
