@@ -89,9 +89,8 @@ class Layout:
         return self.inner + 2 * self.guard
 
     def pad(self, inner: jax.Array) -> jax.Array:
-        """Words [..., inner] with the guards put on, [..., total]."""
-        lead = [(0, 0)] * (inner.ndim - 1)
-        return jnp.pad(inner, [*lead, (self.guard, self.guard)])
+        """Words [inner] with the guards put on, [total]."""
+        return jnp.pad(inner, self.guard)
 
     def pack(self, cells: jax.Array) -> jax.Array:
         """Cells bool [nx, ny, nz] as words [total]."""

@@ -157,7 +157,7 @@ def _geometry(
     span = until - begin
     speed = jnp.where(span > 0, length / jnp.where(span > 0, span, 1.0), 0.0)
     after = take(path.time_s, jnp.minimum(k + 2, n - 1))
-    return start, tangent, length, speed, (k >= n - 2) | (after <= until)
+    return start, tangent, length, speed, after <= until
 
 
 def _heading(

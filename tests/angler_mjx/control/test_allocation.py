@@ -266,6 +266,35 @@ def test_an_unknown_fault_is_asked_as_before(faulty):
     np.testing.assert_array_equal(sound.B[2], vehicles.B[0])
 
 
+@pytest.mark.parametrize("unit", [2.0**-10, 2.0**20])
+def test_what_is_no_thrust_does_not_depend_on_the_unit(faulty, unit):
+    """A thruster's unit of thrust scales B, and so what is asked; not who is asked for nothing."""
+    vehicles, given = faulty
+    with jax.enable_x64(True):
+        scaled = allocation.build(replace(vehicles, B=unit * np.asarray(vehicles.B)))
+    ours, plain = np.asarray(scaled.B_inverse), np.asarray(given.B_inverse)
+    np.testing.assert_array_equal(ours == 0.0, plain == 0.0)
+    # float64.
+    np.testing.assert_allclose(unit * ours, plain, atol=1e-9)
+
+
+def test_a_mode_makes_no_wrench_even_in_a_block_of_several(faulty):
+    """Two redundancies of thrusters 0 to 2 and 1 to 3: 0 and 3 meet only through the others."""
+    rng = np.random.default_rng(0)
+    null = np.zeros((2, 8))
+    null[0, :3], null[1, 1:4] = 1.0, (1.0, -1.0, 1.0)
+    others = np.linalg.svd(null)[2][2:]
+    B = rng.normal(size=(6, 6)) @ others
+    with jax.enable_x64(True):
+        vehicle = jax.tree.map(lambda leaf: leaf[:1], faulty[0])
+        built = allocation.build(replace(vehicle, B=jnp.asarray(B[None])))
+    mode, owner = np.asarray(built.mode[0]), np.asarray(built.mode_of[0])
+    assert np.abs(mode).max() == 1.0
+    for one in np.unique(owner):
+        # float64 of sums of four terms of some newtons.
+        np.testing.assert_allclose(B @ np.where(owner == one, mode, 0.0), 0.0, atol=1e-9)
+
+
 def test_on_lanes_it_is_the_same(faulty, methods):
     tau = demands(LARGE)[4]
     with jax.enable_x64(True):

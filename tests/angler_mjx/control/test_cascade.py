@@ -200,6 +200,22 @@ def test_guidance_turns_at_a_limited_rate_the_short_way():
     assert float(after.yaw_rad) == pytest.approx(3.0 + 0.05 * gains.yaw_rate_radps, abs=1e-6)
 
 
+@pytest.mark.parametrize("course", [0.4, -2.0])
+def test_guidance_keeps_its_heading_where_the_path_hardly_moves(course):
+    """Below 5 cm/s over the ground, whichever way; a path that goes faster turns the robot."""
+    gains = follow.FollowGains()
+    at = Estimate(p=jnp.zeros(3), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
+    for speed, turns in ((0.04, False), (0.06, True)):
+        end = 10.0 * speed * np.array([np.cos(course), np.sin(course), 0.0])
+        path = Trajectory(
+            time_s=jnp.array([0.0, 10.0]),
+            position_m=jnp.asarray([np.zeros(3), end]),
+            found=jnp.array(True),
+        )
+        after, _ = follow.step(gains, follow.reset(jnp.array(1.5)), at, path, 0.05)
+        assert (abs(float(after.yaw_rad) - 1.5) > 1e-3) == turns
+
+
 def test_wrap():
     angle = np.linspace(-20, 20, 401)
     wrapped = np.asarray(model.wrap(jnp.asarray(angle)))

@@ -242,6 +242,27 @@ def test_gradient_is_finite_where_padded():
     np.testing.assert_allclose(gradient.sum(), 4.0)
 
 
+@pytest.mark.parametrize("joints", [("x",), VEHICLE_JOINTS], ids=len)
+def test_a_replacement_of_two_points_ends_its_join_with_the_speed_of_the_line(joints):
+    """No row more than is needed: the start and two points."""
+    n = len(joints)
+    old = build(goal(1, joints=joints), joints=joints, position=P[0, :n], size=LENGTH)
+    message = goal(1, joints=joints, time=TIME[:2] + 2.0)
+    new = build(message, joints=joints, position=P[0, :n])
+    joined = replace_at(old, jnp.array(0.5), new)
+    assert joined.velocity.shape == (3, n)
+    # A line of one second.
+    np.testing.assert_allclose(joined.velocity[1], P[1, :n] - P[0, :n], rtol=1e-6)
+
+
+def test_gradient_of_a_join_is_finite_where_no_line_follows():
+    def total(position):
+        return replace_at(old, jnp.array(2.1), replace(new, position=position)).velocity.sum()
+
+    old, new = made(goal(1)), made(goal(1, time=TIME[:1] + 1.0))
+    assert np.all(np.isfinite(jax.grad(total)(new.position)))
+
+
 def test_a_path_goes_to_joints_and_back():
     path = planned.Trajectory(
         time_s=jnp.asarray(np.append(TIME, [6.0, 6.0])),
@@ -353,6 +374,16 @@ def test_codes_are_those_of_ros():
     }
 
 
+def test_a_goal_that_asks_for_nothing_takes_all_of_the_robots_own_tolerances():
+    own = JointTolerance(position=0.5, velocity=0.25, acceleration=0.125)
+    given = {"x": JointTolerance(position=2.0)}
+    allowed = tolerances(VEHICLE_JOINTS, goal=given, default_path=own, default_goal=own)
+    for limits, position in ((allowed.path, 0.5), (allowed.goal, 2.0)):
+        np.testing.assert_array_equal(limits.position, [position, 0.5, 0.5, 0.5])
+        np.testing.assert_array_equal(limits.velocity, 0.25)
+        np.testing.assert_array_equal(limits.acceleration, 0.125)
+
+
 def test_a_tolerance_that_means_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"goal_tolerance of joint 'x', velocity = -0.5"):
         tolerances(VEHICLE_JOINTS, goal={"x": JointTolerance(velocity=-0.5)})
@@ -376,7 +407,12 @@ REFUSED = {
     "joint twice": (replace(goal(3), joint_names=("x", "y", "x", "z")), {}, ["'x'", "twice"], -1),
     "no points": (replace(goal(3), points=()), {}, ["points", "empty"], -1),
     "time": (moved(2, time_s=1.0), {}, ["points[2].time_from_start = 1 s", "later than 1 s"], -1),
-    "time below 0": (moved(0, time_s=-1.0), {}, ["points[0].time_from_start = -1 s"], -1),
+    "time below 0": (
+        moved(0, time_s=-1.0),
+        {},
+        ["points[0].time_from_start = -1 s: must be at least 0"],
+        -1,
+    ),
     "NaN": (
         moved(1, positions=(0.0, np.nan, 0.0, 0.0)),
         {},
@@ -387,6 +423,12 @@ REFUSED = {
         moved(3, velocities=(0.0, 1.0)),
         {},
         ["points[3].velocities", "2 numbers for 4"],
+        -1,
+    ),
+    "two lengths": (
+        moved(3, positions=(0.0,), velocities=(0.0, 1.0)),
+        {},
+        ["2 faults", "points[3].positions: 1 numbers", "points[3].velocities: 2 numbers"],
         -1,
     ),
     "no positions": (moved(3, positions=()), {}, ["points[3].positions: 0 numbers for 4"], -1),
@@ -406,6 +448,12 @@ REFUSED = {
         goal(1, time=np.array([0, 1, 1.5, 1.6, 6])),
         {"max_speed": {"y": 5.0}},
         ["points[3]", "'y'", "5 is the most"],
+        -1,
+    ),
+    "speed of the last line": (
+        goal(1, time=np.array([0, 1, 1.5, 4.0, 4.1])),
+        {"max_speed": {"x": 5.0}},
+        ["1 fault", "points[4]", "'x'", "5 is the most"],
         -1,
     ),
     "speed between points": (

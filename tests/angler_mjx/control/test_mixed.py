@@ -124,6 +124,34 @@ def test_what_was_demanded_is_known_down_to_wrenches(robot):
     assert mix(replace(memory, demanded=None), jnp.int32(0), jnp.int32(0))[0].demanded is None
 
 
+def test_who_wants_it_is_told_what_the_thrusters_gave_and_nothing_where_it_begins_anew(robot):
+    known, at = robot
+
+    def repeat(gains, carry, given, command):
+        return carry, given.realised or BodyWrench(tau=jnp.full(6, 7.0))
+
+    def begin(estimate, yaw_rad):
+        return ()
+
+    gave = jnp.array([3.0, -2.0, 1.0, 0.2, 0.1, -0.3])
+    for wants in (True, False):
+        tells = stack.Stage(
+            name="tells",
+            takes=(BodyTwist,),
+            gives=BodyWrench,
+            step=repeat,
+            reset=begin,
+            wants_realised=wants,
+        )
+        made = (tells, *stages.build(["pseudo_inverse"], {})[0])
+        memory = stack.Memory(stages=((), ()), realised=BodyWrench(tau=gave))
+        for fresh, told in ((0, gave), (1, jnp.zeros(6))):
+            command = Mixed(which=jnp.int32(0), fresh=jnp.int32(fresh), commands=(COMMANDS[4],))
+            gains = [stage.gains() for stage in made]
+            action = mixed.step(made, gains, known, memory, at, command, *WATER)
+            np.testing.assert_array_equal(action.demanded.tau, told if wants else 7.0)
+
+
 def test_a_command_that_no_stage_takes_is_refused(robot):
     made, gains, _ = of("ardusub")
     told = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(PATH, COMMANDS[4]))

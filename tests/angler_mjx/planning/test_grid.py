@@ -352,12 +352,15 @@ def test_robots_keep_the_margin_beyond_their_radii(passing, first_stays):
 
 
 @pytest.mark.parametrize(
-    "off", [(0.0, 0.3, 0.0), (0.7, 0.3, 0.7), (-0.7, 0.3, 0.7)], ids=["near", "corner", "behind"]
+    "off",
+    [(0.0, 0.3, 0.0), (0.5, 0.3, 0.6), (0.7, 0.3, 0.7), (-0.7, 0.3, 0.7), (-0.5, 0.3, 0.6)],
+    ids=["near", "edge", "corner", "behind", "edge behind"],
 )
 def test_ends_nearer_to_rock_than_the_margin_are_met_at_cruise_speed(beside_rock, off):
     """There the last leg keeps to the timetable of the search, and that has to count it.
 
-    From a corner of the cell to its centre it is farther than a layer's way.
+    From a corner of the cell to its centre it is farther than a layer's way of 0.75 m; from the
+    edges here by 9 cm.
     """
     start, goal, path = beside_rock(off)
     assert path.found[0]
@@ -385,6 +388,23 @@ def beside_rock():
         return start, goal, run(moved, RADIUS[:1], SPEED[:1])
 
     return call
+
+
+def test_a_path_that_meets_a_start_in_its_first_second_is_taken_back():
+    """Robot 1 has no way, so it stays; robot 0 was not told to keep off where it starts."""
+    occupied = np.zeros((9, 7, 7), bool)
+    occupied[4, 5, 5] = True
+    config = GridPlannerConfig(horizon_s=10.0, start_hold_s=0.0)
+    run = quickly(partial(plan, config=config))
+    world = make_world(occupied, [LANE[0], (2, 3, 3)], [LANE[1], (4, 5, 5)])
+    path = run(world, RADIUS[:2], np.float32([5.0, 5.0]))
+    assert not path.found.any()
+    # At 5 m/s it would have passed a start a cell ahead within a second; one off its way it may.
+    world = make_world(occupied, [LANE[0], (2, 1, 1)], [LANE[1], (4, 5, 5)])
+    path = run(world, RADIUS[:2], np.float32([5.0, 5.0]))
+    np.testing.assert_array_equal(path.found, [True, False])
+    x = np.interp(1.0, path.time_s[0], path.position_m[0, :, 0])
+    assert x > world.start_m[0, 0] + 2 * CELL
 
 
 def test_goal_past_the_horizon_is_not_found():

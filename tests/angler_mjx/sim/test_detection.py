@@ -153,6 +153,18 @@ def test_hulls_side_by_side(heavy):
     np.testing.assert_allclose(contact.closing_speed_mps, [0.4, 0.3, 0.4], atol=1e-6)
 
 
+def test_robots_that_are_far_apart_are_not_the_nearest_thing(heavy):
+    # 6 m to the faces of the grid and to the floor; the first two are 5 m apart.
+    world = environment([], [], 3)
+    places = [[-2.5, 0.0, -8.0], [2.5, 0.0, -8.0], [0.0, 4.0, -8.0]]
+    vehicles, state = fleet_of(heavy, places)
+    contact = jax.jit(detect)(world, vehicles, state, still([]))
+    np.testing.assert_array_equal(contact.separation_m, SEPARATION_RADIUS_M)
+    assert np.all(contact.clearance_m > SEPARATION_RADIUS_M)
+    assert np.all(contact.nearest != Touched.ROBOT)
+    np.testing.assert_array_equal(contact.nearest_index, -1)
+
+
 def test_a_robot_alone_has_no_separation(heavy):
     vehicles, state = fleet_of(heavy, [[0.0, 0.0, -8.0]])
     contact = jax.jit(detect)(environment([], [], 1), vehicles, state, still([]))

@@ -1,4 +1,7 @@
-"""Which variant a robot is: by its weights, by its own number, in every world anew."""
+"""Which variant a robot is: by its weights, by its own number, in every world anew.
+
+And what the variants that robots can be have in common.
+"""
 
 import jax
 import numpy as np
@@ -56,3 +59,32 @@ def test_a_robot_more_changes_nothing_for_the_others(drawn, vehicle):
 
 def first_set(vehicle):
     return sorted(fleet.library.load(vehicle).parameter_sets)[0]
+
+
+def test_what_is_the_same_in_all_that_robots_can_be_is_known_and_nothing_else():
+    """A fleet of three groups: one of two variants, one of one, one of another vehicle."""
+    heavy, light = "bluerov2_heavy", "bluerov2"
+    team = [
+        *[mix(heavy, (1.0, 1.0))] * 2,
+        mix(light, (1.0,), (first_set(light),)),
+        mix(heavy, (1.0,), SETS[1:]),
+    ]
+    kinds = fleet.build(team, multibody=False)
+    possible = ([0, 1], [2], [1])
+    assert [(group.first, group.count) for group in kinds.groups] == [(0, 2), (2, 1), (3, 1)]
+    seen = set()
+    for group, variants in zip(kinds.groups, possible, strict=True):
+        assert group.variant in variants
+        leaves = jax.tree.leaves(kinds.control)
+        for leaf, letters, shared in zip(leaves, group.sameness, group.shared, strict=True):
+            table = np.asarray(leaf, float).reshape(len(leaf), -1)[variants]
+            values = [set(column) for column in table.T.tolist()]
+            assert letters == "".join(
+                "z" if one == {0.0} else "s" if len(one) == 1 else "v" for one in values
+            )
+            seen |= set(letters)
+            # Long tables are read where they lie.
+            if shared:
+                assert shared == tuple(one.pop() if len(one) == 1 else 0.0 for one in values)
+        assert sum(map(len, group.shared)) > 200
+    assert seen == set("zsv")

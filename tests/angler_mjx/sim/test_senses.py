@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +13,11 @@ from angler_mjx.control import stages
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.physics.step import VehicleState
 from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
+from angler_mjx.sim import senses
+from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.grid import Grid, height_above_bottom
 
 from ..compiling import quickly
@@ -144,6 +148,39 @@ def test_in_float32_engines_differ_by_rounding(exact):
     np.testing.assert_allclose(ours.p, theirs.p, atol=3e-5)
     np.testing.assert_allclose(ours.belief.p, theirs.belief.p, atol=3e-5)
     np.testing.assert_allclose(ours.belief.nu, theirs.belief.nu, atol=3e-4)
+
+
+@pytest.mark.parametrize(("before", "noisy", "after"), [(1, 3, 1), (0, 3, 2), (0, 3, 0), (1, 1, 0)])
+def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
+    config, n = SensorsConfig(), before + noisy + after
+    sources = ["truth"] * before + ["noisy"] * noisy + ["truth"] * after
+    groups = instrumented.build([(source, config) for source in sources], 0.05, 9.81)
+    grid = Grid(
+        occupied=jnp.zeros((2, 2, 2), bool),
+        origin_m=jnp.array([-9.0, -9.0, -20.0]),
+        cell_m=jnp.asarray(9.0),
+    )
+    world = SimpleNamespace(
+        environment=SimpleNamespace(grid=grid, floor_z_m=jnp.asarray(-20.0)),
+        sensing_key=jax.random.key_data(jax.random.split(jax.random.key(0), n)),
+    )
+    robots = VehicleState(
+        p=jnp.arange(3.0 * n).reshape(n, 3) - 12.0,
+        q=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (n, 1)),
+        nu=jnp.ones((n, 6)),
+        force_before=jnp.zeros((n, 6)),
+        thrust=jnp.zeros((n, 8)),
+    )
+    spec = SimSpec(instrumented=groups)
+    memory = senses.reset(spec, world, robots)
+    _, belief = senses.step(spec, world, memory, jnp.int32(3), robots, jnp.ones((n, 3)))
+    for told, true in (
+        (belief.p, robots.p),
+        (belief.nu, robots.nu),
+        (belief.flow, np.ones((n, 3))),
+    ):
+        off = np.any(np.asarray(told) != np.asarray(true), axis=1)
+        np.testing.assert_array_equal(off, [source == "noisy" for source in sources])
 
 
 def test_truth_without_noise_is_the_truth():
