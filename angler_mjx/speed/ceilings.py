@@ -31,7 +31,9 @@ def _bound(
     if machine not in copies or not any(words in counted for words in COUNTED):
         return None
     limits = []
-    if row["flops"] and machine in multiply_adds:
+    if row["flops"]:
+        if machine not in multiply_adds:
+            return None
         limits.append(multiply_adds[machine] / row["flops"])
     if row["least_bytes"]:
         limits.append(copies[machine] / row["least_bytes"])

@@ -35,6 +35,7 @@ class Capsule(FileModel):
 
     @model_validator(mode="after")
     def _has_a_length(self) -> Self:
+        # MuJoCo takes no capsule without a length; files give millimetres.
         if math.dist(self.from_m, self.to_m) < 1e-3:
             raise ValueError("from_m and to_m: must be at least 1 mm apart, also for a ball")
         return self

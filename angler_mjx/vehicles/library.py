@@ -97,9 +97,9 @@ def reach_m(config: VehicleConfig) -> float:
 
 
 @lru_cache
-def _names(folder: Path) -> list[str]:
+def _names(folder: Path) -> tuple[str, ...]:
     """Of the files that are shipped, which do not change."""
-    return sorted(path.stem for path in folder.glob("*.toml"))
+    return tuple(sorted(path.stem for path in folder.glob("*.toml")))
 
 
 def _locate(name_or_path: str, folder: Path, kind: str) -> Path:

@@ -12,7 +12,7 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
 
-from .energy import MOST_DT_S, Books
+from .energy import MOST_DT_S, UNRESOLVED, Books
 from .signals import Signals
 
 FLYING = (Outcome.RUNNING, Outcome.REACHED)
@@ -106,7 +106,7 @@ def fly(
         fastest_radps=fastest,
     )
     flight.faults += _last(state, tally, first, scenario)
-    for w, r in np.argwhere((books.worst > 1.0) & (dt <= MOST_DT_S)):
+    for w, r in np.argwhere(books.worst > (1.0 if dt <= MOST_DT_S else UNRESOLVED)):
         said = (
             f"energy is off by {books.worst_j[w, r]:.3g} J, {books.worst[w, r]:.2f} of what is "
             f"allowed, of {books.turned_over[w, r]:.3g} J turned over"

@@ -263,7 +263,7 @@ def test_size():
 """
 
 
-@pytest.mark.nightly(by="nothing: the tool is not of the simulator")
+@pytest.mark.nightly(by="the other tests of this file, of places and of what is written there")
 def test_a_copy_runs_its_own_code_and_is_put_back(tmp_path):
     """A fault of the same length, put in within the clock's resolution, is what runs."""
     root, core = tmp_path / "root", min(os.sched_getaffinity(0))

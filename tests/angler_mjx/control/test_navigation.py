@@ -73,20 +73,17 @@ def nees(error, covariance):
     return np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=-1)
 
 
-of_others = pytest.mark.nightly(by="dead reckoning, and fixes prompt and late")
+DAILY = ("dead reckoning with DVL", "USBL", "late USBL")
+WHEN = {
+    name: name
+    if name in DAILY
+    else pytest.param(name, marks=pytest.mark.nightly(by="dead reckoning, fixes prompt and late"))
+    for name in FILTERS
+}
+"""Each filter is a program of its own: three fly in every run of the tests."""
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "dead reckoning with DVL",
-        "USBL",
-        "late USBL",
-        pytest.param("arms", marks=of_others),
-        pytest.param("outliers", marks=of_others),
-        pytest.param("without DVL", marks=of_others),
-    ],
-)
+@pytest.mark.parametrize("name", [WHEN[name] for name in FILTERS if name != "prompt USBL"])
 def test_the_covariance_says_how_large_the_errors_are(flown, name):
     error, covariance, _, _ = flown[name]
     mean = nees(error, covariance).mean(axis=0)
@@ -169,12 +166,12 @@ def test_constant_errors_are_found_where_another_instrument_shows_them(flown):
     assert alone[15] == pytest.approx(0.02, rel=0.02)
 
 
-def test_covariances_stay_positive_in_float32(flown):
-    for name in ("dead reckoning with DVL", "USBL", "late USBL"):
-        _, covariance, _, _ = flown[name]
-        # Variances of the biases are of the order of 1e-8 at least.
-        assert np.linalg.eigvalsh(covariance.astype(np.float64)).min() > 1e-9
-        np.testing.assert_array_equal(covariance, np.swapaxes(covariance, -1, -2))
+@pytest.mark.parametrize("name", WHEN.values())
+def test_covariances_stay_positive_in_float32(flown, name):
+    _, covariance, _, _ = flown[name]
+    # Variances of the biases are of the order of 1e-8 at least.
+    assert np.linalg.eigvalsh(covariance.astype(np.float64)).min() > 1e-9
+    np.testing.assert_array_equal(covariance, np.swapaxes(covariance, -1, -2))
 
 
 def test_the_same_key_gives_the_same_run(truths, flown):

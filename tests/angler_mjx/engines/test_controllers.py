@@ -149,19 +149,18 @@ def assert_close(ours, theirs, tolerance):
 
 
 DAILY = ("cascade", "tracking", "ardusub")
-"""Flown by both engines in every run of the tests: a controller of each kind of stage. On lanes all
-of them are compared in `control/laws/test_lanes.py`."""
+"""Flown in every run of the tests: a controller of each kind of stage."""
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        if name in DAILY
-        else pytest.param(name, marks=pytest.mark.nightly(by="control/laws/test_lanes.py"))
+def controllers(by):
+    """All, but those of a day alone by night; ``by`` proves the others in small."""
+    return [
+        name if name in DAILY else pytest.param(name, marks=pytest.mark.nightly(by=by))
         for name in stages.CONTROLLERS
-    ],
-)
+    ]
+
+
+@pytest.mark.parametrize("name", controllers(by="control/laws/test_lanes.py"))
 def test_both_engines_fly_it_alike(name, flown):
     ours, _ = flown(name, "fused", LONGEST)
     theirs, _ = flown(name, "mjx", PARITY)
@@ -185,15 +184,7 @@ def test_a_segment_of_it_can_be_put_together(name, scene, at_rest, engines_by_na
     assert sample.target_m.shape == (WORLDS, 1, 1, 3)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        if name in DAILY
-        else pytest.param(name, marks=pytest.mark.nightly(by="control/laws/test_closed_loops.py"))
-        for name in stages.CONTROLLERS
-    ],
-)
+@pytest.mark.parametrize("name", controllers(by="control/laws/test_closed_loops.py"))
 def test_it_brings_robots_to_their_goals(name, flown):
     _, end = flown(name, "fused", LONGEST)
     assert np.all(np.asarray(end.tally.outcome) == Outcome.REACHED), np.asarray(end.tally.outcome)

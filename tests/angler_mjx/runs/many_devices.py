@@ -1,6 +1,7 @@
-"""Runs the same scenario on 1 and 3 devices; a process of its own, for they are forced.
+"""Runs the same scenario on some devices; a process of its own, for they are forced.
 
-Arguments: scenario file, folder for the runs. Prints the compiled segment of the last simulator.
+Arguments: scenario file, folder for the runs, numbers of devices. Prints the compiled segment of
+the last simulator.
 """
 
 import sys
@@ -12,9 +13,9 @@ from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
 
-def main(scenario_file, out):
+def main(scenario_file, out, counts):
     scenario = load_scenario(scenario_file)
-    for devices in (1, 3):
+    for devices in counts:
         simulator = Simulator(scenario, devices=devices)
         simulator.compile()
         for chunk in (2, 100) if devices == 3 else (100,):
@@ -28,4 +29,4 @@ def main(scenario_file, out):
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), [int(n) for n in sys.argv[3:]])

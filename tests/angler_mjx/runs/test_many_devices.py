@@ -94,7 +94,9 @@ def runs(scenario_file, cache, tmp_path_factory):
     Seven worlds are four tiles: a wave of three, and one of one beside two idle devices.
     """
     out = tmp_path_factory.mktemp("devices")
-    [(code, program, said)] = both((HERE / "many_devices.py", scenario_file, out), cache=cache)
+    [(code, program, said)] = both(
+        (HERE / "many_devices.py", scenario_file, out, 1, 3), cache=cache
+    )
     assert code == 0, said
     return out, program, said
 
@@ -122,6 +124,16 @@ def test_the_same_bytes_on_any_number_of_devices_and_for_any_chunk(runs, name):
     assert_same(one, other)
     assert other.summary["complete"]
     assert other.summary["devices"] == int(name[0])
+
+
+@pytest.mark.nightly(by="test_the_same_bytes_on_any_number_of_devices_and_for_any_chunk")
+def test_half_of_a_wave_that_is_idle_changes_nothing(runs, scenario_file, cache, tmp_path):
+    # Four tiles on eight devices.
+    command = (HERE / "many_devices.py", scenario_file, tmp_path, 8)
+    [(code, program, said)] = both(command, cache=cache)
+    assert code == 0, said
+    assert_same(Run(runs[0] / "1_devices_100"), Run(tmp_path / "8_devices_100"))
+    assert COLLECTIVE.findall(program) == []
 
 
 def test_tiles_of_a_wave_end_by_themselves(runs):
