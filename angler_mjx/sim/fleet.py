@@ -15,6 +15,7 @@ import numpy as np
 from angler_kernels.lanes.planes import is_table
 from angler_mjx.control import allocation
 from angler_mjx.control.stack import ControlParams
+from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
@@ -226,10 +227,13 @@ def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyIn
     Returns:
         int32 [n_robot] variants, and the parameters and inertias of the robots, [n_robot] leading.
     """
-    robots = jnp.arange(fleet.log_weight.shape[0], dtype=jnp.uint32)
-    of_robot = jax.vmap(jax.random.fold_in, (None, 0))(key, robots)
-    # Of one row at a time: the first numbers of a row are the same however long it is.
-    chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
+    n_robot, n_variant = fleet.log_weight.shape
+    if n_variant == 1:  # Nothing is left to chance.
+        chosen = jnp.zeros(n_robot, jnp.int32)
+    else:
+        # Of one row at a time: the first numbers of a row are the same however long it is.
+        of_robot = children(key, n_robot)
+        chosen = jax.vmap(jax.random.categorical)(of_robot, fleet.log_weight).astype(jnp.int32)
     control, body = parameters(fleet, chosen)
     speed = jnp.take_along_axis(fleet.cruise_mps, chosen[:, None], axis=1)[:, 0]
     return chosen, replace(control, cruise_speed_mps=speed), body

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.clearance import cell_neighbours
+from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.scenario.scenario import Scenario
@@ -83,11 +84,12 @@ def _one_world(
 ) -> World:
     """World ``index`` of a run: its key is the run's, folded with the global index."""
     key = jax.random.fold_in(jax.random.key(seed), index)
-    variant, control, body = fleet.draw(kinds, jax.random.fold_in(key, 0))
+    of_fleet, of_world, of_senses, of_policy = children(key, 4)
+    variant, control, body = fleet.draw(kinds, of_fleet)
     environment = generate.generate(
         recipe,
         fleet.radius_bound(kinds),
-        jax.random.fold_in(key, 1),
+        of_world,
         scenario.time.horizon_s,
         scenario.water.density_kgpm3,
     )
@@ -95,8 +97,7 @@ def _one_world(
         environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
     )
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
-    robots = jnp.arange(variant.shape[0], dtype=jnp.uint32)
-    of_robot = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.fold_in(key, 2), robots)
+    of_robot = children(of_senses, variant.shape[0])
     looked_up = scenario.engine == "fused"
     return World(
         environment=environment,
@@ -106,5 +107,5 @@ def _one_world(
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
-        policy_key=jax.random.key_data(jax.random.fold_in(key, 3)) if policy else None,
+        policy_key=jax.random.key_data(of_policy) if policy else None,
     )

@@ -15,7 +15,7 @@ from angler_mjx.quantities import Length, Place, PositiveLength
 from angler_mjx.world import calibration, presets
 from angler_mjx.world.currents import CurrentConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
-from angler_mjx.world.rules import AutomatonRule, Rule, WallsRule
+from angler_mjx.world.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
 type Vector = tuple[Place, Place, Place]
 type Placement = Literal["cross", "parallel", "random", "given"]
@@ -90,6 +90,11 @@ class WorldRecipe(FileModel):
     goal_m: tuple[Vector, ...]
     currents: tuple[CurrentConfig, ...]
     obstacles: ObstaclesConfig
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no world of it holds anything that stands still: water between flat faces."""
+        return isinstance(self.rule, OpenRule) and not self.obstacles.explicit
 
     @property
     def size_m(self) -> Vector:

@@ -21,6 +21,7 @@ from angler_kernels.current_field import (
     material_derivative,
     smooth_knots,
 )
+from angler_mjx.draws import between, children, uniforms
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Speed
 
@@ -193,14 +194,13 @@ class VorticesConfig(FileModel):
 
     def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Vortices:
         """Places uniform in the region seen from above."""
-        where, how_fast, how_wide, which_way = jax.random.split(key, 4)
-        n, dtype = self.count, lo.dtype
-        share = jax.random.uniform(where, (n, 2), dtype)
-        peak = jax.random.uniform(how_fast, (n,), dtype, *self.peak_speed_mps)
-        core = jax.random.uniform(how_wide, (n,), dtype, *self.core_radius_m)
-        sign = jax.random.rademacher(which_way, (n,), dtype)
+        n = self.count
+        where, how_fast, how_wide, which_way = uniforms(children(key, 4), 2 * n, lo.dtype)
+        peak = between(how_fast[:n], *self.peak_speed_mps)
+        core = between(how_wide[:n], *self.core_radius_m)
+        sign = jnp.where(which_way[:n] < 0.5, 1.0, -1.0)
         return Vortices(
-            centre_m=lo[:2] + share * (hi[:2] - lo[:2]),
+            centre_m=lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2]),
             circulation_m2ps=sign * lamb_oseen_circulation(peak, core),
             core_m=core,
         )
@@ -228,7 +228,7 @@ def draw(
         horizon_s: the time that the current has to cover; a Python number, it sets array sizes.
     """
     lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
+    keys = children(key, len(configs)) if configs else ()
     return tuple(
-        config.draw(jax.random.fold_in(key, i), lo, hi, horizon_s)
-        for i, config in enumerate(configs)
+        config.draw(one, lo, hi, horizon_s) for config, one in zip(configs, keys, strict=True)
     )

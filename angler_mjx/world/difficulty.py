@@ -14,9 +14,16 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.bit_grid import shift, unpack
+from angler_mjx.world import groups
 
 type Move = tuple[int, ...]
+type _Settling = tuple[jax.Array, jax.Array, jax.Array]
+"""Groups that had their turn, lengths [n_pair], and whether each is settled."""
+type _Ways = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+"""Rounds, ways [nx, ny, nz, n] to a group's goals, their lengths [n], and which are settled."""
 _MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
+_STRIDE = (9, 3, 1)
+"""From a move to the next one along each axis, in bits of a word of moves."""
 _EDGE = 1 << 18
 """Lengths are whole multiples of this part of a cell's edge: sums are then exact in any order, and
 so is the question whether a way can still be improved. The rounded square roots of 2 and 3 are
@@ -25,7 +32,7 @@ _COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
 _NONE = 1 << 30
 """No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
 _GROUP_SHARE = 8
-"""A group of pairs that one round does not settle is this part of all pairs."""
+"""A group of pairs is this part of all of them."""
 
 
 def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
@@ -35,8 +42,9 @@ def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arra
     way that never turns back on that axis to its end at once. A round is six sweeps, forth and back
     along each axis. A pair is settled when no cell can be improved so much that a way through it,
     straight on to the start from there, would be shorter; its length is then exact. One round
-    settles most pairs; the others are gathered into small groups, and each group goes on until all
-    of it is settled.
+    settles most pairs. All pairs get one, group by group; those that are left are gathered into
+    groups again, and each of these goes on until all of it is settled. One loop does both: what
+    is written once is compiled once.
 
     Args:
         passable: packed cells, [nx, ny, words, n_world] (see `angler_kernels.bit_grid`).
@@ -50,44 +58,74 @@ def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arra
     nx, ny = passable.shape[:2]
     _, n, n_world = start.shape
     n_pair = n * n_world
-    group = -(-n_pair // _GROUP_SHARE)
-    moves = _moves_into(passable, nz)
-    index = jnp.arange(nx * ny * nz, dtype=jnp.int32).reshape(nx, ny, nz, 1, 1)
-    at_goal = (index == _flat(goal, (nx, ny, nz))) & unpack(passable, nz)[:, :, :, None]
-    nowhere = jnp.full(at_goal.shape, _NONE, jnp.int32)
-    way = _round(jnp.where(at_goal, 0, nowhere), moves[:, :, :, None])
-    length, settled = _length(way, moves[:, :, :, None], start)
-    way, start = way.reshape(nx, ny, nz, n_pair), start.reshape(3, n_pair)
+    size = -(-n_pair // _GROUP_SHARE)
+    moves, free = _moves_into(passable, nz), unpack(passable, nz)
+    index = jnp.arange(nx * ny * nz, dtype=jnp.int32).reshape(nx, ny, nz, 1)
+    start, to_cell = start.reshape(3, n_pair), _flat(goal, (nx, ny, nz)).reshape(n_pair)
 
-    def settle_group(carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        length, settled = carry
-        # Places after the last unsettled pair hold n_pair: read as the last, written nowhere.
-        (pair,) = jnp.nonzero(~settled, size=group, fill_value=n_pair)
-        read = jnp.minimum(pair, n_pair - 1)
-        theirs, their_start = moves[..., read % n_world], start[:, read]
+    def settle_group(carry: _Settling) -> _Settling:
+        turn, length, settled = carry
+        group = groups.chosen(turn, ~settled, size)
+        read, world = group.read, group.read % n_world
+        theirs, their_start = moves[..., world], start[:, read]
+        at_goal = (index == to_cell[read]) & free[..., world]
+        to_the_end = groups.had_one(turn, n_pair, size)
 
-        def go_on(
-            carry: tuple[jax.Array, jax.Array, jax.Array],
-        ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        def unsettled(state: _Ways) -> jax.Array:
+            more: jax.Array = (state[0] == 0) | (~jnp.all(state[3]) & to_the_end)
+            return more
+
+        def go_on(state: _Ways) -> _Ways:
             # Tied to what changes, the moves stay bits: XLA would take the test of each bit out of
             # the loop, as 26 grids to be read instead of one.
-            way, moves = jax.lax.optimization_barrier((carry[0], theirs))
+            way, moves = jax.lax.optimization_barrier((state[1], theirs))
             way = _round(way, moves)
-            return way, *_length(way, moves, their_start)
+            return state[0] + 1, way, *_length(way, moves, their_start)
 
-        begin = (way[..., read], length[read], settled[read])
-        _, found, _ = jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), go_on, begin)
-        return length.at[pair].set(found, mode="drop"), settled.at[pair].set(True, mode="drop")
+        nowhere = jnp.full(at_goal.shape, _NONE, jnp.int32)
+        begin = (jnp.int32(0), jnp.where(at_goal, 0, nowhere), length[read], settled[read])
+        _, _, found, done = jax.lax.while_loop(unsettled, go_on, begin)
+        return (
+            turn + 1,
+            length.at[group.index].set(found, mode="drop"),
+            settled.at[group.index].set(done, mode="drop"),
+        )
 
-    length, _ = jax.lax.while_loop(
-        lambda carry: ~jnp.all(carry[1]), settle_group, (length.ravel(), settled.ravel())
-    )
+    none = (jnp.int32(0), jnp.full(n_pair, _NONE, jnp.int32), jnp.zeros(n_pair, bool))
+    _, length, _ = jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), settle_group, none)
     edges = length.reshape(n, n_world).astype(float) / _EDGE
     return jnp.where(edges < _NONE // _EDGE, edges, jnp.inf)
 
 
+def open_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
+    """As `shortest_ways`, where the passable cells are a box: nothing is searched.
+
+    A way that never leaves the box that its two ends span is as short as a way can be.
+    """
+    flat = unpack(passable, nz).reshape(-1, passable.shape[-1])
+    shape = (*passable.shape[:2], nz)
+    in_box = [jnp.take_along_axis(flat, _flat(cell, shape), axis=0) for cell in (start, goal)]
+    way = _unhindered([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
+    return jnp.where(in_box[0] & in_box[1], way.astype(float) / _EDGE, jnp.inf)
+
+
+def _unhindered(apart: Sequence[jax.Array]) -> jax.Array:
+    """Length of the shortest way between cells that are so many cells apart along each axis."""
+    shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
+    longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
+    middle = apart[0] + apart[1] + apart[2] - shortest - longest
+    longer, longest = middle - shortest, longest - middle
+    way: jax.Array = _COST[3] * shortest + _COST[2] * longer + _COST[1] * longest
+    return way
+
+
+def _bit(move: Move) -> jax.Array:
+    """The bit of a move in a word of moves: its place in a block of 3 x 3 x 3."""
+    return jnp.uint32(1 << sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True)))
+
+
 def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
-    """Which moves may end in each cell: bit i of uint32 [nx, ny, nz, n_world] is _MOVES[i]."""
+    """Which moves may end in each cell: uint32 [nx, ny, nz, n_world], bits as `_bit` has them."""
     found = jnp.zeros((), jnp.uint32)
     blocks: dict[Move, jax.Array] = {(0, 0, 0): passable}
     # A block is that of one axis less, and the same one cell back along the axis.
@@ -95,15 +133,14 @@ def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
         axis = next(a for a in range(3) if move[a])
         fewer = blocks[tuple(0 if a == axis else move[a] for a in range(3))]
         blocks[move] = fewer & shift(fewer, axis, move[axis], nz)
-        bit = jnp.uint32(_MOVES.index(move))
-        found = found | unpack(blocks[move], nz).astype(jnp.uint32) << bit
+        found = found | jnp.where(unpack(blocks[move], nz), _bit(move), jnp.uint32(0))
     return found
 
 
 def _round(way: jax.Array, moves: jax.Array) -> jax.Array:
     """Ways [nx, ny, nz, ...] after a sweep to either side of each axis."""
-    for axis, side in itertools.product(range(3), (1, -1)):
-        way = _sweep(way, moves, axis, side)
+    for axis in range(3):
+        way = _sweeps(way, moves, axis)
     return way
 
 
@@ -118,11 +155,8 @@ def _length(way: jax.Array, moves: jax.Array, start: jax.Array) -> tuple[jax.Arr
         jnp.abs(jnp.arange(n).reshape([n if a == axis else 1 for a in range(way.ndim)]) - cell)
         for axis, (n, cell) in enumerate(zip(way.shape, start, strict=False))
     ]
-    shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
-    longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
-    middle = sum(apart) - shortest - longest
-    onward = _COST[3] * shortest + _COST[2] * (middle - shortest) + _COST[1] * (longest - middle)
-    return length, ~jnp.any((relaxed < way) & (relaxed + onward < length), axis=(0, 1, 2))
+    improved = (relaxed < way) & (relaxed + _unhindered(apart) < length)
+    return length, ~jnp.any(improved, axis=(0, 1, 2))
 
 
 def _flat(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
@@ -130,30 +164,39 @@ def _flat(cell: jax.Array, shape: Sequence[int]) -> jax.Array:
     return (cell[0] * shape[1] + cell[1]) * shape[2] + cell[2]
 
 
-def _sweep(way: jax.Array, moves: jax.Array, axis: int, side: int) -> jax.Array:
-    """Ways after one sweep: layer by layer, each from the one before it.
+def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
+    """Ways after a sweep to either side: layer by layer, each from the one before it.
 
     Args:
         way: [nx, ny, nz, ...] lengths so far.
         moves: uint32 [nx, ny, nz, ...] (see `_moves_into`).
         axis: to sweep along.
-        side: 1 towards greater indices, -1 towards smaller ones.
     """
     n = way.shape[axis]
     across = [a for a in range(3) if a != axis]
-    onward = tuple(move for move in _MOVES if move[axis] == side)
+    back = [move for move in _MOVES if move[axis] == -1]
     layer_of = partial(jax.lax.dynamic_index_in_dim, axis=axis)
 
-    def advance(k: jax.Array, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        before, way = carry
-        i = k if side == 1 else n - 1 - k
-        relaxed = _relaxed(_wide(before, across), before.shape, layer_of(moves, i), onward)
-        layer = jnp.minimum(layer_of(way, i), relaxed)
-        return layer, jax.lax.dynamic_update_index_in_dim(way, layer, i, axis)
+    def sweep(turn: jax.Array, way: jax.Array) -> jax.Array:
+        # Either side reads the same cells of the layer before: only the bits differ, by a shift.
+        first, step = jnp.where(turn == 0, 0, n - 1), 1 - 2 * turn
+        shift = jnp.where(turn == 0, 2 * _STRIDE[axis], 0).astype(jnp.uint32)
 
-    first = layer_of(way, 0 if side == 1 else n - 1)
-    swept: jax.Array = jax.lax.fori_loop(1, n, advance, (first, way))[1]
-    return swept
+        def advance(
+            k: jax.Array, carry: tuple[jax.Array, jax.Array]
+        ) -> tuple[jax.Array, jax.Array]:
+            before, way = carry
+            i = first + k * step
+            may = layer_of(moves, i) >> shift
+            relaxed = _relaxed(_wide(before, across), before.shape, may, back)
+            layer = jnp.minimum(layer_of(way, i), relaxed)
+            return layer, jax.lax.dynamic_update_index_in_dim(way, layer, i, axis)
+
+        swept: jax.Array = jax.lax.fori_loop(1, n, advance, (layer_of(way, first), way))[1]
+        return swept
+
+    both: jax.Array = jax.lax.fori_loop(0, 2, sweep, way)
+    return both
 
 
 def _wide(way: jax.Array, axes: Sequence[int]) -> jax.Array:
@@ -163,7 +206,10 @@ def _wide(way: jax.Array, axes: Sequence[int]) -> jax.Array:
 
 
 def _relaxed(
-    wide: jax.Array, shape: tuple[int, ...], moves: jax.Array, which: tuple[Move, ...]
+    wide: jax.Array,
+    shape: tuple[int, ...],
+    moves: jax.Array,
+    which: Sequence[Move],
 ) -> jax.Array:
     """Least length of a way to each cell that ends with one of some moves.
 
@@ -186,8 +232,7 @@ def _relaxed(
                 if wide.shape[axis] > shape[axis]:
                     start = 1 - move[axis]
                     source = jax.lax.slice_in_dim(source, start, start + shape[axis], axis=axis)
-            may = (moves & jnp.uint32(1 << _MOVES.index(move))) != 0
-            nearest = jnp.minimum(nearest, jnp.where(may, source, nothing))
+            nearest = jnp.minimum(nearest, jnp.where((moves & _bit(move)) != 0, source, nothing))
         best = jnp.minimum(best, nearest + cost)
     return best
 

@@ -14,14 +14,15 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.bit_grid import everywhere, population, unpack
+from angler_mjx.world import groups
 from angler_mjx.world.config import WorldRecipe
-from angler_mjx.world.difficulty import line_is_free, shortest_ways
+from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_ways
 from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.placement import cell_centres, cell_of, obstacle_gap, passable_cells, place
 from angler_mjx.world.rules import draw_cells
 
-_REDRAWN_SHARE = 16
-"""A group of worlds to be drawn again is this part of a tile."""
+_GROUP_SHARE = 4
+"""A group of worlds that are drawn together is this part of a tile."""
 _TILE_NUMBERS = {"cpu": 1 << 21}
 """Lengths of ways that a tile may hold, by platform: 8 MiB, what caches hold, on a CPU."""
 _TILE_NUMBERS_ELSEWHERE = 1 << 28
@@ -145,23 +146,37 @@ def _redrawn(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array) -> _Try:
         keys: [n_world].
     """
     n_world = keys.shape[0]
-    group = -(-n_world // _REDRAWN_SHARE)
+    size = -(-n_world // _GROUP_SHARE)
 
     def unfit(worlds: _Try) -> jax.Array:
         return ~worlds.fits & (worlds.redraws < recipe.redraw_limit)
 
-    def again(worlds: _Try) -> _Try:
-        # Places after the last unfit world hold n_world: read as the last, written nowhere.
-        (index,) = jnp.nonzero(unfit(worlds), size=group, fill_value=n_world)
-        read = jnp.minimum(index, n_world - 1)
+    def draw_group(carry: tuple[jax.Array, _Try]) -> tuple[jax.Array, _Try]:
+        turn, worlds = carry
+        group = groups.chosen(turn, unfit(worlds), size)
+        read = group.read
         new = try_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1)
         renewed: _Try = jax.tree.map(
-            lambda old, some: old.at[..., index].set(some, mode="drop"), worlds, new
+            lambda old, some: old.at[..., group.index].set(some, mode="drop"), worlds, new
         )
-        return renewed
+        return turn + 1, renewed
 
-    first = try_worlds(recipe, radius, keys, jnp.zeros(n_world, jnp.int32))
-    last: _Try = jax.lax.while_loop(lambda worlds: jnp.any(unfit(worlds)), again, first)
+    def unfinished(carry: tuple[jax.Array, _Try]) -> jax.Array:
+        turn, worlds = carry
+        more: jax.Array = ~groups.had_one(turn, n_world, size) | jnp.any(unfit(worlds))
+        return more
+
+    cells = jnp.zeros((*everywhere(recipe.shape).shape, n_world), jnp.uint32)
+    places = jnp.zeros((radius.shape[0], 3, n_world))
+    none = _Try(
+        occupied=cells,
+        passable=cells,
+        start=places,
+        goal=places,
+        fits=jnp.zeros(n_world, bool),
+        redraws=jnp.full(n_world, -1, jnp.int32),
+    )
+    _, last = jax.lax.while_loop(unfinished, draw_group, (jnp.int32(0), none))
     return last
 
 
@@ -212,7 +227,8 @@ def difficulty(
     """
     start, goal = (jnp.moveaxis(p, 1, -1) for p in (start, goal))
     from_cell, to_cell = (jnp.moveaxis(cell_of(recipe, p), -1, 0) for p in (start, goal))
-    length = shortest_ways(passable, recipe.shape[2], from_cell, to_cell)
+    ways = open_ways if recipe.is_empty else shortest_ways
+    length = ways(passable, recipe.shape[2], from_cell, to_cell)
     straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=0).astype(length.dtype))
     ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)
     origin = jnp.array(recipe.origin_m, float)

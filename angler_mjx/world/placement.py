@@ -16,6 +16,7 @@ import numpy as np
 from angler_kernels.bit_grid import pack, shift, unpack
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
+from angler_mjx.draws import children, uniforms
 from angler_mjx.errors import ConfigError
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.obstacles import STATIC, Obstacles
@@ -149,19 +150,20 @@ def place(
         [n_world].
     """
     n_robot = radius_m.shape[0]
-    open_cell = unpack(_open_cells(free, passable, recipe.shape[2]), recipe.shape[2])
+    nz = recipe.shape[2]
+    open_cell = unpack(passable if recipe.is_empty else _open_cells(free, passable, nz), nz)
     open_cell = open_cell.reshape(-1, open_cell.shape[-1])
     if recipe.placement == "given":
         return _given(recipe, open_cell, start_gap.ravel(), radius_m)
     point = cell_centres(recipe).reshape(-1, 3).T[..., None]
 
     def at_random(key: jax.Array) -> tuple[jax.Array, ...]:
-        noise_key, mirror_key = jax.random.split(key)
+        of_noise, *others = children(key, 3)
         # One field serves all robots: taking the least value left is drawing without putting back.
-        noise = jax.random.uniform(noise_key, (2, point.shape[1]), jnp.float32)
-        # `split` gives what `fold_in` gives for 0 and 1.
-        from_here = jax.random.uniform(jax.random.fold_in(key, 2), (n_robot,), jnp.float32)
-        return noise, from_here.at[0].set(0.0), *_targets(recipe, n_robot, mirror_key)
+        noise = jax.random.uniform(of_noise, (2, point.shape[1]), jnp.float32)
+        mirror, from_here = uniforms(jnp.stack(others), max(3, n_robot), jnp.float32)
+        from_here = from_here[:n_robot].at[0].set(0.0)
+        return noise, from_here, *_targets(recipe, n_robot, mirror[:3] < 0.5)
 
     noise, from_here, *targets = jax.vmap(at_random, out_axes=-1)(keys)
     least_way = 0.5 * max(recipe.size_m)
@@ -234,8 +236,14 @@ def _cheapest(may: jax.Array, price: jax.Array, point: jax.Array) -> tuple[jax.A
     return point[:, first, 0], jnp.isfinite(least)
 
 
-def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W."""
+def _targets(recipe: WorldRecipe, n_robot: int, mirrored: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Points [n_robot, 3] that the robots' starts and goals should be near to, m, W.
+
+    Args:
+        recipe: static.
+        n_robot: static.
+        mirrored: bool [3] whether the pattern of corners is mirrored along each axis.
+    """
     lo, size = jnp.array(recipe.origin_m, float), jnp.array(recipe.size_m, float)
     if recipe.placement == "parallel":
         columns = min(n_robot, max(1, recipe.shape[1] // 2))
@@ -248,8 +256,7 @@ def _targets(recipe: WorldRecipe, n_robot: int, key: jax.Array) -> tuple[jax.Arr
         return lo + size * first, lo + size * first.at[:, 0].set(1.0)
     corner = [_CORNERS[i % 8] for i in range(n_robot)]
     bits = jnp.array([[c & 1, c >> 1 & 1, c >> 2 & 1] for c in corner], bool)
-    # Every world has its own corners: the pattern is mirrored along each axis or not.
-    bits ^= jax.random.uniform(key, (3,), jnp.float32) < 0.5
+    bits ^= mirrored  # Every world has its own corners.
     return lo + size * bits, lo + size * ~bits
 
 

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
+from angler_mjx.draws import between, children, uniforms
 from angler_mjx.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies
@@ -58,9 +59,9 @@ def draw(
     if config.dynamic.count == 0 and placed is not None:
         return placed
     if config.dynamic.count == 0:
-        row = _drifting(DynamicConfig(count=1), key, water_density, gravity)
-        return replace(row, exists=jnp.zeros(1, bool), kinds=(), motions=())
-    drawn = _drifting(config.dynamic, key, water_density, gravity)
+        return _nothing(water_density)
+    of_bodies, of_places = children(key, 2)
+    drawn = _drifting(config.dynamic, of_bodies, water_density, gravity)
 
     def distances(p: jax.Array) -> jax.Array:
         away = jnp.sqrt(jnp.sum((keep_out_m - p) ** 2, axis=1)) - keep_out_radius_m
@@ -69,7 +70,7 @@ def draw(
         return gap if placed is None else jnp.minimum(gap, _gap_to(placed, p))
 
     radius = jax.vmap(bounding_radius)(drawn.kind, drawn.size_m)
-    where = jax.random.uniform(jax.random.fold_in(key, 1), (config.dynamic.count, _TRIES, 3))
+    where = jax.random.uniform(of_places, (config.dynamic.count, _TRIES, 3))
     inset = radius[:, None, None]
     lo, hi = bounds_lo + inset, bounds_hi - inset
     tries = lo + where * jnp.maximum(hi - lo, 0.0)
@@ -81,22 +82,58 @@ def draw(
 def _drifting(
     config: DynamicConfig, key: jax.Array, density: jax.Array | float, gravity: jax.Array | float
 ) -> Obstacles:
-    """Rows of drifting spheres and cubes, all at the origin.
+    """Rows of drifting spheres and cubes, all at the origin."""
+    n = config.count
+    keys = children(key, 5)
+    size, shape, tendency, speed = uniforms(keys[:4], n)
+    rises = tendency < config.rise_share
+    sinks = ~rises & (tendency < config.rise_share + config.sink_share)
+    up = jnp.where(rises, 1.0, jnp.where(sinks, -1.0, 0.0))
+    turn = jax.random.normal(keys[4], (n, 4))
+    shares = {SPHERE: config.cube_share < 1, BOX: config.cube_share > 0}
+    return _bodies(
+        between(size, *config.radius_m),
+        shape < config.cube_share,
+        up * between(speed, *config.vertical_speed_mps),
+        turn / jnp.sqrt(jnp.sum(turn * turn, axis=1, keepdims=True)),
+        density,
+        gravity,
+        tuple(kind for kind, occurs in shares.items() if occurs),
+    )
+
+
+def _nothing(density: jax.Array | float) -> Obstacles:
+    """One row that does not exist, for worlds without obstacles."""
+    one, upright = jnp.ones(1), jnp.eye(1, 4)
+    row = _bodies(one, jnp.zeros(1, bool), 0.0 * one, upright, density, GRAVITY_MPS2, ())
+    return replace(row, exists=jnp.zeros(1, bool), motions=())
+
+
+def _bodies(
+    scale: jax.Array,
+    cube: jax.Array,
+    rise: jax.Array,
+    q0: jax.Array,
+    density: jax.Array | float,
+    gravity: jax.Array | float,
+    kinds: tuple[int, ...],
+) -> Obstacles:
+    """Rows of drifting spheres and cubes.
 
     Every coefficient of a shape goes with a power of its size, so the shapes of bounding radius
     1 m are scaled. A body that rises at v is lighter than its displaced water by its drag at v over
     gravity.
-    """
-    n = config.count
-    keys = jax.random.split(jax.random.fold_in(key, 0), 5)
-    scale = jax.random.uniform(keys[0], (n,), float, *config.radius_m)
-    cube = jax.random.uniform(keys[1], (n,)) < config.cube_share
-    tendency = jax.random.uniform(keys[2], (n,))
-    rises = tendency < config.rise_share
-    sinks = ~rises & (tendency < config.rise_share + config.sink_share)
-    speed = jax.random.uniform(keys[3], (n,), float, *config.vertical_speed_mps)
-    turn = jax.random.normal(keys[4], (n, 4))
 
+    Args:
+        scale: [n] bounding radius, m.
+        cube: bool [n] whether it is one, or else a sphere.
+        rise: [n] speed at which it rises, negative where it sinks, m/s.
+        q0: [n, 4] attitude.
+        density: [] of the water, kg/m^3.
+        gravity: [] m/s^2.
+        kinds: shapes that can occur.
+    """
+    n = scale.shape[0]
     half = 1.0 / math.sqrt(3.0)
     ball, die = bodies.sphere(1.0), bodies.box((half, half, half))
 
@@ -107,17 +144,15 @@ def _drifting(
     powers = jnp.array([3, 3, 3, 5, 5, 5])
     volume = pick([ball.volume_m3], [die.volume_m3], jnp.array([3]))[:, 0]
     D_q = 0.5 * density * pick(ball.drag, die.drag, powers - jnp.array([1, 1, 1, 0, 0, 0]))
-    lift = D_q[:, 2] * speed * speed / gravity
-    mass = density * volume - jnp.where(rises, lift, 0.0) + jnp.where(sinks, lift, 0.0)
+    mass = density * volume - D_q[:, 2] * rise * jnp.abs(rise) / gravity
     size = pick([1.0, 0.0, 0.0], [half] * 3, jnp.ones(3, jnp.int32))
-    shares = {SPHERE: config.cube_share < 1, BOX: config.cube_share > 0}
     return Obstacles(
         kind=jnp.where(cube, BOX, SPHERE).astype(jnp.int32),
         size_m=size,
         motion=jnp.full(n, DRIFT, jnp.int32),
         path=jnp.zeros((n, 8)),
         p0=jnp.zeros((n, 3)),
-        q0=turn / jnp.sqrt(jnp.sum(turn * turn, axis=1, keepdims=True)),
+        q0=q0,
         nu0=jnp.zeros((n, 6)),
         mass_kg=mass,
         inertia_kgm2=mass[:, None] * pick(ball.inertia_m2, die.inertia_m2, jnp.full(3, 2)),
@@ -126,7 +161,7 @@ def _drifting(
         D_l=jnp.zeros((n, 6)),
         D_q=D_q,
         exists=jnp.ones(n, bool),
-        kinds=tuple(kind for kind, occurs in shares.items() if occurs),
+        kinds=kinds,
         motions=(DRIFT,),
     )
 
