@@ -121,7 +121,9 @@ def _unhindered(apart: Sequence[jax.Array]) -> jax.Array:
 
 def _bit(move: Move) -> jax.Array:
     """The bit of a move in a word of moves: its place in a block of 3 x 3 x 3."""
-    return jnp.uint32(1 << sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True)))
+    place = sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True))
+    bit: jax.Array = jnp.uint32(1 << place)
+    return bit
 
 
 def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
