@@ -12,6 +12,8 @@ from angler_mjx.sensing import config as sensing_config
 from angler_mjx.sensing import instruments, params, suite
 from angler_mjx.sensing.readings import Truth
 
+from ..compiling import quickly
+
 DT = 0.05
 GRAVITY = 9.81
 ALTITUDE = 5.0
@@ -96,7 +98,7 @@ def follow(sensors, truths, key):
     return jax.lax.scan(second, (jnp.zeros((), jnp.int32), sensed, carry), truths)[1]
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(quickly, static_argnums=(0, 1))
 def times(dtype, seconds):
     t = jnp.arange(seconds * 20, dtype=dtype) * DT
     truths = jax.vmap(motion)(t)
@@ -105,3 +107,6 @@ def times(dtype, seconds):
 
 fleet = jax.jit(jax.vmap(follow, (None, None, 0)))
 """Many runs of the same motion: leaves [run, second, ...]."""
+
+alone = quickly(jax.vmap(follow, (None, None, 0)))
+"""The same for one run, that is compiled in less time and takes more to run."""

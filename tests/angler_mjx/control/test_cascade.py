@@ -19,6 +19,8 @@ from angler_mjx.sim import fleet
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.world.currents import Uniform
 
+from ..compiling import quickly
+
 KINDS = [
     ("bluerov2_heavy", "wu2018"),
     ("bluerov2_heavy", "von_benzon2022"),
@@ -77,7 +79,7 @@ def fly(robots):
 
     over_goals = jax.vmap(jax.vmap(one, (0, 0, None, None, None)), (None, None, 0, 0, 0))
 
-    @jax.jit
+    @quickly
     def run(paths, yaws, currents):
         return over_goals(params, body, paths, yaws, currents)
 
@@ -88,9 +90,9 @@ DEEP_J = jnp.asarray(DEEP)
 
 
 def holds(*places):
-    points = np.repeat(DEEP + np.array(places), 2, axis=0).reshape(len(places), 2, 3)
+    points = np.repeat(DEEP + np.array(places), 3, axis=0).reshape(len(places), 3, 3)
     return Trajectory(
-        time_s=jnp.zeros((len(places), 2)),
+        time_s=jnp.zeros((len(places), 3)),
         position_m=jnp.asarray(points),
         found=jnp.ones(len(places), bool),
     )

@@ -22,6 +22,8 @@ from angler_mjx.vehicles import library, params
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.world.currents import Uniform
 
+from ...compiling import quickly
+
 KINDS = [
     ("bluerov2_heavy", "wu2018"),
     ("bluerov2_heavy", "von_benzon2022"),
@@ -152,28 +154,31 @@ class Flights:
         return self.nu[:, :2, -200:].std(axis=2).max(axis=(1, 2))
 
 
-def fly(robots, reset, control, current_known=False):
-    """Fly a controller on all sets through all scenarios.
+def flier(robots, reset, control):
+    """A controller that flies on all sets through all scenarios; compiled once for all gains.
 
     Args:
         robots: what `build_robots` gives.
         reset: (estimate) -> carry.
-        control: (vehicle, carry, estimate, tracking target, flow) -> (carry, wrench or PWM).
-        current_known: give the controller the current, otherwise zero.
+        control: (gains, vehicle, carry, estimate, tracking target, flow) -> (carry, wrench or PWM).
+
+    Returns:
+        A function (gains, current_known=False) -> `Flights`; a controller that is not told the
+        current is told zero.
     """
     vehicles, allocations = robots
     courses, flows, yaws = scenarios()
 
-    def one(vehicle, thrusters, course, flow, yaw):
+    def one(gains, told, vehicle, thrusters, course, flow, yaw):
         current = (Uniform(velocity_mps=flow),)
         state = physics.reset(
             ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
         )
-        known = flow if current_known else jnp.zeros_like(flow)
+        known = told * flow
 
         def act(pair, target):
             state, carry = pair
-            carry, out = control(vehicle, carry, estimate_of(state), target, known)
+            carry, out = control(gains, vehicle, carry, estimate_of(state), target, known)
             if isinstance(out, BodyWrench):
                 out = allocation.allocate(thrusters, out)
             assert isinstance(out, ThrusterPwm)
@@ -190,15 +195,22 @@ def fly(robots, reset, control, current_known=False):
 
         return jax.lax.scan(act, (state, reset(estimate_of(state))), course)[1]
 
-    over = jax.vmap(jax.vmap(one, (None, None, 0, 0, 0)), (0, 0, None, None, None))
-    return Flights(*jax.jit(over)(vehicles, allocations, courses, flows, yaws), courses)
+    over_courses = jax.vmap(one, (None, None, None, None, 0, 0, 0))
+    over = quickly(jax.vmap(over_courses, (None, None, 0, 0, None, None, None)))
+
+    def fly(gains, current_known=False):
+        gains = jax.tree.map(lambda gain: jnp.asarray(gain, float), gains)
+        told = jnp.asarray(current_known, float)
+        return Flights(*over(gains, told, vehicles, allocations, courses, flows, yaws), courses)
+
+    return fly
 
 
 @pytest.fixture(scope="session")
 def pool(robots):
     """What tests need of this file."""
     return SimpleNamespace(
-        fly=partial(fly, robots),
+        flier=partial(flier, robots),
         Flights=Flights,
         as_pose=as_pose,
         estimate_of=estimate_of,

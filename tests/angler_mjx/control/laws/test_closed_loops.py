@@ -20,16 +20,16 @@ from angler_mjx.control.laws import (
 DT, DENSITY, GRAVITY = 0.05, 1000.0, 9.81
 
 
-def on_tracking(law, gains):
-    return law.reset, lambda vehicle, carry, at, target, flow: law.step(
+def on_tracking(law):
+    return law.reset, lambda gains, vehicle, carry, at, target, flow: law.step(
         gains, vehicle, carry, at, target, DT, DENSITY, GRAVITY, flow
     )
 
 
-def on_twist(law, gains, pool, *, told_current=True):
+def on_twist(law, pool, *, told_current=True):
     """Below the pose loop."""
 
-    def control(vehicle, carry, at, target, flow):
+    def control(gains, vehicle, carry, at, target, flow):
         pose = pool.as_pose(target)
         above, twist = pid_pose.step(
             pid_pose.PidPoseGains(), vehicle, carry[0], at, pose, DT, DENSITY, GRAVITY
@@ -44,27 +44,31 @@ def on_twist(law, gains, pool, *, told_current=True):
 @pytest.fixture(scope="module")
 def flown(pool):
     """Flights of a law by name, each flown once."""
+    pid = pool.flier(*on_twist(pid_velocity, pool, told_current=False))
+    follow = pool.flier(*on_tracking(tracking))
     laws = {
-        "pid": on_twist(pid_velocity, pid_velocity.PidVelocityGains(), pool, told_current=False),
-        "p": on_twist(
-            pid_velocity,
+        "pid": (pid, pid_velocity.PidVelocityGains()),
+        "p": (
+            pid,
             pid_velocity.PidVelocityGains(
                 velocity_per_s=2.5, velocity_integral_per_s2=0.0, rate_integral_per_s2=0.0
             ),
-            pool,
-            told_current=False,
         ),
-        "computed_torque": on_tracking(computed_torque, computed_torque.ComputedTorqueGains()),
-        "tracking": on_tracking(tracking, tracking.TrackingGains()),
-        "tracking, current known": on_tracking(
-            tracking, tracking.TrackingGains(integral_per_s2=0.0)
+        "computed_torque": (
+            pool.flier(*on_tracking(computed_torque)),
+            computed_torque.ComputedTorqueGains(),
         ),
-        "ismc": on_twist(ismc, ismc.IsmcGains(), pool),
-        "aitsm": on_twist(aitsm, aitsm.AitsmGains(), pool),
+        "tracking": (follow, tracking.TrackingGains()),
+        "tracking, current known": (follow, tracking.TrackingGains(integral_per_s2=0.0)),
+        "ismc": (pool.flier(*on_twist(ismc, pool)), ismc.IsmcGains()),
+        "aitsm": (pool.flier(*on_twist(aitsm, pool)), aitsm.AitsmGains()),
     }
-    return functools.cache(
-        lambda name: pool.fly(*laws[name], current_known=name.endswith("current known"))
-    )
+
+    def fly(name):
+        flier, gains = laws[name]
+        return flier(gains, current_known=name.endswith("current known"))
+
+    return functools.cache(fly)
 
 
 ALL = ["pid", "computed_torque", "tracking", "ismc", "aitsm"]

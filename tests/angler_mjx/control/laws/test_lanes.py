@@ -22,6 +22,8 @@ from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.vehicles import library, params
 
+from ...compiling import quickly
+
 POINTS = np.array([[0, 0, -10], [2, 0, -10], [2, 3, -11], [2, 3, -11.0]])
 GAINS = {
     "pid_pose": (pid_pose, pid_pose.PidPoseGains(), "pose"),
@@ -61,8 +63,8 @@ def test_lanes_agree_with_vmap(robots, states, pool, name):
         return carry, out
 
     args = (vehicles, estimate, commands[kind], more)
-    expected = jax.jit(jax.vmap(twice))(*args)
-    found = jax.jit(lambda *x: lanes.join(lanes.apply(twice, *lanes.split(x))))(*args)
+    expected = quickly(jax.vmap(twice))(*args)
+    found = quickly(lambda *x: lanes.join(lanes.apply(twice, *lanes.split(x))))(*args)
     for x, y in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         # float32 sums in another order; wrenches are of tens of newtons, signals of 1500 us.
         np.testing.assert_allclose(
@@ -91,7 +93,7 @@ def test_laws_are_as_good_in_double(states, pool):
             ),
         }
         step = partial(law.step, gains, dt=0.05, density=1000.0, gravity=9.81)
-        carry, out = jax.jit(step)(vehicle, law.reset(at), at, commands[kind])
+        carry, out = quickly(step)(vehicle, law.reset(at), at, commands[kind])
         for leaf in jax.tree.leaves((carry, out)):
             assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), law.__name__
         return np.asarray(jax.tree.leaves(out)[0], float)
