@@ -31,9 +31,17 @@ V[-1] = 0
 LENGTH = 8
 """Rows of all trajectories here, so that each function is compiled once."""
 
-sample_many = quickly(jax.vmap(sample, (None, 0)))
+_sample_many = quickly(jax.vmap(sample, (None, 0)))
 join_at = quickly(replace_at)
 judge = quickly(result)
+
+
+def sample_many(path, t):
+    """The path at times [n], filled up to 200 of them: one program for all."""
+    filled = np.full(200, t[-1], t.dtype)
+    filled[: len(t)] = t
+    found = _sample_many(path, jnp.asarray(filled))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(t)], found)
 
 
 def goal(degree, *, joints=VEHICLE_JOINTS, time=TIME, p=P, v=V, a=A):

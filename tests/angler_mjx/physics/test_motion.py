@@ -190,6 +190,7 @@ def orbit(pressure, vehicle, engine, body, current, radius, seconds):
     return jax.lax.scan(second, state, length=seconds)[1]
 
 
+@pytest.mark.nightly(by="physics/test_textbook.py")
 def test_a_neutral_sphere_keeps_its_orbit_in_a_vortex(simple, deviation):
     """With the pressure-gradient force it is a particle of water; without, it spirals out."""
     first = plant_module.pick(simple.params, 0)

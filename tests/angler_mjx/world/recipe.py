@@ -1,4 +1,4 @@
-"""The recipe that tests of whole worlds share: drawing it is compiled once for a fleet and a count.
+"""The recipe that tests of whole worlds share: for one fleet and count it is compiled once.
 
 Walls are as they were drawn, and so few that robots and obstacles can be nearly anywhere. Half of
 the drawings have too few of them and are thrown away, so that every batch draws worlds again, and
@@ -12,14 +12,16 @@ from angler_mjx.world.config import WorldConfig
 
 MIN_OBSTACLES = 58
 RADIUS = np.array([0.4, 0.3, 0.4])
-FEW = 64
-"""Worlds of a batch that goes through at once."""
+SEED = 7
+SHAPE = (8, 8, 6)
+COUNT = 2001
+"""More than go through at once, and an odd number: the last tile is filled up."""
 SALT = {"type": "automaton", "die_below": 0, "born_above": 26, "steps": 0}
 RECIPE = parse(
     WorldConfig,
     {
         "preset": "reef",
-        "shape": [8, 8, 6],
+        "shape": list(SHAPE),
         "rule": SALT,
         "fill": 0.15,
         "min_obstacles": MIN_OBSTACLES,

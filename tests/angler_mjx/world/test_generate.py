@@ -15,19 +15,11 @@ from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.generate import generate_batch, require_valid
 
 from ..lattice import least_costs
-from .recipe import MIN_OBSTACLES, RADIUS, RECIPE
-
-SHAPE = (8, 8, 6)
-COUNT = 2001  # more than go through at once here, and an odd number: the last tile is filled up
+from .recipe import COUNT, MIN_OBSTACLES, RADIUS, RECIPE, SEED, SHAPE
 
 
 def config(**data):
     return parse(WorldConfig, data, source="test")
-
-
-@pytest.fixture(scope="module")
-def worlds():
-    return jax.tree.map(np.asarray, generate_batch(RECIPE, RADIUS, 7, 0, COUNT))
 
 
 def test_worlds_are_complete(worlds):
@@ -85,7 +77,7 @@ def test_difficulty_is_that_of_an_independent_search(worlds):
 
 
 def test_a_world_is_the_same_wherever_its_batch_begins(worlds):
-    later = generate_batch(RECIPE, RADIUS, 7, 5, COUNT)
+    later = generate_batch(RECIPE, RADIUS, SEED, 5, COUNT)
     for here, there in zip(jax.tree.leaves(worlds), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(here[5:], np.asarray(there)[: COUNT - 5])
 
@@ -107,7 +99,7 @@ def test_a_grid_of_64_cells_a_side_is_one_cavern_with_open_ways():
 
 
 def test_another_seed_gives_other_worlds(worlds):
-    other = generate_batch(RECIPE, RADIUS, 8, 0, COUNT)
+    other = generate_batch(RECIPE, RADIUS, SEED + 1, 0, COUNT)
     assert (np.asarray(other.grid.occupied) != worlds.grid.occupied).any(axis=(1, 2, 3)).all()
 
 
@@ -119,24 +111,7 @@ def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(world
     assert np.all(worlds.redraws[~worlds.valid] == 2)
 
 
-def test_a_world_is_the_same_in_a_batch_of_any_size(worlds):
-    """Alone, and in a batch that goes through in tiles, the last of them filled up."""
-    tile = drawing.tile_size(resolve(RECIPE), len(RADIUS))
-    assert COUNT // 2 < tile < COUNT
-    again = np.flatnonzero((worlds.redraws == 2) & worlds.valid)
-    never = np.flatnonzero(worlds.redraws == 0)
-    for world in (*again[[0, -1]], *never[[0, -1]], COUNT // 2, COUNT // 2 + 1, COUNT - 1):
-        alone = generate_batch(RECIPE, RADIUS, 7, int(world), 1)
-        here = jax.tree.map(lambda leaf, world=world: leaf[world : world + 1], worlds)
-        for name in ("grid", "start_m", "start_yaw_rad", "goal_m", "path_ratio", "redraws"):
-            ours, theirs = (jax.tree.leaves(getattr(part, name)) for part in (here, alone))
-            jax.tree.map(np.testing.assert_array_equal, ours, theirs)
-        for ours, theirs in zip(*map(jax.tree.leaves, (here, alone)), strict=True):
-            # Up to 13 m, and 0.3 m/s of current, in float32: the two programs may round otherwise.
-            np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.nightly(by="test_a_world_is_the_same_in_a_batch_of_any_size")
+@pytest.mark.nightly(by="world/test_draws.py")
 def test_a_batch_of_batches_is_the_same_too():
     walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
     one = partial(drawing.draw, resolve(walls), jnp.array([0.4]))
@@ -149,7 +124,7 @@ def test_a_batch_of_batches_is_the_same_too():
 
 
 def test_a_fleet_too_large_for_the_world_is_refused():
-    batch = generate_batch(RECIPE, np.full(3, 2.2), 7, 0, COUNT)
+    batch = generate_batch(RECIPE, np.full(3, 2.2), SEED, 0, COUNT)
     assert not np.asarray(batch.valid).any()
     with pytest.raises(ConfigError, match="fleet of 3 robots"):
         require_valid(batch)

@@ -12,37 +12,37 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.storage import environments as store
 from angler_mjx.world.generate import generate_batch
 
-from .recipe import FEW, RADIUS, RECIPE
+from .recipe import COUNT, RADIUS, RECIPE, SEED
 
-SEED, COUNT = 3, 100
+STORED = 3000
 
 
 def make(path, count, **how):
-    return store.make(path, RECIPE, RADIUS[:2], SEED, count, tile=FEW, **how)
+    return store.make(path, RECIPE, RADIUS, SEED, count, tile=COUNT, **how)
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    """A hundred worlds in tiles of 64: the last tile is not full."""
+    """Three thousand worlds in tiles of 2,001: the last tile is not full."""
     path = tmp_path_factory.mktemp("store") / "envs.zarr"
-    invalid = make(path, COUNT)
+    invalid = make(path, STORED)
     assert 0 < invalid == np.sum(~store.open_file(path)["valid"][:])
     return path
 
 
 def test_what_is_read_is_what_was_generated(file):
-    made = generate_batch(RECIPE, RADIUS[:2], SEED, 60, FEW)
+    made = generate_batch(RECIPE, RADIUS, SEED, 1500, COUNT)
     group = store.open_file(file)
-    batch = store.read(group, slice(60, COUNT))
+    batch = store.read(group, slice(1500, STORED))
     assert jax.tree.structure(batch) == jax.tree.structure(made)
-    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[: COUNT - 60]), batch, made)
-    one = store.read(group, 70)
-    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[10]), one, made)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[:1500]), batch, made)
+    one = store.read(group, 2400)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[900]), one, made)
 
 
 def test_arrays_say_their_units(file):
     group = store.open_file(file)
-    assert group["valid"].shape == (COUNT,)
+    assert group["valid"].shape == (STORED,)
     units = {
         "start_m": "m",
         "start_yaw_rad": "rad",
@@ -59,7 +59,7 @@ def test_arrays_say_their_units(file):
 def test_an_existing_file_is_left_alone(file):
     before = sorted(file.rglob("*"))
     with pytest.raises(ConfigError, match="exists"):
-        make(file, COUNT)
+        make(file, STORED)
     assert sorted(file.rglob("*")) == before
 
 
@@ -69,7 +69,7 @@ def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(store, "write", full)
     with pytest.raises(RunError, match="No space left"):
-        make(tmp_path / "envs.zarr", FEW)
+        make(tmp_path / "envs.zarr", COUNT)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -78,7 +78,7 @@ def test_interruption_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make(tmp_path / "envs.zarr", 2 * FEW, advance=interrupt)
+        make(tmp_path / "envs.zarr", 2 * COUNT, advance=interrupt)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -93,8 +93,8 @@ def test_a_picture_of_a_stored_world(file, tmp_path):
     picture = tmp_path / "env.png"
     env.show(file, index=2, out=picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ConfigError, match="0 to 99"):
-        env.show(file, index=COUNT, out=picture)
+    with pytest.raises(ConfigError, match="0 to 2999"):
+        env.show(file, index=STORED, out=picture)
 
 
 def test_the_command_makes_a_file_of_the_nine_boxes_of_the_paper(tmp_path, capsys):

@@ -4,8 +4,11 @@ The set `blue_ismc` of the six-thruster BlueROV2 is left out: it has no restorin
 vehicle has no authority in pitch, so nothing holds it level.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +17,7 @@ import pytest
 
 from angler_kernels import quaternion, thruster
 from angler_mjx.control import allocation
-from angler_mjx.control.commands import BodyWrench, Estimate, PoseTarget, ThrusterPwm
+from angler_mjx.control.commands import BodyWrench, Estimate, PoseTarget
 from angler_mjx.control.laws.targets import TrackingTarget
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
@@ -154,36 +157,67 @@ class Flights:
         return self.nu[:, :2, -200:].std(axis=2).max(axis=(1, 2))
 
 
-def flier(robots, reset, control):
-    """A controller that flies on all sets through all scenarios; compiled once for all gains.
+@dataclass(frozen=True)
+class Controller:
+    """A law, or laws one above another, from a tracking target to a wrench or signals."""
 
-    Args:
-        robots: what `build_robots` gives.
-        reset: (estimate) -> carry.
-        control: (gains, vehicle, carry, estimate, tracking target, flow) -> (carry, wrench or PWM).
+    reset: Callable
+    """(estimate) -> carry."""
+    control: Callable
+    """(gains, vehicle, carry, estimate, target, flow) -> (carry, wrench or PWM)."""
+    gains: Any
 
-    Returns:
-        A function (gains, current_known=False) -> `Flights`; a controller that is not told the
-        current is told zero.
+
+@dataclass(frozen=True)
+class Variant:
+    """A flight of a controller."""
+
+    controller: str
+    gains: Any = None
+    """Those of the controller if left out."""
+    current_known: bool = False
+    """It is told the current; otherwise it is told zero."""
+
+
+def fly(robots, controllers, variants):
+    """Fly variants on all sets through all scenarios; flights by the name of the variant.
+
+    One program: each robot asks all controllers and does what its own one says, so that the physics
+    is compiled once.
     """
     vehicles, allocations = robots
     courses, flows, yaws = scenarios()
+    names = list(controllers)
 
-    def one(gains, told, vehicle, thrusters, course, flow, yaw):
+    def signals(which, gains, vehicle, thrusters, carries, at, target, known):
+        """The memories of all controllers, and the PWM that the chosen one asks for."""
+        after, taus, pwms = {}, [], []
+        for name in names:
+            control = controllers[name].control
+            after[name], out = control(gains[name], vehicle, carries[name], at, target, known)
+            wrench = isinstance(out, BodyWrench)
+            taus.append(out.tau if wrench else jnp.zeros(6))
+            pwms.append(None if wrench else out.pwm_us)
+        pwm = allocation.allocate(thrusters, BodyWrench(tau=jnp.stack(taus)[which])).pwm_us
+        for i, own in enumerate(pwms):
+            pwm = pwm if own is None else jnp.where(which == i, own, pwm)
+        return after, pwm
+
+    def one(choice, vehicle, thrusters, course, flow, yaw):
+        which, gains, told = choice
         current = (Uniform(velocity_mps=flow),)
         state = physics.reset(
             ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
         )
-        known = told * flow
 
         def act(pair, target):
-            state, carry = pair
-            carry, out = control(gains, vehicle, carry, estimate_of(state), target, known)
-            if isinstance(out, BodyWrench):
-                out = allocation.allocate(thrusters, out)
-            assert isinstance(out, ThrusterPwm)
+            state, carries = pair
+            at = estimate_of(state)
+            carries, pwm = signals(
+                which, gains, vehicle, thrusters, carries, at, target, told * flow
+            )
             look = jax.vmap(thruster.lookup, (None, 0, None, None))
-            thrust = look(vehicle.thrust_n, out.pwm_us, PWM_LOW_US, PWM_STEP_US)
+            thrust = look(vehicle.thrust_n, pwm, PWM_LOW_US, PWM_STEP_US)
 
             def advance(state, _):
                 return physics.step(
@@ -191,26 +225,34 @@ def flier(robots, reset, control):
                 ), None
 
             after, _ = jax.lax.scan(advance, state, length=STEPS)
-            return (after, carry), (state.p, state.q, state.nu, out.pwm_us)
+            return (after, carries), (state.p, state.q, state.nu, pwm)
 
-        return jax.lax.scan(act, (state, reset(estimate_of(state))), course)[1]
+        begun = {name: controllers[name].reset(estimate_of(state)) for name in names}
+        return jax.lax.scan(act, (state, begun), course)[1]
 
-    over_courses = jax.vmap(one, (None, None, None, None, 0, 0, 0))
-    over = quickly(jax.vmap(over_courses, (None, None, 0, 0, None, None, None)))
+    def choice(variant):
+        gains = {name: controllers[name].gains for name in names}
+        gains[variant.controller] = variant.gains or gains[variant.controller]
+        return names.index(variant.controller), gains, float(variant.current_known)
 
-    def fly(gains, current_known=False):
-        gains = jax.tree.map(lambda gain: jnp.asarray(gain, float), gains)
-        told = jnp.asarray(current_known, float)
-        return Flights(*over(gains, told, vehicles, allocations, courses, flows, yaws), courses)
-
-    return fly
+    choices = jax.tree.map(lambda *x: jnp.asarray(np.array(x)), *map(choice, variants.values()))
+    over_courses = jax.vmap(one, (None, None, None, 0, 0, 0))
+    over_sets = jax.vmap(over_courses, (None, 0, 0, None, None, None))
+    over = quickly(jax.vmap(over_sets, (0, None, None, None, None, None)))
+    flown = jax.device_get(over(choices, vehicles, allocations, courses, flows, yaws))
+    return {
+        name: Flights(*jax.tree.map(lambda leaf, i=i: leaf[i], flown), courses)
+        for i, name in enumerate(variants)
+    }
 
 
 @pytest.fixture(scope="session")
 def pool(robots):
     """What tests need of this file."""
     return SimpleNamespace(
-        flier=partial(flier, robots),
+        fly=partial(fly, robots),
+        Controller=Controller,
+        Variant=Variant,
         Flights=Flights,
         as_pose=as_pose,
         estimate_of=estimate_of,

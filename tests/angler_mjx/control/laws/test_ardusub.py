@@ -1,7 +1,6 @@
 """The surrogate: elements against closed forms, mixer against the firmware's table, loops."""
 
 import dataclasses
-import functools
 from functools import partial
 
 import jax
@@ -94,18 +93,20 @@ def flown(pool):
         stock, PSC_VELXY_P=8.0, PSC_VELXY_I=2.0, ATC_RAT_YAW_P=0.3, ATC_RAT_YAW_I=0.18
     )
 
-    flier = pool.flier(
+    surrogate = pool.Controller(
         ardusub.reset,
         lambda gains, vehicle, carry, at, target, flow: ardusub.step(
             gains, vehicle, carry, at, pool.as_pose(target), DT, 1000.0, 9.81
         ),
+        stock,
     )
-    return functools.cache(lambda name: flier({"stock": stock, "stiff": stiff}[name]))
+    variants = {"stock": pool.Variant("ardusub"), "stiff": pool.Variant("ardusub", stiff)}
+    return pool.fly({"ardusub": surrogate}, variants)
 
 
 def test_the_firmwares_gains_keep_station_in_a_current(flown, pool):
     """As the real firmware does in 0.5 m/s; its integral is slow."""
-    flights = flown("stock")
+    flights = flown["stock"]
     metres, degrees = flights.steady(pool.CURRENT)
     able = [i for i, kind in enumerate(pool.kinds) if kind[1] != "von_benzon2022"]
     # 1 to 6 cm and closing after 20 s; von_benzon2022, with three times the drag, needs longer.
@@ -115,7 +116,7 @@ def test_the_firmwares_gains_keep_station_in_a_current(flown, pool):
 
 
 def test_the_firmwares_gains_hunt_in_still_water_within_bounds(flown, pool):
-    flights = flown("stock")
+    flights = flown["stock"]
     # The step arrives, and what is left swings within the dead band of 25 us: 0.5 m/s^2 of demand,
     # over P = 6 of velocity and 1 of position 8 cm. The real firmware's swings by 6 cm.
     metres, _ = flights.steady(pool.STEP)
@@ -131,7 +132,7 @@ def test_the_firmwares_gains_hunt_in_still_water_within_bounds(flown, pool):
 
 
 def test_higher_gains_settle(flown, pool):
-    flights = flown("stiff")
+    flights = flown["stiff"]
     metres, _ = flights.steady(pool.STEP)
     assert metres.max() < 0.05
     metres, _ = flights.steady(pool.CURRENT)
@@ -140,7 +141,7 @@ def test_higher_gains_settle(flown, pool):
 
 
 def test_signals_are_within_their_range_and_padding_is_neutral(flown, pool):
-    pwm = flown("stock").pwm
+    pwm = flown["stock"].pwm
     assert pwm.min() >= 1100
     assert pwm.max() <= 1900
     assert np.all(pwm[3, ..., 6:] == 1500)

@@ -1,7 +1,5 @@
 """On lanes every law gives what it gives under vmap."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,9 +77,10 @@ def test_laws_are_as_good_in_double(states, pool):
     """The same in float64, to the rounding of float32: no constant narrows or widens the work."""
     estimate, target = jax.tree.map(lambda x: np.asarray(x[0]), states)
 
-    def run(law, gains, kind, dtype):
-        at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
-        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+    @quickly
+    def steps(vehicle, at, goal):
+        """What each law makes of it, by name."""
+        dtype = at.p.dtype
         commands = {
             "pose": pool.as_pose(goal),
             "tracking": goal,
@@ -92,14 +91,22 @@ def test_laws_are_as_good_in_double(states, pool):
                 found=jnp.asarray(True),
             ),
         }
-        step = partial(law.step, gains, dt=0.05, density=1000.0, gravity=9.81)
-        carry, out = quickly(step)(vehicle, law.reset(at), at, commands[kind])
-        for leaf in jax.tree.leaves((carry, out)):
-            assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), law.__name__
-        return np.asarray(jax.tree.leaves(out)[0], float)
+        return {
+            name: law.step(gains, vehicle, law.reset(at), at, commands[kind], 0.05, 1000.0, 9.81)
+            for name, (law, gains, kind) in GAINS.items()
+        }
 
-    for law, gains, kind in GAINS.values():
-        single = run(law, gains, kind, jnp.float32)
-        with jax.enable_x64(True):
-            double = run(law, gains, kind, jnp.float64)
-        np.testing.assert_allclose(single, double, rtol=1e-4, atol=1e-3)
+    def run(dtype):
+        at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
+        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+        found = steps(vehicle, at, goal)
+        for name, made in found.items():
+            for leaf in jax.tree.leaves(made):
+                assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), name
+        return {name: np.asarray(jax.tree.leaves(out)[0]) for name, (_, out) in found.items()}
+
+    single = run(jnp.float32)
+    with jax.enable_x64(True):
+        double = run(jnp.float64)
+    for name in GAINS:
+        np.testing.assert_allclose(single[name], double[name], rtol=1e-4, atol=1e-3, err_msg=name)

@@ -33,8 +33,9 @@ def flights(pool):
         below, wrench = ismc.step(gains[1], vehicle, carry[1], at, twist, DT, 1000.0, 9.81)
         return (above, below), wrench
 
-    fly = pool.flier(lambda at: (los.reset(at), ismc.reset(at)), control)
-    return fly((los.LosGains(), ismc.IsmcGains()))
+    gains = (los.LosGains(), ismc.IsmcGains())
+    guided = pool.Controller(lambda at: (los.reset(at), ismc.reset(at)), control, gains)
+    return pool.fly({"los": guided}, {"los": pool.Variant("los")})["los"]
 
 
 def off_path(p):
