@@ -79,7 +79,7 @@ DAILY = ("dead reckoning with DVL", "USBL")
 WHEN = {
     name: name
     if name in DAILY
-    else pytest.param(name, marks=pytest.mark.nightly(by="dead reckoning, and fixes of 0.5 s ago"))
+    else pytest.param(name, marks=pytest.mark.nightly(by="the filter without noise, and two with"))
     for name in FILTERS
 }
 """A fleet with each filter takes seconds: two fly in every run of the tests."""
@@ -131,7 +131,7 @@ def test_usbl_bounds_the_position(flown):
     assert np.all(rms(flown, "dead reckoning with DVL", -1)[:2] > 0.08)
 
 
-@pytest.mark.nightly(by="the covariance of fixes of 0.5 s ago")
+@pytest.mark.nightly(by="test_without_noise_the_filter_stays_on_the_truth")
 def test_a_late_fix_is_worth_nearly_as_much_as_a_prompt_one(flown):
     late, prompt = (
         rms(flown, name, slice(40, None))[:, :2] for name in ("late USBL", "prompt USBL")

@@ -179,67 +179,69 @@ class Variant:
     """It is told the current; otherwise it is told zero."""
 
 
+def chosen(controllers, variant):
+    """Which controller flies, the gains of all of them, and 1 where it is told the current."""
+    gains = {name: controller.gains for name, controller in controllers.items()}
+    gains[variant.controller] = variant.gains or gains[variant.controller]
+    return list(controllers).index(variant.controller), gains, float(variant.current_known)
+
+
+def signals(controllers, choice, vehicle, thrusters, carries, at, target, flow):
+    """The memories of all controllers, and the PWM that the chosen one asks for."""
+    which, gains, told = choice
+    after, taus, pwms = {}, [], []
+    for name, controller in controllers.items():
+        after[name], out = controller.control(
+            gains[name], vehicle, carries[name], at, target, told * flow
+        )
+        wrench = isinstance(out, BodyWrench)
+        taus.append(out.tau if wrench else jnp.zeros(6))
+        pwms.append(None if wrench else out.pwm_us)
+    pwm = allocation.allocate(thrusters, BodyWrench(tau=jnp.stack(taus)[which])).pwm_us
+    for i, own in enumerate(pwms):
+        pwm = pwm if own is None else jnp.where(which == i, own, pwm)
+    return after, pwm
+
+
+def flight(controllers, choice, vehicle, thrusters, course, flow, yaw):
+    """One flight of the chosen controller: p, q, nu, PWM [N, ...]."""
+    current = (Uniform(velocity_mps=flow),)
+    state = physics.reset(
+        ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
+    )
+
+    def act(pair, target):
+        state, carries = pair
+        at = estimate_of(state)
+        carries, pwm = signals(controllers, choice, vehicle, thrusters, carries, at, target, flow)
+        look = jax.vmap(thruster.lookup, (None, 0, None, None))
+        thrust = look(vehicle.thrust_n, pwm, PWM_LOW_US, PWM_STEP_US)
+
+        def advance(state, _):
+            return physics.step(
+                ENGINE, vehicle, vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
+            ), None
+
+        after, _ = jax.lax.scan(advance, state, length=STEPS)
+        return (after, carries), (state.p, state.q, state.nu, pwm)
+
+    begun = {name: made.reset(estimate_of(state)) for name, made in controllers.items()}
+    return jax.lax.scan(act, (state, begun), course)[1]
+
+
 def fly(robots, controllers, variants):
     """Fly variants on all sets through all scenarios; flights by the name of the variant.
 
     One program: each robot asks all controllers and does what its own one says, so that the physics
     is compiled once.
     """
-    vehicles, allocations = robots
     courses, flows, yaws = scenarios()
-    names = list(controllers)
-
-    def signals(which, gains, vehicle, thrusters, carries, at, target, known):
-        """The memories of all controllers, and the PWM that the chosen one asks for."""
-        after, taus, pwms = {}, [], []
-        for name in names:
-            control = controllers[name].control
-            after[name], out = control(gains[name], vehicle, carries[name], at, target, known)
-            wrench = isinstance(out, BodyWrench)
-            taus.append(out.tau if wrench else jnp.zeros(6))
-            pwms.append(None if wrench else out.pwm_us)
-        pwm = allocation.allocate(thrusters, BodyWrench(tau=jnp.stack(taus)[which])).pwm_us
-        for i, own in enumerate(pwms):
-            pwm = pwm if own is None else jnp.where(which == i, own, pwm)
-        return after, pwm
-
-    def one(choice, vehicle, thrusters, course, flow, yaw):
-        which, gains, told = choice
-        current = (Uniform(velocity_mps=flow),)
-        state = physics.reset(
-            ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
-        )
-
-        def act(pair, target):
-            state, carries = pair
-            at = estimate_of(state)
-            carries, pwm = signals(
-                which, gains, vehicle, thrusters, carries, at, target, told * flow
-            )
-            look = jax.vmap(thruster.lookup, (None, 0, None, None))
-            thrust = look(vehicle.thrust_n, pwm, PWM_LOW_US, PWM_STEP_US)
-
-            def advance(state, _):
-                return physics.step(
-                    ENGINE, vehicle, vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
-                ), None
-
-            after, _ = jax.lax.scan(advance, state, length=STEPS)
-            return (after, carries), (state.p, state.q, state.nu, pwm)
-
-        begun = {name: controllers[name].reset(estimate_of(state)) for name in names}
-        return jax.lax.scan(act, (state, begun), course)[1]
-
-    def choice(variant):
-        gains = {name: controllers[name].gains for name in names}
-        gains[variant.controller] = variant.gains or gains[variant.controller]
-        return names.index(variant.controller), gains, float(variant.current_known)
-
-    choices = jax.tree.map(lambda *x: jnp.asarray(np.array(x)), *map(choice, variants.values()))
-    over_courses = jax.vmap(one, (None, None, None, 0, 0, 0))
+    choices = [chosen(controllers, variant) for variant in variants.values()]
+    stacked = jax.tree.map(lambda *x: jnp.asarray(np.array(x)), *choices)
+    over_courses = jax.vmap(partial(flight, controllers), (None, None, None, 0, 0, 0))
     over_sets = jax.vmap(over_courses, (None, 0, 0, None, None, None))
     over = quickly(jax.vmap(over_sets, (0, None, None, None, None, None)))
-    flown = jax.device_get(over(choices, vehicles, allocations, courses, flows, yaws))
+    flown = jax.device_get(over(stacked, *robots, courses, flows, yaws))
     return {
         name: Flights(*jax.tree.map(lambda leaf, i=i: leaf[i], flown), courses)
         for i, name in enumerate(variants)
