@@ -182,7 +182,7 @@ def corridor():
 
 @pytest.fixture(scope="module")
 def cases():
-    return [draw(seed) for seed in range(6)]
+    return [draw(seed) for seed in range(10)]
 
 
 def test_the_distance_to_rock_faces_and_floor(cases):
