@@ -299,7 +299,7 @@ def test_a_path_goes_to_joints_and_back():
 
 def stands(t, away, *, before=ResultCode.ACTIVE, speed=0.0, **limits):
     path = made(goal(1))
-    now = jax.tree.map(lambda x: x[0], sample_many(path, jnp.array([t])))
+    now = jax.tree.map(lambda x: jnp.asarray(x[0]), sample_many(path, jnp.array([t])))
     measured = JointState(
         position=now.position + jnp.asarray(away),
         velocity=now.velocity.at[0].add(speed),

@@ -16,7 +16,6 @@ from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sensing.readings import Truth
 from angler_mjx.sim.senses import OF_FILTER
 
-from ..compiling import quickly
 from ..independence import assert_uncorrelated
 
 DT, G = 0.05, 9.81
@@ -79,7 +78,7 @@ def numbers(reading, truth):
     )
 
 
-@quickly
+@jax.jit
 def _watch(sensors, keys):
     """Readings [robot, step, 18] at rest."""
     truth = at_rest()
@@ -113,7 +112,7 @@ def test_what_is_drawn_at_the_beginning_and_at_a_step_is_independent(sensors):
     believes = NavigationParams(sensors=sensors)
     truth = at_rest()
 
-    @quickly
+    @jax.jit
     @jax.vmap
     def one(key):
         carry = suite.reset(sensors, key, truth)
@@ -156,7 +155,7 @@ def test_each_number_of_a_step_serves_one_purpose(sensors):
         return jnp.concatenate([numbers(reading, truth), after.gyro_walk, after.accel_walk])
 
     zero = jnp.zeros(suite.N_NORMAL)
-    changed = np.asarray(quickly(jax.jacfwd(said))(zero)).T != 0
+    changed = np.asarray(jax.jit(jax.jacfwd(said))(zero)).T != 0
     gyro, accelerometer, walks = np.arange(3), np.arange(3, 6), 18 + np.arange(6)
     expected = np.zeros((suite.N_NORMAL, 24), bool)
     expected[range(3), gyro] = expected[range(3, 6), accelerometer] = True
