@@ -1,12 +1,13 @@
 """The automaton's rule, cell by cell, against an independent reading of it."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from angler_kernels.bit_grid import pack, unpack
 from angler_kernels.cellular_automaton import block_count, step
+
+from ..angler_mjx.compiling import quickly
 
 # Columns of 34 cells take a word and two bits of the next.
 SHAPE = (5, 7, 34)
@@ -28,7 +29,7 @@ def walls():
 
 
 def test_count_is_that_of_the_surrounding_block(walls):
-    digits = jax.jit(lambda wall: block_count(pack(wall), SHAPE[2]))(walls)
+    digits = quickly(lambda wall: block_count(pack(wall), SHAPE[2]))(walls)
     count = sum(np.asarray(unpack(d, SHAPE[2])) << i for i, d in enumerate(digits))
     np.testing.assert_array_equal(count - walls, count_by_hand(walls))
     # A block without a wall and a full one are both among the cases.
@@ -37,7 +38,7 @@ def test_count_is_that_of_the_surrounding_block(walls):
 
 @pytest.mark.parametrize(("die_below", "born_above"), [(2, 12), (6, 8), (0, 26), (27, -1)])
 def test_rule_is_applied_to_all_cells_at_once(walls, die_below, born_above):
-    after = jax.jit(lambda wall: step(pack(wall), die_below, born_above, SHAPE[2]))(walls)
+    after = quickly(lambda wall: step(pack(wall), die_below, born_above, SHAPE[2]))(walls)
     count = count_by_hand(walls)
     expected = np.where(walls, ~(count < die_below), count > born_above)
     np.testing.assert_array_equal(unpack(after, SHAPE[2]), expected)

@@ -8,6 +8,8 @@ import pytest
 
 from angler_kernels import clearance
 
+from ..angler_mjx.compiling import quickly
+
 N = 2500
 
 
@@ -81,7 +83,7 @@ def test_point_box_inside_outside():
     p = rng.uniform(-3, 3, (N, 3))
     lo = rng.uniform(-2, 0, (N, 3))
     hi = lo + rng.uniform(0, 3, (N, 3))
-    got = jax.jit(jax.vmap(clearance.point_box))(p, lo, hi)
+    got = quickly(jax.vmap(clearance.point_box))(p, lo, hi)
     np.testing.assert_allclose(got, outside_box(p, lo, hi), atol=1e-14)  # rounding
     assert np.all(np.asarray(got)[np.all((p > lo) & (p < hi), axis=1)] == 0.0)
 
@@ -90,7 +92,7 @@ def test_segment_point_equals_dense_search(deviation):
     rng = np.random.default_rng(1)
     a, b = random_segments(rng)
     p = rng.uniform(-2, 2, (N, 3))
-    got = jax.jit(jax.vmap(clearance.segment_point))(a, b, p)
+    got = quickly(jax.vmap(clearance.segment_point))(a, b, p)
     want = minimise(lambda s: np.linalg.norm(along(a, b, s) - p, axis=1), N)
     deviation.close("clearance.segments", got, want, atol=SEARCH)
 
@@ -103,7 +105,7 @@ def test_segment_segment_equals_dense_search(deviation):
     b2[parallel] = a2[parallel] + rng.uniform(-2, 2, (N // 2 - N // 3, 1)) * (b1 - a1)[parallel]
     nearly = slice(N // 2, 2 * N // 3)
     b2[nearly] = a2[nearly] + (b1 - a1)[nearly] + 1e-7 * rng.normal(size=b2[nearly].shape)
-    got = jax.jit(jax.vmap(clearance.segment_segment))(a1, b1, a2, b2)
+    got = quickly(jax.vmap(clearance.segment_segment))(a1, b1, a2, b2)
     want = minimise(lambda s: to_segment(along(a1, b1, s), a2, b2), N)
     deviation.close("clearance.segments", got, want, atol=SEARCH)
 
@@ -115,7 +117,7 @@ def test_segment_segment_in_single_precision(deviation):
     tilt = 10.0 ** rng.uniform(-6, 0, (N, 1))  # crossing at every small angle
     b2 = a2 + (b1 - a1) + tilt * rng.normal(size=a1.shape)
     single = [np.asarray(x, np.float32) for x in (a1, b1, a2, b2)]
-    got = jax.jit(jax.vmap(clearance.segment_segment))(*single)
+    got = quickly(jax.vmap(clearance.segment_segment))(*single)
     a1, b1, a2, b2 = (x.astype(float) for x in single)
     want = minimise(lambda s: to_segment(along(a1, b1, s), a2, b2), N)
     # Half the digits of float32 at the 2 m scale of the coordinates: the parameter of a nearly
@@ -128,13 +130,13 @@ def test_segment_box_equals_dense_search(deviation):
     a, b = random_segments(rng)
     lo = rng.uniform(-2, 1, (N, 3))
     hi = lo + rng.uniform(0, 2, (N, 3))
-    got = jax.jit(jax.vmap(clearance.segment_box))(a, b, lo, hi)
+    got = quickly(jax.vmap(clearance.segment_box))(a, b, lo, hi)
     want = minimise(lambda s: outside_box(along(a, b, s), lo, hi), N)
     deviation.close("clearance.segments", got, want, atol=SEARCH)
     assert (want < 1e-9).sum() > 50, "the draw holds segments that enter the box"
     single = (np.asarray(x, np.float32) for x in (a, b, lo, hi))
     # Coordinates up to 4 m in float32: 2e-7 each, some operations; flat in the parameter.
-    np.testing.assert_allclose(jax.jit(jax.vmap(clearance.segment_box))(*single), want, atol=3e-6)
+    np.testing.assert_allclose(quickly(jax.vmap(clearance.segment_box))(*single), want, atol=3e-6)
 
 
 def coal_distance(shape1, r1, t1, shape2, r2, t2):
@@ -157,7 +159,7 @@ def test_capsules_against_every_kind_equal_coal(deviation):
     R, hull_R = matrix(q), matrix(hull_q)
     axis = hull_R[:, :, 2] * half[:, None]
 
-    @jax.jit
+    @quickly
     @jax.vmap
     def ours(a, b, r, p, q, kind, size):
         return clearance.capsules_obstacle(a[None], b[None], r[None], p, q, kind, size)
@@ -199,7 +201,7 @@ def test_capsules_grid_is_exact_below_its_cap(shape, deviation):
     a2, b2 = centre + rng.uniform(-0.3, 0.3, (2, n, 3))
     r = np.array([0.1, 0.2])
 
-    @jax.jit
+    @quickly
     @jax.vmap
     def ours(a, b, centre):
         return clearance.capsules_grid(
@@ -225,7 +227,7 @@ def test_point_grid_gives_distance_and_outward_normal():
     occupied = rng.random(shape) < 0.1
     p = origin + cell * rng.uniform(-0.5, np.array(shape) + 0.5, (n, 3))
 
-    @jax.jit
+    @quickly
     @jax.vmap
     def ours(p):
         return clearance.point_grid(p, occupied, jnp.asarray(origin), jnp.asarray(cell))
@@ -257,7 +259,7 @@ def test_gradients_equal_finite_differences_and_stay_finite_in_contact():
     def gap(x, a, b, p, q, kind, size):
         return clearance.capsules_obstacle((a + x)[None], (b + x)[None], r, p, q, kind, size)
 
-    both = jax.jit(jax.vmap(jax.value_and_grad(gap)))
+    both = quickly(jax.vmap(jax.value_and_grad(gap)))
     args = (a, b, p, q, kind, size)
     value, grad = both(np.zeros((n, 3)), *args)
     assert np.all(np.isfinite(grad))

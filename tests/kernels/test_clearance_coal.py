@@ -8,12 +8,14 @@ import pytest
 
 from angler_kernels import clearance
 
+from ..angler_mjx.compiling import quickly
+
 # coal stops GJK at the tolerance it is given (1e-10 of squared length, so 1e-5 of length).
 DOUBLE = 1e-5
 KINDS = {jnp.float64: "double", jnp.float32: "single"}
 # Numbers that float32 does not hold: the grid itself is rounded in single precision.
 SHAPE, CELL, ORIGIN = (12, 12, 12), 1.3, np.array([-7.7, 8.3, -19.9])
-N_HULL, N_POSE, N_CAPSULE = 8, 12_500, 3
+N_HULL, N_POSE, N_CAPSULE = 8, 5000, 3
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -82,7 +84,7 @@ def coal_to_cells(boxes, hull, R, p):
 
 @pytest.fixture(scope="module")
 def cell_queries():
-    """100,000 poses of hulls among cells with coal's distances."""
+    """40,000 poses of hulls among cells with coal's distances."""
     rng = np.random.default_rng(0)
     occupied = rng.random(SHAPE) < 0.12
     boxes = coal.DynamicAABBTreeCollisionManager()
@@ -103,7 +105,7 @@ def cell_queries():
 
 
 def cells_error(cell_queries, dtype):
-    """|ours - coal's| [100,000], both held to the radius up to which ours is exact."""
+    """|ours - coal's| [40,000], both held to the radius up to which ours is exact."""
     occupied, flat, want = cell_queries
     table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
     origin, cell = jnp.asarray(ORIGIN, dtype), jnp.asarray(CELL, dtype)
@@ -118,7 +120,7 @@ def cells_error(cell_queries, dtype):
     a, b, r, p = flat
     reach = [np.linalg.norm(x - p[:, None], axis=2) + r for x in (a, b)]
     cap = CELL - np.maximum(*reach).max(axis=1)
-    assert want.size == 100_000
+    assert want.size == 40_000
     assert (want < cap).mean() > 0.5, "most hulls are near a cell"
     assert (want > 0.0).mean() > 0.3, "many hulls are clear"
     return np.abs(np.maximum(got, 0.0) - np.minimum(want, cap))
@@ -139,7 +141,7 @@ def test_hulls_to_cells_equal_coal_in_single(cell_queries, deviation):
 def hull_pairs():
     """Pairs of hulls side by side with coal's distances."""
     rng = np.random.default_rng(1)
-    n = 4000
+    n = 2000
     (a1, b1, r1), (a2, b2, r2) = draw_hulls(rng, n), draw_hulls(rng, n)
     shift = rng.uniform(-1.2, 1.2, (n, 1, 3))
     a2, b2 = a2 + shift, b2 + shift
@@ -158,23 +160,21 @@ def hull_pairs():
 @pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
 def test_hulls_to_hulls_equal_coal(hull_pairs, dtype, deviation):
     arguments, want = hull_pairs
-    ours = jax.jit(jax.vmap(clearance.capsules_capsules))
+    ours = quickly(jax.vmap(clearance.capsules_capsules))
     got = np.asarray(ours(*(jnp.asarray(x, dtype) for x in arguments)), float)
     # In single too: lengths of some metres, 1e-7 each.
     deviation.close(f"clearance.hulls_coal_{KINDS[dtype]}", np.maximum(got, 0.0), want, atol=DOUBLE)
     assert 100 < (want == 0).sum() < want.size - 100, "both touching and clear pairs"
 
 
-@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
-def test_hulls_to_obstacles_equal_coal(dtype, deviation):
+@pytest.fixture(scope="module")
+def hulls_at_obstacles():
+    """Hulls beside spheres, boxes and capsules with coal's distances."""
     rng = np.random.default_rng(2)
-    n = 3000
+    n = 2000
     a, b, r = draw_hulls(rng, n)
     kind, size = rng.integers(0, 3, n), rng.uniform(0.1, 1.0, (n, 3))
     p, (R, q) = rng.uniform(-2, 2, (n, 3)), rotations(rng, n)
-    ours = jax.jit(jax.vmap(clearance.capsules_obstacle))
-    floats = [jnp.asarray(x, dtype) for x in (a, b, r, p, q)]
-    got = np.asarray(ours(*floats, kind, jnp.asarray(size, dtype)), float)
     want, wanted, result = np.full(n, np.inf), request(), coal.DistanceResult()
     for i in range(n):
         x, y, z = size[i]
@@ -184,7 +184,16 @@ def test_hulls_to_obstacles_equal_coal(dtype, deviation):
             result.clear()
             gap = coal.distance(capsule, coal.Transform3s(turn, at), shape, place, wanted, result)
             want[i] = min(want[i], max(gap, 0.0))
+    return (a, b, r, p, q), kind, size, want
+
+
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_hulls_to_obstacles_equal_coal(hulls_at_obstacles, dtype, deviation):
+    arguments, kind, size, want = hulls_at_obstacles
+    ours = quickly(jax.vmap(clearance.capsules_obstacle))
+    floats = [jnp.asarray(x, dtype) for x in arguments]
+    got = np.asarray(ours(*floats, kind, jnp.asarray(size, dtype)), float)
     # In single too: lengths of some metres, 1e-7 each, and an attitude of unit length.
     key = f"clearance.hull_obstacles_coal_{KINDS[dtype]}"
     deviation.close(key, np.maximum(got, 0.0), want, atol=DOUBLE)
-    assert 100 < (want == 0).sum() < n - 100, "both touching and clear pairs"
+    assert 100 < (want == 0).sum() < want.size - 100, "both touching and clear pairs"

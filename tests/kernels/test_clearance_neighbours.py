@@ -7,10 +7,15 @@ import pytest
 
 from angler_kernels import clearance
 
+from ..angler_mjx.compiling import quickly
+
 SHAPE, CELL, ORIGIN = (9, 8, 7), 1.5, np.array([-3.0, 1.0, -12.0])
 N = 2000
 # Both ways add and multiply the same lengths of up to 20 m in double, in another order.
 ROUNDING = 1e-12
+
+
+cell_neighbours = quickly(clearance.cell_neighbours)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -39,7 +44,7 @@ def hulls():
 @pytest.fixture(scope="module")
 def by_neighbours(occupied):
     """Distance and gradient of the hull's place, by look-up."""
-    table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
+    table = cell_neighbours(jnp.asarray(occupied)).reshape(-1)
 
     def gap(shift, a, b, r, centre):
         at, cell = centre + shift, jnp.asarray(CELL)
@@ -47,7 +52,7 @@ def by_neighbours(occupied):
         mask = table[index]
         return clearance.capsules_neighbours(a + shift, b + shift, r, at, lo, mask, cell)
 
-    return jax.jit(jax.vmap(jax.value_and_grad(gap), (0, 0, 0, None, 0)))
+    return quickly(jax.vmap(jax.value_and_grad(gap), (0, 0, 0, None, 0)))
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +63,7 @@ def by_window(occupied):
         grid = (jnp.asarray(occupied), jnp.asarray(ORIGIN), jnp.asarray(CELL))
         return clearance.capsules_grid(a + shift, b + shift, r, centre + shift, *grid)
 
-    return jax.jit(jax.vmap(jax.value_and_grad(gap), (0, 0, 0, None, 0)))
+    return quickly(jax.vmap(jax.value_and_grad(gap), (0, 0, 0, None, 0)))
 
 
 def unpack(mask):
@@ -68,7 +73,7 @@ def unpack(mask):
 @pytest.mark.parametrize("shape", [SHAPE, (2, 5, 1)])
 def test_cell_neighbours_packs_what_stands_around_each_cell(shape):
     cells = np.random.default_rng(2).random(shape) < 0.3
-    packed = np.asarray(clearance.cell_neighbours(jnp.asarray(cells)))
+    packed = np.asarray(cell_neighbours(jnp.asarray(cells)))
     assert packed.dtype == np.int32
     assert packed.shape == tuple(n + 2 for n in shape)
     around = np.pad(cells, 2)
@@ -81,13 +86,13 @@ def test_neighbour_window_holds_every_cell_nearer_than_one_edge(occupied):
     rng = np.random.default_rng(3)
     p = ORIGIN + CELL * rng.uniform(-4, np.array(SHAPE) + 4, (N, 3))
     p[:20] *= 10.0 ** rng.uniform(1, 15, (20, 1))  # a robot that has diverged
-    look = jax.jit(
+    look = quickly(
         jax.vmap(
             lambda x: clearance.neighbour_window(x, jnp.asarray(ORIGIN), jnp.asarray(CELL), SHAPE)
         )
     )
     index, lo = (np.asarray(x) for x in look(p))
-    packed = np.asarray(clearance.cell_neighbours(jnp.asarray(occupied))).reshape(-1)
+    packed = np.asarray(cell_neighbours(jnp.asarray(occupied))).reshape(-1)
     assert index.dtype == np.int32
     assert np.all((index >= 0) & (index < packed.size))
     cells = np.argwhere(occupied)
@@ -114,14 +119,14 @@ def test_distances_that_do_not_matter_are_cut_off(occupied, hulls, by_neighbours
     a, b, r, centre = hulls
     exact = np.asarray(by_neighbours(np.zeros((N, 3)), a, b, r, centre)[0])
     limit = np.random.default_rng(2).uniform(0.0, 0.6, N)
-    table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
+    table = cell_neighbours(jnp.asarray(occupied)).reshape(-1)
 
     def gap(a, b, centre, limit):
         cell = jnp.asarray(CELL)
         index, lo = clearance.neighbour_window(centre, jnp.asarray(ORIGIN), cell, SHAPE)
         return clearance.capsules_neighbours(a, b, r, centre, lo, table[index], cell, limit)
 
-    got = np.asarray(jax.jit(jax.vmap(gap))(a, b, centre, limit))
+    got = np.asarray(quickly(jax.vmap(gap))(a, b, centre, limit))
     np.testing.assert_allclose(got, np.minimum(exact, limit), atol=ROUNDING)
     assert (exact < limit).sum() > 100
     assert (exact > limit).sum() > 100
@@ -148,7 +153,7 @@ def test_a_long_hull_can_be_nearest_to_the_cell_that_its_centre_is_farther_from(
     # one 1.19 m ahead: 0.26 and 0.24 m from the hull.
     cells = np.zeros((3, 3, 3), bool)
     cells[0, 1, 1] = cells[2, 1, 1] = True
-    mask = clearance.cell_neighbours(jnp.asarray(cells))[2, 2, 2]
+    mask = cell_neighbours(jnp.asarray(cells))[2, 2, 2]
     centre = jnp.array([1.81, 2.25, 2.25])
     a, b = centre[None], centre[None] + jnp.array([[0.9, 0.0, 0.0]])
     radius, cell = jnp.array([0.05]), jnp.asarray(CELL)
@@ -185,7 +190,7 @@ def test_bodies_in_lockstep_do_not_disturb_each_other(hulls, by_neighbours, occu
         return carry
 
     monkeypatch.setattr(jax.lax, "while_loop", lockstep)
-    table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
+    table = cell_neighbours(jnp.asarray(occupied)).reshape(-1)
     origin, cell = jnp.asarray(ORIGIN), jnp.asarray(CELL)
     index, lo = clearance.neighbour_window(jnp.asarray(centre.T), origin, cell, SHAPE)
     mask = table[index]
@@ -203,9 +208,9 @@ def test_points_equal_the_search_of_all_27_cells(occupied):
     p = ORIGIN + CELL * rng.uniform(-1.5, np.array(SHAPE) + 1.5, (N, 3))
     p[:200] = ORIGIN + CELL * rng.integers(0, 7, (200, 3))  # corners of cells
     origin, cell = jnp.asarray(ORIGIN), jnp.asarray(CELL)
-    table = clearance.cell_neighbours(jnp.asarray(occupied)).reshape(-1)
+    table = cell_neighbours(jnp.asarray(occupied)).reshape(-1)
 
-    @jax.jit
+    @quickly
     @jax.vmap
     def both(p):
         index, lo = clearance.neighbour_window(p, origin, cell, SHAPE)

@@ -7,6 +7,8 @@ import pytest
 
 from angler_kernels.neighbour_search import nearest
 
+from ..angler_mjx.compiling import quickly
+
 WITHIN = 1.0
 # The same lengths in double, subtracted in another order.
 ROUNDING = 1e-12
@@ -24,12 +26,16 @@ def ball_gap(one, other):
     return jnp.sqrt(jnp.sum((p - q) ** 2)) - r - s
 
 
+def one_world(centre, sphere, place, r, within):
+    return nearest(centre, sphere, (place, r), ball_gap, within)
+
+
+worlds = jax.vmap(one_world, (0, 0, 0, 0, None))
+
+
 @pytest.fixture(scope="module")
 def search():
-    def one_world(centre, sphere, place, r, within):
-        return nearest(centre, sphere, (place, r), ball_gap, within)
-
-    return jax.jit(jax.vmap(one_world, (0, 0, 0, 0, None)))
+    return quickly(worlds)
 
 
 def draw(rng, n_world, n, extent):
@@ -122,9 +128,9 @@ def test_gradient_is_that_of_the_nearest_pair(search):
 
     def total(shift):
         moved = (centre + shift, sphere, place + shift, r)
-        return jnp.sum(search(*moved, WITHIN)[0])
+        return jnp.sum(worlds(*moved, WITHIN)[0])
 
-    got = np.asarray(jax.grad(total)(np.zeros_like(place)))
+    got = np.asarray(quickly(jax.grad(total))(np.zeros_like(place)))
     _, index = (np.asarray(x) for x in search(centre, sphere, place, r, WITHIN))
     want = np.zeros_like(place)
     for w, i in zip(*np.nonzero(index >= 0), strict=True):

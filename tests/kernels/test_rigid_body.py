@@ -8,7 +8,12 @@ from scipy.spatial.transform import Rotation
 
 from angler_kernels import rigid_body
 
+from ..angler_mjx.compiling import quickly
+
 N = 40
+
+advance_damped_velocity = quickly(rigid_body.advance_damped_velocity)
+advance_poses = quickly(jax.vmap(rigid_body.advance_pose, (0, 0, 0, 0, None)))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -199,7 +204,7 @@ def test_quadratic_damping_is_of_second_order_and_never_grows():
         memory, speeds = -D_q * nu * nu, [nu]
         for _ in range(round(seconds / dt)):
             force = -D_q * jnp.abs(nu) * nu
-            nu, memory = rigid_body.advance_damped_velocity(
+            nu, memory = advance_damped_velocity(
                 nu, nu, m * jnp.eye(6), 0 * D_q, D_q, force, memory, 0 * nu, dt
             )
             speeds.append(nu)
@@ -218,7 +223,7 @@ def test_linear_damping_never_grows():
     memory = -D_l * nu
     for _ in range(50):
         # A million times beyond what an explicit step can take.
-        nu, memory = rigid_body.advance_damped_velocity(
+        nu, memory = advance_damped_velocity(
             nu, nu, jnp.eye(6), D_l, 0 * D_l, -D_l * nu, memory, 0 * nu, 1.0
         )
         assert np.all(np.abs(nu) <= 1 + 1e-9)  # Rounding of 1e6.
@@ -229,10 +234,9 @@ def test_pose_step_follows_the_helix(rng, deviation):
     q0, nu = random_quaternions(rng), rng.normal(size=(N, 6))
 
     def run(dt):
-        advance = jax.vmap(rigid_body.advance_pose, (0, 0, 0, 0, None))
         p, q = jnp.zeros((N, 3)), jnp.asarray(q0)
         for _ in range(round(1 / dt)):
-            p, q = advance(p, q, nu, nu, dt)
+            p, q = advance_poses(p, q, nu, nu, dt)
         return np.asarray(p), np.asarray(q)
 
     turn = Rotation.from_rotvec(nu[:, 3:])

@@ -7,6 +7,8 @@ import pytest
 
 from angler_kernels import table
 
+from ..angler_mjx.compiling import quickly
+
 
 @pytest.mark.parametrize("n", [1, 2, 3, 16, 17, 201])
 def test_counts_are_those_of_searchsorted(n):
@@ -14,7 +16,7 @@ def test_counts_are_those_of_searchsorted(n):
     # Whole numbers: many ties among the entries, and most values are entries.
     entries = np.sort(rng.integers(0, max(2, n // 2), n)).astype(np.float32)
     values = np.concatenate([entries, entries + 0.5, [-1.0, 1e6, -np.inf, np.inf]])
-    below, not_above = jax.jit(
+    below, not_above = quickly(
         jax.vmap(lambda v: (table.count_below(entries, v), table.count_not_above(entries, v)))
     )(jnp.asarray(values, jnp.float32))
     np.testing.assert_array_equal(below, np.searchsorted(entries, values, "left"))

@@ -12,6 +12,8 @@ from angler_mjx.sensing import config as sensing_config
 from angler_mjx.sensing import instruments, params, suite
 from angler_mjx.sensing.readings import Truth
 
+from ..compiling import quickly
+
 DT = 0.05
 GRAVITY = 9.81
 ALTITUDE = 5.0
@@ -96,12 +98,16 @@ def follow(sensors, truths, key):
     return jax.lax.scan(second, (jnp.zeros((), jnp.int32), sensed, carry), truths)[1]
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(quickly, static_argnums=(0, 1))
 def times(dtype, seconds):
     t = jnp.arange(seconds * 20, dtype=dtype) * DT
     truths = jax.vmap(motion)(t)
     return jax.tree.map(lambda x: x.reshape(seconds, 20, *x.shape[1:]), truths)
 
 
-fleet = jax.jit(jax.vmap(follow, (None, None, 0)))
+many = jax.vmap(follow, (None, None, 0))
 """Many runs of the same motion: leaves [run, second, ...]."""
+fleet = jax.jit(many)
+"""The same for hundreds of runs, which take a quarter of the time so ..."""
+alone = quickly(many)
+"""... and for one, of which most is compiling."""

@@ -14,6 +14,8 @@ from angler_mjx.control.commands import BodyWrench
 from angler_mjx.vehicles import library, params
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 
+from ..compiling import quickly
+
 N = 200
 HEAVY, LIGHT = 0, 1
 ATTITUDE, HEAVE, PLANE = slice(3, 6), 2, slice(0, 2)
@@ -40,7 +42,7 @@ def deliver(vehicles):
         thrust = look(given.thrust_n, pwm, PWM_LOW_US, PWM_STEP_US)
         return pwm, thrust, jnp.sum(B * thrust, axis=1)
 
-    many = jax.jit(jax.vmap(jax.vmap(one, (None, None, 0))))
+    many = quickly(jax.vmap(jax.vmap(one, (None, None, 0))))
     return lambda tau: tuple(map(np.asarray, many(given, vehicles.B, jnp.asarray(tau))))
 
 
@@ -170,7 +172,7 @@ def methods(faulty):
             pwm = method(given, BodyWrench(tau=tau))
             return pwm.pwm_us, allocation.realised(given, pwm).tau
 
-        many = jax.jit(jax.vmap(jax.vmap(one, (None, 0))))
+        many = quickly(jax.vmap(jax.vmap(one, (None, 0))))
 
         def run(tau):
             with jax.enable_x64(True):

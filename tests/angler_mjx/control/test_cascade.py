@@ -4,6 +4,8 @@ The set `blue_ismc` of the six-thruster BlueROV2 is left out: it has no restorin
 vehicle has no authority in pitch, so nothing holds it level.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +17,12 @@ from angler_mjx.control.commands import Estimate
 from angler_mjx.control.laws import follow, model
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics import step as physics
+from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.sim import fleet
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.world.currents import Uniform
+
+from ..compiling import quickly
 
 KINDS = [
     ("bluerov2_heavy", "wu2018"),
@@ -29,6 +34,7 @@ CONTROL_S, PHYSICS_S, STEPS = 0.05, 0.01, 5
 CASCADE, GAINS = stages.build(stages.CONTROLLERS["cascade"], {})
 DEEP = np.array([0.0, 0.0, -10.0])
 WATER = physics.Water()
+ENGINE = ClosedForm(gravity_mps2=9.81)
 
 
 @pytest.fixture(scope="module")
@@ -42,19 +48,18 @@ def robots():
         for name, chosen in KINDS
     ]
     built = fleet.build(members)
-    _, params, body = fleet.draw(built, jax.random.key(0))
-    return built.engine, params, body
+    return quickly(partial(fleet.draw, built))(jax.random.key(0))[1]
 
 
 @pytest.fixture(scope="module")
 def fly(robots):
     """8 robots, each kind with each of two goals, for 30 s: p, q, nu, pwm, [2, 4, 600] first."""
-    engine, params, body = robots
 
-    def one(params, body, path, yaw, current):
+    def one(params, path, yaw, current):
+        body = params.vehicle
         current = (Uniform(velocity_mps=current),)
         q = quaternion.from_yaw(jnp.zeros(()))
-        state = physics.reset(engine, body, params.vehicle, DEEP_J, q, current, WATER)
+        state = physics.reset(ENGINE, body, params.vehicle, DEEP_J, q, current, WATER)
 
         def control(carry, _):
             state, memory = carry
@@ -66,7 +71,7 @@ def fly(robots):
 
             def advance(state, _):
                 return physics.step(
-                    engine, body, params.vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
+                    ENGINE, body, params.vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
                 ), None
 
             after, _ = jax.lax.scan(advance, state, length=STEPS)
@@ -75,11 +80,11 @@ def fly(robots):
         at = Estimate(p=state.p, q=state.q, nu=state.nu)
         return jax.lax.scan(control, (state, stack.reset(CASCADE, at, yaw)), length=600)[1]
 
-    over_goals = jax.vmap(jax.vmap(one, (0, 0, None, None, None)), (None, None, 0, 0, 0))
+    over_goals = jax.vmap(jax.vmap(one, (0, None, None, None)), (None, 0, 0, 0))
 
-    @jax.jit
+    @quickly
     def run(paths, yaws, currents):
-        return over_goals(params, body, paths, yaws, currents)
+        return over_goals(robots, paths, yaws, currents)
 
     return lambda *given: tuple(map(np.asarray, run(*given)))
 
@@ -88,9 +93,9 @@ DEEP_J = jnp.asarray(DEEP)
 
 
 def holds(*places):
-    points = np.repeat(DEEP + np.array(places), 2, axis=0).reshape(len(places), 2, 3)
+    points = np.repeat(DEEP + np.array(places), 3, axis=0).reshape(len(places), 3, 3)
     return Trajectory(
-        time_s=jnp.zeros((len(places), 2)),
+        time_s=jnp.zeros((len(places), 3)),
         position_m=jnp.asarray(points),
         found=jnp.ones(len(places), bool),
     )
@@ -147,8 +152,7 @@ def test_station_is_kept_in_a_current(fly, deviation):
 
 def test_a_moving_target_is_followed(fly, robots, deviation):
     """At cruise speed along a line, with a corner, the robot stays near the path."""
-    _, params, _ = robots
-    speed = float(np.min(params.cruise_speed_mps))
+    speed = float(np.min(robots.cruise_speed_mps))
     time = np.array([0.0, 5.0 / speed, 10.0 / speed])
     turn = DEEP + np.array([[0.0, 0, 0], [5.0, 0, 0], [5.0, 5.0, 0]])
     one = Trajectory(time_s=jnp.asarray(time), position_m=jnp.asarray(turn), found=jnp.array(True))

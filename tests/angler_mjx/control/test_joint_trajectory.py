@@ -22,6 +22,8 @@ from angler_mjx.control.joint_trajectory import (
 )
 from angler_mjx.errors import ConfigError
 
+from ..compiling import quickly
+
 TIME = np.array([0.0, 1.0, 1.5, 4.0, 6.0])
 RNG = np.random.default_rng(0)
 P, V, A = (RNG.normal(size=(5, 4)) for _ in range(3))
@@ -29,9 +31,17 @@ V[-1] = 0
 LENGTH = 8
 """Rows of all trajectories here, so that each function is compiled once."""
 
-sample_many = jax.jit(jax.vmap(sample, (None, 0)))
-join_at = jax.jit(replace_at)
-judge = jax.jit(result)
+_sample_many = quickly(jax.vmap(sample, (None, 0)))
+join_at = quickly(replace_at)
+judge = quickly(result)
+
+
+def sample_many(path, t):
+    """The path at times [n], filled up to 200 of them: one program for all."""
+    filled = np.full(200, t[-1], t.dtype)
+    filled[: len(t)] = t
+    found = _sample_many(path, jnp.asarray(filled))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(t)], found)
 
 
 def goal(degree, *, joints=VEHICLE_JOINTS, time=TIME, p=P, v=V, a=A):
@@ -225,7 +235,7 @@ def test_lanes_give_what_vmap_gives():
     def one(old, t, new):
         return sample(old, t), sample(replace_at(old, t, new), t), pose_target(old, t)
 
-    want = jax.jit(jax.vmap(one))(batch, t, other)
+    want = quickly(jax.vmap(one))(batch, t, other)
     split = (lanes.split(x) for x in (batch, t, other))
     got = lanes.join(lanes.apply(one, *split))
     # The same sums in another order; float32.
@@ -237,7 +247,7 @@ def test_gradient_is_finite_where_padded():
         return sample(replace(path, position=position), jnp.array(7.0)).position.sum()
 
     path = made(goal(5))
-    gradient = jax.jit(jax.grad(total))(path.position)
+    gradient = quickly(jax.grad(total))(path.position)
     assert np.all(np.isfinite(gradient))
     np.testing.assert_allclose(gradient.sum(), 4.0)
 
@@ -271,10 +281,10 @@ def test_a_path_goes_to_joints_and_back():
         ),
         found=jnp.array(True),
     )
-    joints = jax.jit(from_path)(path, jnp.array(0.3))
+    joints = quickly(from_path)(path, jnp.array(0.3))
     t = jnp.asarray(WITHIN, jnp.float32)
-    position, velocity = jax.vmap(planned.sample, (None, 0))(path, t)
-    target = jax.jit(jax.vmap(pose_target, (None, 0)))(joints, t)
+    position, velocity = quickly(jax.vmap(planned.sample, (None, 0)))(path, t)
+    target = quickly(jax.vmap(pose_target, (None, 0)))(joints, t)
     # float32 of the same lines.
     np.testing.assert_allclose(target.position_m, position, atol=2e-6)
     np.testing.assert_allclose(target.velocity_mps, velocity, atol=2e-6)
@@ -289,7 +299,7 @@ def test_a_path_goes_to_joints_and_back():
 
 def stands(t, away, *, before=ResultCode.ACTIVE, speed=0.0, **limits):
     path = made(goal(1))
-    now = jax.tree.map(lambda x: x[0], sample_many(path, jnp.array([t])))
+    now = jax.tree.map(lambda x: jnp.asarray(x[0]), sample_many(path, jnp.array([t])))
     measured = JointState(
         position=now.position + jnp.asarray(away),
         velocity=now.velocity.at[0].add(speed),

@@ -1,7 +1,7 @@
 """A mixed command does what the chosen one does alone: signals, memory, target. One robot."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,8 @@ from angler_mjx.control.laws.targets import TrackingTarget, as_tracking
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
+
+from ..compiling import quickly
 
 WATER = (0.05, 1000.0, 9.81)
 PATH = Trajectory(
@@ -58,18 +60,23 @@ def stepper(controller, robot):
     known, at = robot
     made, gains, taken = of(controller)
 
-    @jax.jit
+    @quickly
     def mix(memory, which, fresh):
         told = Mixed(which=which, fresh=fresh, commands=taken)
         action = mixed.step(made, gains, known, memory, at, told, *WATER)
         return action.memory, action.pwm, action.target_m
 
-    @partial(jax.jit, static_argnums=1)
+    @partial(quickly, static_argnums=1)
     def plain(memory, k):
         action = stack.step(made, gains, known, memory, at, taken[k], *WATER)
         return action.memory, action.pwm, action.target_m
 
     return made, taken, mix, plain
+
+
+@pytest.fixture(scope="module")
+def steppers(robot):
+    return cache(lambda controller: stepper(controller, robot))
 
 
 def assert_same(ours, theirs):
@@ -81,8 +88,8 @@ def assert_same(ours, theirs):
 
 
 @pytest.mark.parametrize("controller", ["cascade", "tracking"])
-def test_the_chosen_command_acts_as_if_it_were_alone(controller, robot):
-    made, taken, mix, plain = stepper(controller, robot)
+def test_the_chosen_command_acts_as_if_it_were_alone(controller, robot, steppers):
+    made, taken, mix, plain = steppers(controller)
     memory = begun(made, robot[1])
     seen = []
     for k in range(len(taken)):
@@ -94,8 +101,8 @@ def test_the_chosen_command_acts_as_if_it_were_alone(controller, robot):
     assert min(apart) > 0.5
 
 
-def test_stages_above_keep_their_memory_and_fresh_ones_begin_anew(robot):
-    made, taken, mix, _ = stepper("cascade", robot)
+def test_stages_above_keep_their_memory_and_fresh_ones_begin_anew(robot, steppers):
+    made, taken, mix, _ = steppers("cascade")
     _, at = robot
     memory = begun(made, at)
     twist = [type(command) for command in taken].index(BodyTwist)
@@ -109,8 +116,8 @@ def test_stages_above_keep_their_memory_and_fresh_ones_begin_anew(robot):
     assert float(again.stages[0].clock_s) < 0.06 < float(mix(memory, 0, 0)[0].stages[0].clock_s)
 
 
-def test_what_was_demanded_is_known_down_to_wrenches(robot):
-    made, taken, mix, _ = stepper("cascade", robot)
+def test_what_was_demanded_is_known_down_to_wrenches(robot, steppers):
+    made, taken, mix, _ = steppers("cascade")
     memory = begun(made, robot[1])
     demanded = {
         type(command): np.asarray(mix(memory, jnp.int32(k), jnp.int32(0))[0].demanded.tau)

@@ -1,7 +1,6 @@
 """The vehicles that the physics is tested on, and a rollout of them by the simulator's own step."""
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -15,6 +14,9 @@ from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.vehicles import library, mjcf, params
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.world.currents import Uniform, Vortices
+
+from ..compiling import quickly
 
 WATER = physics.Water()
 
@@ -84,8 +86,36 @@ def random_states(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.nda
     return p, q / np.linalg.norm(q, axis=-1, keepdims=True), rng.normal(size=(*shape, 6))
 
 
-@partial(jax.jit, static_argnames=("dt", "steps"))
-def rollout(engine, body, vehicles, states, commands, current, *, dt, steps):
+ROWS, ROW_S = 100, 0.1
+"""All rollouts have as many commands, each held as long: one program serves them all."""
+
+
+def still():
+    """Water at rest, with the components that a current of these tests may have."""
+    return (
+        Uniform(velocity_mps=jnp.zeros(3)),
+        Vortices(
+            centre_m=jnp.array([[1000.0, 0.0]]),
+            circulation_m2ps=jnp.zeros(1),
+            core_m=jnp.ones(1),
+        ),
+    )
+
+
+def rollout(engine, body, vehicles, states, commands, current, *, dt):
+    """States [n, 100] every 0.1 s, by steps of dt; commands [n, 100, n_thruster] are of that time.
+
+    Where there are fewer commands, thrusters are off after the last of them.
+    """
+    every = np.zeros((len(commands), ROWS, commands.shape[2]))
+    every[:, : commands.shape[1]] = commands
+    assert len(current) == 2, "another current is another program"
+    steps = round(ROW_S / dt)
+    return _rollout(engine, body, vehicles, states, every, current, dt, steps)
+
+
+@quickly
+def _rollout(engine, body, vehicles, states, commands, current, dt, steps):
     """States after each command, each held for ``steps`` steps; one row a vehicle.
 
     Args:
@@ -103,14 +133,14 @@ def rollout(engine, body, vehicles, states, commands, current, *, dt, steps):
         state = physics.start_multistep(engine, body, vehicle, state, current, jnp.zeros(()), WATER)
 
         def hold(carry, command):
-            def step(carry, _):
+            def step(_, carry):
                 state, i = carry
                 state = physics.step(
                     engine, body, vehicle, state, command, current, i * dt, dt, WATER
                 )
-                return (state, i + 1), None
+                return state, i + 1
 
-            carry, _ = jax.lax.scan(step, carry, length=steps)
+            carry = jax.lax.fori_loop(0, steps, step, carry)
             return carry, carry[0]
 
         return jax.lax.scan(hold, (state, jnp.zeros((), int)), commands)[1]
@@ -130,7 +160,7 @@ def start(vehicles: VehicleParams, p, q, nu) -> physics.VehicleState:
     )
 
 
-@jax.jit
+@quickly
 def accelerations(engine, body, vehicles, p, q, nu, thrust, current):
     """nu' [n, k, 6] of n vehicles in k states each, thrusters at the given thrusts."""
 

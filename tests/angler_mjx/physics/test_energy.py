@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -63,17 +64,23 @@ def test_power_balance_in_still_water(plants, deviation):
     deviation.close("energy.power_balance", power, -lost, rtol=1e-10, atol=1e-10)
 
 
+def coast(plants, vehicles, state, dt):
+    """States every 0.2 s for 10 s, thrusters off, in water at rest."""
+    off = np.zeros((len(plants), 0, vehicles.B.shape[-1]))
+    after = plant_module.rollout(
+        plants.engine, plants.body, vehicles, state, off, plant_module.still(), dt=dt
+    )
+    return jax.tree.map(lambda leaf: leaf[:, 1::2], after)
+
+
 def rollout_levels(plants, vehicles, dt):
     """Energy [n, 1 + k] of free rollouts from a random attitude and a kick, every 0.2 s."""
-    n, held = len(plants), 0.2
+    n = len(plants)
     p, q, _ = plant_module.random_states(9, (n,))
     p[:, 2] -= 100  # Never near the surface: the light ones rise all the time.
     nu = np.tile([0.5, -0.3, 0.2, 0.6, -0.4, 0.5], (n, 1))
     state = plant_module.start(vehicles, p, q, nu)
-    commands = jnp.zeros((n, 50, vehicles.B.shape[-1]))
-    after = plant_module.rollout(
-        plants.engine, plants.body, vehicles, state, commands, (), dt=dt, steps=round(held / dt)
-    )
+    after = coast(plants, vehicles, state, dt)
     first = energy(plants, p[:, None], q[:, None], nu[:, None])
     later = energy(plants, *(np.asarray(leaf) for leaf in (after.p, after.q, after.nu)))
     return np.concatenate([first, later], axis=1)
@@ -120,12 +127,9 @@ def test_an_undamped_neutral_rollout_keeps_its_momentum(plants, deviation):
     p = p - [0, 0, 100]
     nu = np.tile([0.5, -0.3, 0.2, 0.6, -0.4, 0.5], (n, 1))
     state = plant_module.start(vehicles, p, q, nu)
-    commands = jnp.zeros((n, 50, vehicles.B.shape[-1]))
     drifts = []
     for dt in (0.01, 0.005):
-        after = plant_module.rollout(
-            plants.engine, plants.body, vehicles, state, commands, (), dt=dt, steps=round(0.2 / dt)
-        )
+        after = coast(plants, vehicles, state, dt)
         # About where it began: about the far origin the moment of the impulse would be most of it.
         there = np.asarray(after.p) - p[:, None]
         later = momenta(plants, there, np.asarray(after.q), np.asarray(after.nu))

@@ -47,6 +47,12 @@ def run(plants, current, body, vehicle, p, q, nu, thrust):
     return jax.lax.scan(one, state, jnp.arange(N_STEP))[0]
 
 
+@pytest.fixture(scope="module")
+def single(plants):
+    """`run` of one vehicle, compiled: (current, body, vehicle, p, q, nu, thrust) -> state."""
+    return quickly(partial(run, plants))
+
+
 @pytest.mark.nightly(by="engines/test_gradients.py")
 def test_gradients_equal_finite_differences(plants, current, deviation):
     vehicle, body = (plant_module.pick(x, 4) for x in (plants.params, plants.body))
@@ -85,16 +91,16 @@ def test_gradients_equal_finite_differences(plants, current, deviation):
     assert np.all(gradient != 0)
 
 
-def test_a_batch_equals_a_loop(plants, current, deviation):
+def test_a_batch_equals_a_loop(plants, single, current, deviation):
     n = len(plants)
     p, q, nu = plant_module.random_states(13, (n,))
     exists = np.asarray(plants.params.thruster_exists)
     thrust = np.random.default_rng(14).uniform(-20, 20, exists.shape) * exists
     one = partial(run, plants, current)
     batch = quickly(jax.vmap(one))(plants.body, plants.params, p, q, nu, thrust)
-    single = quickly(one)
     for i in range(n):
         alone = single(
+            current,
             *(plant_module.pick(x, i) for x in (plants.body, plants.params)),
             *(x[i] for x in (p, q, nu, thrust)),
         )
@@ -104,7 +110,7 @@ def test_a_batch_equals_a_loop(plants, current, deviation):
             deviation.close("step.batch", ours, theirs, rtol=1e-12, atol=1e-12)
 
 
-def test_strong_damping_is_stable(plants):
+def test_strong_damping_is_stable(plants, single):
     """A roll of the light vehicle at 10 rad/s, where damping acts with 800 1/s, dies out."""
     vehicle, body = (plant_module.pick(x, 0) for x in (plants.params, plants.body))
     assert plants.names[0] == "bluerov2/blue_gazebo"
@@ -112,10 +118,9 @@ def test_strong_damping_is_stable(plants):
     inertia = float(vehicle.inertia_kgm2[0, 0] + vehicle.M_A[3, 3])
     D_q = float(vehicle.D_q[3])
     assert DT * 2 * D_q * 10 / inertia > 8  # Explicit formulas are stable below 1 to 2.
-    nu = jnp.zeros(6).at[3].set(10.0)
-    end = quickly(partial(run, plants, ()))(
-        body, vehicle, jnp.array([0, 0, -9.0]), jnp.array([1.0, 0, 0, 0]), nu, jnp.zeros(8)
-    )
+    nu = np.array([0, 0, 0, 10.0, 0, 0])
+    p, q = np.array([0, 0, -9.0]), np.array([1.0, 0, 0, 0])
+    end = single(plant_module.still(), body, vehicle, p, q, nu, np.zeros(8))
     # The closed form is 1/p = 1/10 + D_q t / I. The first steps are too long to be accurate, and
     # the speed changes sign in them, but no more of it is left than in truth.
     assert abs(float(end.nu[3])) < 1 / (0.1 + D_q * N_STEP * DT / inertia)
@@ -124,10 +129,17 @@ def test_strong_damping_is_stable(plants):
 def test_reset_is_at_rest_with_its_force_known(plants, current):
     vehicle, body = (plant_module.pick(x, 2) for x in (plants.params, plants.body))
     p, q = jnp.array([1.0, 2.0, -8.0]), jnp.array([1.0, 0, 0, 0])
-    state = physics.reset(plants.engine, body, vehicle, p, q, current, WATER)
-    _, force, _ = physics.smooth_force(
-        plants.engine, body, vehicle, state, current, jnp.zeros(()), WATER
-    )
+
+    @quickly
+    def begin(body, vehicle, p, q):
+        state = physics.reset(plants.engine, body, vehicle, p, q, current, WATER)
+        zero = jnp.zeros(())
+        _, force, _ = physics.smooth_force(
+            plants.engine, body, vehicle, state, current, zero, WATER
+        )
+        return state, force
+
+    state, force = begin(body, vehicle, p, q)
     np.testing.assert_array_equal(state.nu, 0)
     np.testing.assert_array_equal(state.thrust, 0)
     # The same function on the same numbers.

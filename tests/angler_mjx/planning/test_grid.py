@@ -1,4 +1,3 @@
-import heapq
 import itertools
 from functools import partial
 
@@ -16,6 +15,7 @@ from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
 
 from ..compiling import quickly
+from ..lattice import least_costs
 
 CELL = 1.5
 SHAPE = (12, 10, 9)
@@ -107,31 +107,6 @@ def rock_gap(world, points):
     return np.sqrt(np.sum(outside**2, axis=-1)).min(initial=np.inf)
 
 
-def dijkstra(occupied, start, goal, weight):
-    """Least cost from start to goal over 26 neighbours, no cutting of corners."""
-    best, queue = {tuple(start): 0.0}, [(0.0, tuple(start))]
-    while queue:
-        cost, cell = heapq.heappop(queue)
-        if cell == tuple(goal):
-            return cost
-        if cost > best[cell]:
-            continue
-        for step in itertools.product((-1, 0, 1), repeat=3):
-            axes = sum(map(abs, step))
-            new = tuple(np.add(cell, step))
-            if (
-                not axes
-                or min(new) < 0
-                or any(n >= s for n, s in zip(new, occupied.shape, strict=True))
-            ):
-                continue
-            block = itertools.product(*((c, n) for c, n in zip(cell, new, strict=True)))
-            if not any(occupied[b] for b in block) and cost + weight[axes] < best.get(new, np.inf):
-                best[new] = cost + weight[axes]
-                heapq.heappush(queue, (best[new], new))
-    return np.inf
-
-
 @pytest.fixture(scope="module")
 def planner():
     @quickly
@@ -209,8 +184,7 @@ def test_never_faster_than_cruise_speed(plans):
 
 def test_path_of_a_lone_robot_is_no_longer_than_the_lattice_path(planner, worlds):
     # The goals of robots 1 to 3 are their starts, off the way of robot 0: it alone moves.
-    length = {1: CELL, 2: CELL * 2**0.5, 3: CELL * 3**0.5}
-    layers = {1: 2.0, 2: 3.0, 3: 4.0}
+    layers = (2.0, 3.0, 4.0)
     lone = []
     for world in worlds:
         goals = STARTS.copy()
@@ -219,8 +193,9 @@ def test_path_of_a_lone_robot_is_no_longer_than_the_lattice_path(planner, worlds
     plans = planner(lone)
     excess = []
     for w, world in enumerate(lone):
-        quickest = dijkstra(world.grid.occupied, STARTS[0], (9, 7, 6), layers)
-        shortest = dijkstra(world.grid.occupied, STARTS[0], (9, 7, 6), length)
+        free = ~world.grid.occupied
+        quickest = least_costs(free, STARTS[0], layers)[9, 7, 6]
+        shortest = CELL * least_costs(free, STARTS[0])[9, 7, 6]
         assert plans.found[w, 0] == np.isfinite(quickest)
         if plans.found[w, 0]:
             way = np.linalg.norm(np.diff(plans.position_m[w, 0], axis=0), axis=-1).sum()
@@ -247,23 +222,17 @@ def test_same_input_same_bytes(planner, plans, worlds):
         np.testing.assert_array_equal(a, b)
 
 
-def test_batch_equals_single(planner, plans, worlds):
+def test_a_batch_and_robots_in_groups_are_planned_the_same(plans, worlds, monkeypatch):
+    """Alone, and marking four robots in groups of three, of which the last is not full."""
     # The loops of a batch end when its slowest world ends; alone, a world ends earlier.
-    single = quickly(plan, static_argnums=3)
-    for w in (1, 4, 7):
-        alone = single(worlds[w], jnp.asarray(RADIUS), jnp.asarray(SPEED), CONFIG)
+    monkeypatch.setattr(search, "AT_ONCE", 3)
+    single = quickly(partial(plan, config=CONFIG))
+    for w in (0, 1, 4, 7):
+        alone = single(worlds[w], RADIUS, SPEED)
         np.testing.assert_array_equal(alone.found, plans.found[w])
         # 0.1 mm and 0.1 ms: the two programs may round differently in float32 at 100 s.
         np.testing.assert_allclose(alone.position_m, plans.position_m[w], atol=1e-4)
         np.testing.assert_allclose(alone.time_s, plans.time_s[w], atol=1e-4)
-
-
-def test_marking_robots_in_groups_marks_the_same(plans, worlds, monkeypatch):
-    # Four robots in groups of three: the last group is not full.
-    monkeypatch.setattr(search, "AT_ONCE", 3)
-    in_groups = quickly(partial(plan, config=CONFIG))(worlds[0], RADIUS, SPEED)
-    for got, want in zip(jax.tree.leaves(in_groups), jax.tree.leaves(plans), strict=True):
-        np.testing.assert_array_equal(got, want[0])
 
 
 def corridor(bay):
@@ -324,12 +293,12 @@ def test_closed_goal_fails_alone(planner, worlds):
 @pytest.fixture(scope="module")
 def passing():
     """A function (starts, goals, config) -> world and plans of two robots in open water."""
-    run = quickly(plan, static_argnums=3)
     config = GridPlannerConfig(margin_m=0.9)
+    run = quickly(partial(plan, config=config))
 
     def call(starts, goals):
         world = make_world(np.zeros((9, 7, 7), bool), starts, goals)
-        path = run(world, jnp.asarray(RADIUS[:2]), jnp.asarray(SPEED[:2]), config)
+        path = run(world, RADIUS[:2], SPEED[:2])
         return jax.tree.map(np.asarray, path), config
 
     return call
@@ -378,46 +347,54 @@ def beside_rock():
     occupied = np.zeros((8, 7, 7), bool)
     occupied[1, 4, 3] = occupied[6, 4, 3] = True
     world = make_world(occupied, [[1, 3, 3]], [[6, 3, 3]])
-    config = GridPlannerConfig(margin_m=0.2)
-    run = quickly(partial(plan, config=config))
-
-    def call(off):
-        # 0.45 m from the rock's face: the hull has 5 cm to spare, the margin is 20 cm.
-        start, goal = world.start_m + np.float32(off), world.goal_m + np.float32(off)
-        moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
-        return start, goal, run(moved, RADIUS[:1], SPEED[:1])
-
-    return call
+    # 0.45 m from the rock's face: the hull has 5 cm to spare, the margin is 20 cm.
+    return lambda off: from_beside(world, off, off)
 
 
-def test_a_path_that_meets_a_start_in_its_first_second_is_taken_back():
+run_beside = quickly(partial(plan, config=GridPlannerConfig(margin_m=0.2)))
+
+
+def from_beside(world, start_off, goal_off):
+    """Start, goal and plan of one robot; both ends lie beside the centre of their cell."""
+    start, goal = world.start_m + np.float32(start_off), world.goal_m + np.float32(goal_off)
+    moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
+    return start, goal, run_beside(moved, RADIUS[:1], SPEED[:1])
+
+
+@pytest.fixture(scope="module")
+def hasty():
+    """Plans within 10 s that keep off no start."""
+    return quickly(partial(plan, config=GridPlannerConfig(horizon_s=10.0, start_hold_s=0.0)))
+
+
+def test_a_path_that_meets_a_start_in_its_first_second_is_taken_back(hasty):
     """Robot 1 has no way, so it stays; robot 0 was not told to keep off where it starts."""
     occupied = np.zeros((9, 7, 7), bool)
     occupied[4, 5, 5] = True
-    config = GridPlannerConfig(horizon_s=10.0, start_hold_s=0.0)
-    run = quickly(partial(plan, config=config))
     world = make_world(occupied, [LANE[0], (2, 3, 3)], [LANE[1], (4, 5, 5)])
-    path = run(world, RADIUS[:2], np.float32([5.0, 5.0]))
+    path = hasty(world, RADIUS[:2], np.float32([5.0, 5.0]))
     assert not path.found.any()
     # At 5 m/s it would have passed a start a cell ahead within a second; one off its way it may.
     world = make_world(occupied, [LANE[0], (2, 1, 1)], [LANE[1], (4, 5, 5)])
-    path = run(world, RADIUS[:2], np.float32([5.0, 5.0]))
+    path = hasty(world, RADIUS[:2], np.float32([5.0, 5.0]))
     np.testing.assert_array_equal(path.found, [True, False])
     x = np.interp(1.0, path.time_s[0], path.position_m[0, :, 0])
     assert x > world.start_m[0, 0] + 2 * CELL
 
 
-def test_goal_past_the_horizon_is_not_found():
+def test_goal_past_the_horizon_is_not_found(hasty):
     """In open water, and behind a wall, where each leg of the way alone ends before it."""
-    wall = np.zeros(SHAPE, bool)
-    wall[6, :, :8] = True
-    for occupied in (np.zeros(SHAPE, bool), wall):
-        world = make_world(occupied, STARTS[:1], GOALS[:1])
-        needed = float(np.linalg.norm(world.goal_m[0] - world.start_m[0]) / SPEED[0])
-        config = GridPlannerConfig(horizon_s=0.99 * needed)
-        late = quickly(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], config)
-        assert not late.found[0]
-        assert (np.asarray(late.position_m) == world.start_m[0]).all()
+    wall = np.zeros((9, 7, 7), bool)
+    wall[4, :, :6] = True
+    corners = [(1, 1, 1), (1, 5, 1)], [(7, 5, 5), (1, 5, 1)]  # robot 1 stays
+    for occupied in (np.zeros((9, 7, 7), bool), wall):
+        world = make_world(occupied, *corners)
+        way = float(np.linalg.norm(world.goal_m[0] - world.start_m[0]))
+        late = hasty(world, RADIUS[:2], np.float32([0.99 * way / 10.0, 1.0]))
+        np.testing.assert_array_equal(late.found, [False, True])
+        assert (np.asarray(late.position_m[0]) == world.start_m[0]).all()
+        in_time = hasty(world, RADIUS[:2], np.float32([2.0 * way / 10.0, 1.0]))
+        assert in_time.found.all()
 
 
 def test_static_obstacles_and_floor_are_kept_clear():
@@ -437,11 +414,11 @@ def test_static_obstacles_and_floor_are_kept_clear():
     world = make_world(
         np.zeros((12, 7, 7), bool), [[0, 3, 3]], [[11, 3, 3]], obstacles, floor_below=-2.0
     )
-    path = quickly(plan, static_argnums=3)(world, RADIUS[:1], SPEED[:1], CONFIG)
+    path = quickly(partial(plan, config=CONFIG))(world, RADIUS[:1], SPEED[:1])
     assert path.found[0]
     track = dense(np.asarray(path.time_s[0]), np.asarray(path.position_m[0]), step=0.1)
 
-    @jax.jit
+    @quickly
     def gaps(points):
         def gap(p, row):
             return capsules_obstacle(p[None], p[None], jnp.zeros(1), *row)
@@ -459,10 +436,7 @@ def test_static_obstacles_and_floor_are_kept_clear():
 
 def test_starts_and_goals_off_the_centres_are_met_exactly():
     world = make_world(np.zeros((8, 7, 7), bool), [[1, 1, 1]], [[6, 5, 5]])
-    start = world.start_m + np.float32([[0.3, -0.2, 0.25]])
-    goal = world.goal_m + np.float32([[-0.4, 0.1, 0.3]])
-    moved = Environment(**{**vars(world), "start_m": start, "goal_m": goal})
-    path = quickly(plan, static_argnums=3)(moved, RADIUS[:1], SPEED[:1], CONFIG)
+    start, goal, path = from_beside(world, [[0.3, -0.2, 0.25]], [[-0.4, 0.1, 0.3]])
     assert path.found[0]
     np.testing.assert_array_equal(path.position_m[0, 0], start[0])
     np.testing.assert_array_equal(path.position_m[0, -1], goal[0])

@@ -14,7 +14,11 @@ from angler_mjx.sensing import instruments, params, suite
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sensing.readings import Truth
 
+from ..compiling import quickly
+
 DT = 0.05
+N = 200
+"""Steps that are watched where any number does, so that `watch` is compiled once."""
 G = 9.81
 ALL = {"usbl": {"fitted": True}, "gps": {"fitted": True}}
 DEEP = (1.0, 2.0, -5.0)
@@ -31,13 +35,15 @@ def truth(p=DEEP, turn=(0.0, 0.0, 0.0), nu=(0.0,) * 6, altitude=5.0):
     )
 
 
-def still(n, **kwargs):
+def still(n=N, **kwargs):
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (n, *x.shape)), truth(**kwargs))
 
 
-@jax.jit
-def watch(sensors, truths, key):
-    """Readings at every step, and the memory at the end."""
+def one_robot(sensors, truths, key):
+    """Readings at every step, and the memory at the end.
+
+    A loop in a loop: XLA copies all readings of a loop in each of its rounds.
+    """
 
     def one(state, truth):
         k, carry = state
@@ -46,11 +52,16 @@ def watch(sensors, truths, key):
 
     first = jax.tree.map(lambda x: x[0], truths)
     start = (jnp.zeros((), jnp.int32), suite.reset(sensors, key, first))
-    (_, carry), readings = jax.lax.scan(one, start, truths)
-    return carry, readings
+    parts = jax.tree.map(lambda x: x.reshape(-1, 40, *x.shape[1:]), truths)
+    (_, carry), readings = jax.lax.scan(lambda *at: jax.lax.scan(one, *at), start, parts)
+    return carry, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), readings)
 
 
-def wander(n, seed=0):
+watch = quickly(one_robot)
+watch_many = jax.jit(jax.vmap(one_robot, (None, None, 0)))
+
+
+def wander(n=N, seed=0):
     """A motion without any regularity."""
     draw = np.random.default_rng(seed).normal
     q = draw(size=(n, 4))
@@ -63,7 +74,7 @@ def wander(n, seed=0):
 
 
 def test_without_noise_readings_are_the_truth_bit_for_bit():
-    truths = wander(200)
+    truths = wander()
     upright = {"dvl": {"max_tilt_deg": 180.0}}
     _, seen = watch(build(noise=False, **ALL, **upright), truths, jax.random.key(0))
     truths, seen = jax.device_get((truths, seen))
@@ -93,7 +104,7 @@ def test_without_noise_the_disturbed_truth_is_the_truth():
 
 
 def test_usbl_fix_is_of_the_ping_and_comes_after_its_latency():
-    truths = wander(200, seed=1)
+    truths = wander(seed=1)
     _, seen = watch(build(noise=False, **ALL), truths, jax.random.key(0))
     # 2 s and 0.5 s are 40 and 10 periods.
     np.testing.assert_array_equal(np.flatnonzero(seen.usbl_pinged), [0, 40, 80, 120, 160])
@@ -103,12 +114,13 @@ def test_usbl_fix_is_of_the_ping_and_comes_after_its_latency():
 
 
 def test_imu_at_rest_feels_its_weight():
-    _, seen = watch(build(noise=False), still(3), jax.random.key(0))
-    np.testing.assert_array_equal(seen.imu.fresh, [False, True, True])
+    _, seen = watch(build(noise=False), still(), jax.random.key(0))
+    np.testing.assert_array_equal(seen.imu.fresh, [False] + [True] * (N - 1))
     np.testing.assert_array_equal(seen.imu.mean_rate_radps[1:], 0.0)
-    np.testing.assert_array_equal(seen.imu.specific_force_mps2[1:], [[0, 0, np.float32(G)]] * 2)
+    weight = np.tile(np.float32([0, 0, G]), (N - 1, 1))
+    np.testing.assert_array_equal(seen.imu.specific_force_mps2[1:], weight)
     # Bow up by 30 degrees (about -y): gravity's reaction is g sin 30 ahead, g cos 30 up.
-    _, seen = watch(build(noise=False), still(2, turn=(0.0, -np.pi / 6, 0.0)), jax.random.key(0))
+    _, seen = watch(build(noise=False), still(turn=(0.0, -np.pi / 6, 0.0)), jax.random.key(0))
     # float32 rounding of sine and cosine, times g.
     np.testing.assert_allclose(
         seen.imu.specific_force_mps2[1], [G / 2, 0.0, G * np.sqrt(3) / 2], atol=5e-6
@@ -118,14 +130,14 @@ def test_imu_at_rest_feels_its_weight():
 def test_imu_in_a_circle_feels_the_centripetal_acceleration_of_its_own_place():
     # 0.8 rad/s on a radius of 2 m, bow ahead: the centre is 2 m to the left.
     rate, radius, arm = 0.8, 2.0, (0.3, -0.2, 0.1)
-    angle = np.arange(100) * rate * DT
-    zero = np.zeros(100)
+    angle = np.arange(N) * rate * DT
+    zero = np.zeros(N)
     place = radius * np.stack([np.sin(angle), -np.cos(angle), zero], axis=1) + DEEP
     truths = Truth(
         p=jnp.asarray(place, float),
         q=jax.vmap(quaternion.from_yaw)(jnp.asarray(angle, float)),
-        nu=jnp.tile(jnp.array([rate * radius, 0, 0, 0, 0, rate]), (100, 1)),
-        altitude_m=jnp.full(100, 5.0),
+        nu=jnp.tile(jnp.array([rate * radius, 0, 0, 0, 0, rate]), (N, 1)),
+        altitude_m=jnp.full(N, 5.0),
     )
     _, seen = watch(build(noise=False, imu={"offset_m": arm}), truths, jax.random.key(0))
     # Mean of a vector that turns by rate dt, seen from mid-step: shorter by sinc(rate dt / 2).
@@ -134,10 +146,10 @@ def test_imu_in_a_circle_feels_the_centripetal_acceleration_of_its_own_place():
     expected = rate**2 * to_centre * short + [0, 0, G]
     # float32: velocities of 1.6 m/s are known to 1e-7 m/s, divided by dt.
     np.testing.assert_allclose(
-        seen.imu.specific_force_mps2[1:], np.tile(expected, (99, 1)), atol=2e-5
+        seen.imu.specific_force_mps2[1:], np.tile(expected, (N - 1, 1)), atol=2e-5
     )
     np.testing.assert_allclose(
-        seen.imu.mean_rate_radps[1:], np.tile([0, 0, rate], (99, 1)), atol=1e-5
+        seen.imu.mean_rate_radps[1:], np.tile([0, 0, rate], (N - 1, 1)), atol=1e-5
     )
 
 
@@ -156,7 +168,7 @@ def test_imu_noise_has_the_density_and_the_walk_of_its_data_sheet():
     quiet = {"gyro_turn_on_radps": 0.0, "accel_turn_on_mps2": 0.0}
     sensors = build(imu=quiet)
     keys = jax.random.split(jax.random.key(3), robots)
-    carry, seen = jax.vmap(watch, (None, None, 0))(sensors, still(n), keys)
+    carry, seen = watch_many(sensors, still(n), keys)
     gyro = np.asarray(seen.imu.mean_rate_radps, np.float64)[:, 1:1997]
     accel = np.asarray(seen.imu.specific_force_mps2, np.float64)[:, 1:1997] - [0, 0, G]
 
@@ -195,7 +207,8 @@ def test_what_is_drawn_once_has_the_right_spread():
 
 
 def test_noise_of_the_slow_instruments_has_the_stated_spread():
-    n = 8000
+    steps, robots = 2000, 64
+    n = steps * robots
     tables = {
         "depth": {"surface_offset_m": 0.0, "rate_hz": 20.0},
         "ahrs": {"heading_bias_deg": 0.0, "hard_iron": 0.0, "rate_hz": 20.0},
@@ -204,27 +217,28 @@ def test_noise_of_the_slow_instruments_has_the_stated_spread():
         "gps": {"fitted": True, "rate_hz": 20.0, "max_depth_m": 100.0},
     }
     fast = {"nu": (3.0, 4.0, 0.0, 0.0, 0.0, 0.0)}
-    _, seen = watch(build(**tables), still(n, **fast), jax.random.key(5))
-    seen = jax.device_get(seen)
-    # Standard deviations from 8,000 samples are known to 0.8 %; four of those, as for all here.
-    assert np.std(seen.depth_m) == pytest.approx(np.hypot(0.01, 0.002 / np.sqrt(12)), rel=0.035)
-    steps = np.asarray(seen.depth_m, np.float64) / 0.002
+    keys = jax.random.split(jax.random.key(5), robots)
+    _, seen = watch_many(build(**tables), still(steps, **fast), keys)
+    seen = jax.tree.map(lambda x: np.asarray(x).reshape(n, *x.shape[2:]), seen)
+    # Standard deviations from 128,000 samples are known to 0.2 %: seven of those, as for all here.
+    assert np.std(seen.depth_m) == pytest.approx(np.hypot(0.01, 0.002 / np.sqrt(12)), rel=0.015)
+    counts = np.asarray(seen.depth_m, np.float64) / 0.002
     # 2,500 steps in float32: rounded to 2.4e-4 steps by the value's own last digit.
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-3)
-    turn = jax.vmap(instruments.turned, (None, 0))(truth().q, seen.ahrs_q)
-    np.testing.assert_allclose(np.std(turn, axis=0), np.radians([0.3, 0.3, 1.0]), rtol=0.035)
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-3)
+    turn = quickly(jax.vmap(instruments.turned, (None, 0)))(truth().q, seen.ahrs_q)
+    np.testing.assert_allclose(np.std(turn, axis=0), np.radians([0.3, 0.3, 1.0]), rtol=0.015)
     velocity = seen.dvl_velocity_mps[seen.dvl_fresh]
-    np.testing.assert_allclose(np.std(velocity, axis=0), np.hypot(0.005, 0.003 * 5), rtol=0.035)
-    # 8,000 draws of probability 0.1: std 27 around 800.
-    assert n - seen.dvl_fresh.sum() == pytest.approx(800, abs=110)
+    np.testing.assert_allclose(np.std(velocity, axis=0), np.hypot(0.005, 0.003 * 5), rtol=0.015)
+    # 128,000 draws of probability 0.1: std 107 around 12,800.
+    assert n - seen.dvl_fresh.sum() == pytest.approx(0.1 * n, abs=430)
     off = seen.usbl_position_m - np.array(DEEP)
     std = np.hypot(0.1, 0.0175 * np.sqrt(30.0))
     # The share of outliers within a metre is below a thousandth; nine tenths are good.
     good = np.linalg.norm(off, axis=1) < 6 * std
-    assert np.std(off[good]) == pytest.approx(std, rel=0.035)
-    assert n - good.sum() == pytest.approx(800, abs=110)
-    assert np.std(off[~good]) == pytest.approx(10.0, rel=0.08)
-    np.testing.assert_allclose(np.std(seen.gps_position_m, axis=0), 0.5, rtol=0.035)
+    assert np.std(off[good]) == pytest.approx(std, rel=0.015)
+    assert n - good.sum() == pytest.approx(0.1 * n, abs=430)
+    assert np.std(off[~good]) == pytest.approx(10.0, rel=0.02)
+    np.testing.assert_allclose(np.std(seen.gps_position_m, axis=0), 0.5, rtol=0.015)
 
 
 def test_hard_iron_swings_the_heading_once_a_turn():
@@ -257,24 +271,26 @@ def test_hard_iron_swings_the_heading_once_a_turn():
 )
 def test_dvl_needs_the_bottom_below_it(altitude, tilt_deg, locked):
     sensors = build(dvl={"dropout": 0.0})
-    at = still(1, altitude=float(altitude), turn=(np.radians(tilt_deg), 0.0, 0.0))
+    at = still(altitude=float(altitude), turn=(np.radians(tilt_deg), 0.0, 0.0))
     _, seen = watch(sensors, at, jax.random.key(0))
     assert bool(seen.dvl_fresh[0]) == locked
 
 
 def test_instruments_that_are_not_fitted_say_nothing():
     off = {name: {"fitted": False} for name in ("depth", "ahrs", "dvl", "usbl", "gps")}
-    _, seen = watch(build(**off), still(200, p=(0.0, 0.0, 0.0)), jax.random.key(0))
+    _, seen = watch(build(**off), still(p=(0.0, 0.0, 0.0)), jax.random.key(0))
     for name in ("depth", "ahrs", "dvl", "usbl", "gps"):
         assert not getattr(seen, f"{name}_fresh").any()
 
 
 def test_readings_depend_on_key_and_step_alone():
     sensors, key = build(**ALL), jax.random.key(8)
-    long, short = (watch(sensors, still(n), key)[1] for n in (200, 40))
-    other = watch(sensors, still(200), jax.random.fold_in(key, 1))[1]
-    for a, b, c in zip(*(jax.tree.leaves(x) for x in (long, short, other)), strict=True):
-        np.testing.assert_array_equal(a[:40], b)
+    turning = jax.tree.map(lambda x, y: jnp.concatenate([x[:40], y[40:]]), still(), wander())
+    here, later = (watch(sensors, truths, key)[1] for truths in (still(), turning))
+    other = watch(sensors, still(), jax.random.fold_in(key, 1))[1]
+    for a, b, c in zip(*(jax.tree.leaves(x) for x in (here, later, other)), strict=True):
+        # What comes later counts for nothing.
+        np.testing.assert_array_equal(a[:40], b[:40])
         if a.dtype != bool and np.any(a):
             assert np.any(a != c)
 

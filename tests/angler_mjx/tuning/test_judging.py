@@ -12,8 +12,11 @@ from angler_mjx.flights import kinds, measures
 from angler_mjx.flights.measures import LEVER_M, Measures, Reference
 from angler_mjx.tuning import objectives
 
+from ..compiling import quickly
+
 DT = 0.05
 STEPS = 600
+of_flight = quickly(measures.of_flight, static_argnums=3)
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +40,7 @@ def flown(vehicle, p, q=None, nu=None, pwm=None, pose=None, still=1.0, heading=1
         heading=jnp.array(heading),
         way_m=jnp.array(2.0),
     )
-    return measures.of_flight(flight, reference, vehicle, DT)
+    return of_flight(flight, reference, vehicle, DT)
 
 
 def test_measures_of_a_flight_whose_integrals_are_known(vehicle):

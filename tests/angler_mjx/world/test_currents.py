@@ -12,6 +12,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse
 from angler_mjx.world import currents
 
+from ..compiling import quickly
+
 LO, HI = jnp.array([-12.0, -12.0, -26.0]), jnp.array([12.0, 12.0, -2.0])
 
 
@@ -61,7 +63,7 @@ def drawn_knots(entry, n_world, horizon_s):
     def one(key):
         return currents.draw(config, key, LO, HI, horizon_s)[0].knots_mps
 
-    return np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world)))
+    return np.asarray(quickly(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world)))
 
 
 def test_gauss_markov_has_its_stationary_statistics():
@@ -104,7 +106,7 @@ def test_maximum_speed_is_never_exceeded():
         at = jax.vmap(lambda t: currents.velocity(current, jnp.zeros(3), t))
         return at(jnp.linspace(0.0, 130.0, 301))
 
-    v = np.asarray(jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(2), 500)))
+    v = np.asarray(quickly(jax.vmap(one))(jax.random.split(jax.random.key(2), 500)))
     speed = np.linalg.norm(v, axis=-1)
     assert speed.max() <= 0.3 * (1 + 5e-7)  # rounding of float32
     knots = np.linalg.norm(drawn_knots(entry, 500, 120.0), axis=-1)
@@ -126,7 +128,7 @@ def test_vortices_are_drawn_inside_their_spans():
     def one(key):
         return currents.draw(config, key, LO, HI, 120.0)[0]
 
-    drawn = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(3), 400))
+    drawn = quickly(jax.vmap(one))(jax.random.split(jax.random.key(3), 400))
     core, gamma = np.asarray(drawn.core_m), np.asarray(drawn.circulation_m2ps)
     assert core.min() >= 1.0
     assert core.max() <= 2.5
@@ -140,7 +142,7 @@ def test_vortices_are_drawn_inside_their_spans():
         p = jnp.concatenate([vortex.centre_m[0] + jnp.stack([r, 0 * r]), jnp.zeros(1)])
         return jnp.linalg.norm(currents.velocity((vortex,), p, jnp.zeros(())))
 
-    speed = jax.jit(jax.vmap(jax.vmap(profile, (None, 0)), (0, None)))(single, jnp.asarray(radius))
+    speed = quickly(jax.vmap(jax.vmap(profile, (None, 0)), (0, None)))(single, jnp.asarray(radius))
     peak = np.asarray(speed).max(axis=1)
     # The grid of radii misses the flat peak by a hundredth of a core at most.
     assert peak.min() >= 0.2 * 0.999

@@ -14,40 +14,22 @@ from angler_mjx.world import drawing
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.generate import generate_batch, require_valid
 
-RADIUS = np.array([0.4, 0.3, 0.4])
-COUNT = 12
-CURRENTS = [
-    {"type": "gauss_markov", "max_speed_mps": 0.3},
-    {"type": "vortices", "count": 2, "peak_speed_mps": [0.1, 0.3]},
-]
+from ..lattice import least_costs
+from .recipe import COUNT, MIN_OBSTACLES, RADIUS, RECIPE, SEED, SHAPE
 
 
 def config(**data):
     return parse(WorldConfig, data, source="test")
 
 
-FULL = config(
-    preset="reef",
-    shape=[10, 12, 8],
-    density=0.1,
-    currents=CURRENTS,
-    obstacles={
-        "dynamic": {"count": 5},
-        "explicit": [{"type": "box", "size_m": [2, 2, 8], "position_m": [0, 0, -8]}],
-    },
-)
-
-
-@pytest.fixture(scope="module")
-def worlds():
-    return jax.tree.map(np.asarray, generate_batch(FULL, RADIUS, 7, 0, COUNT))
-
-
 def test_worlds_are_complete(worlds):
-    assert worlds.valid.all()
-    assert worlds.grid.occupied.shape == (COUNT, 10, 12, 8)
+    assert worlds.grid.occupied.shape == (COUNT, *SHAPE)
     np.testing.assert_allclose(worlds.density, worlds.grid.occupied.mean(axis=(1, 2, 3)), rtol=1e-6)
-    assert [type(part).__name__ for part in worlds.current] == ["GaussMarkov", "Vortices"]
+    assert [type(part).__name__ for part in worlds.current] == [
+        "GaussMarkov",
+        "GaussMarkov",
+        "Vortices",
+    ]
     to_goal = worlds.goal_m - worlds.start_m
     heading = np.stack([np.cos(worlds.start_yaw_rad), np.sin(worlds.start_yaw_rad)], axis=-1)
     # float32 rounding of an angle and of a length of 20 m.
@@ -74,9 +56,9 @@ def test_drifting_obstacles_keep_clear_of_starts_and_goals(worlds):
         assert np.all(gap[there] >= np.broadcast_to(RADIUS + 0.3, gap.shape)[there] - 1e-5)
 
 
-def test_difficulty_is_that_of_an_independent_search(worlds, dijkstra):
+def test_difficulty_is_that_of_an_independent_search(worlds):
     origin, cell = worlds.grid.origin_m[0], worlds.grid.cell_m[0]
-    index = np.stack(np.meshgrid(*map(np.arange, (10, 12, 8)), indexing="ij"), axis=-1)
+    index = np.stack(np.meshgrid(*map(np.arange, SHAPE), indexing="ij"), axis=-1)
     centre = origin + cell * (index + 0.5)
     outside = np.maximum(np.abs(centre - [0, 0, -8]) - [1, 1, 4], 0)
     beside_box = np.linalg.norm(outside, axis=-1) < RADIUS.max()
@@ -89,13 +71,13 @@ def test_difficulty_is_that_of_an_independent_search(worlds, dijkstra):
             ]
             assert passable[cells[0]]
             straight = np.linalg.norm(np.subtract(*cells))
-            expected = max(dijkstra(passable, cells[1])[cells[0]] / straight, 1.0)
+            expected = max(least_costs(passable, cells[1])[cells[0]] / straight, 1.0)
             # Sums of some 20 float32 terms.
             assert worlds.path_ratio[world, robot] == pytest.approx(expected, rel=3e-6)
 
 
 def test_a_world_is_the_same_wherever_its_batch_begins(worlds):
-    later = generate_batch(FULL, RADIUS, 7, 5, COUNT)
+    later = generate_batch(RECIPE, RADIUS, SEED, 5, COUNT)
     for here, there in zip(jax.tree.leaves(worlds), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(here[5:], np.asarray(there)[: COUNT - 5])
 
@@ -117,39 +99,19 @@ def test_a_grid_of_64_cells_a_side_is_one_cavern_with_open_ways():
 
 
 def test_another_seed_gives_other_worlds(worlds):
-    other = generate_batch(FULL, RADIUS, 8, 0, COUNT)
+    other = generate_batch(RECIPE, RADIUS, SEED + 1, 0, COUNT)
     assert (np.asarray(other.grid.occupied) != worlds.grid.occupied).any(axis=(1, 2, 3)).all()
 
 
-PICKY = config(preset="sparse", shape=[8, 8, 6], fill=0.1, min_obstacles=26, redraw_limit=2)
+def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(worlds):
+    count = worlds.grid.occupied.sum(axis=(1, 2, 3))
+    assert 0 < worlds.valid.sum() < COUNT
+    assert set(worlds.redraws) == {0, 1, 2}
+    np.testing.assert_array_equal(worlds.valid, count >= MIN_OBSTACLES)
+    assert np.all(worlds.redraws[~worlds.valid] == 2)
 
 
-@pytest.fixture(scope="module")
-def picky():
-    """Many of them are drawn again, in groups of four."""
-    return jax.tree.map(np.asarray, generate_batch(PICKY, np.array([0.4]), 1, 0, 64))
-
-
-def test_worlds_that_cannot_hold_the_fleet_are_drawn_again_up_to_the_limit(picky):
-    count = picky.grid.occupied.sum(axis=(1, 2, 3))
-    assert 0 < picky.valid.sum() < 64
-    assert set(picky.redraws) == {0, 1, 2}
-    np.testing.assert_array_equal(picky.valid, count >= 26)
-    assert np.all(picky.redraws[~picky.valid] == 2)
-
-
-def test_a_world_is_the_same_in_a_batch_of_any_size(picky, monkeypatch):
-    """Alone, and in a batch that goes through in tiles, the last of them filled up."""
-    last = int(np.flatnonzero((picky.redraws == 2) & picky.valid)[-1])
-    alone = generate_batch(PICKY, np.array([0.4]), 1, last, 1)
-    monkeypatch.setattr(drawing, "tile_size", lambda *_: 20)
-    tiled = generate_batch(PICKY, np.array([0.4]), 1, 0, 50)
-    for here, there, one in zip(*map(jax.tree.leaves, (picky, tiled, alone)), strict=True):
-        np.testing.assert_array_equal(here[:50], there)
-        np.testing.assert_array_equal(here[last : last + 1], one)
-
-
-@pytest.mark.nightly(by="test_a_world_is_the_same_in_a_batch_of_any_size")
+@pytest.mark.nightly(by="world/test_draws.py")
 def test_a_batch_of_batches_is_the_same_too():
     walls = config(preset="corridor", shape=[5, 4, 4], rule={"type": "walls", "count": 1})
     one = partial(drawing.draw, resolve(walls), jnp.array([0.4]))
@@ -162,29 +124,13 @@ def test_a_batch_of_batches_is_the_same_too():
 
 
 def test_a_fleet_too_large_for_the_world_is_refused():
-    crowded = config(preset="open", shape=[3, 3, 3], redraw_limit=1)
-    batch = generate_batch(crowded, np.full(20, 0.7), 1, 0, 2)
+    batch = generate_batch(RECIPE, np.full(3, 2.2), SEED, 0, COUNT)
     assert not np.asarray(batch.valid).any()
-    with pytest.raises(ConfigError, match="fleet of 20 robots"):
+    with pytest.raises(ConfigError, match="fleet of 3 robots"):
         require_valid(batch)
-
-
-def test_the_nine_boxes_of_the_paper():
-    worlds = generate_batch(config(preset="angler_nine_boxes"), np.full(2, 0.4), 0, 0, 1)
-    boxes = jax.tree.map(lambda leaf: np.asarray(leaf)[0], worlds.obstacles)
-    assert bool(worlds.valid[0])
-    assert float(worlds.floor_z_m[0]) == -10.0
-    assert not np.asarray(worlds.grid.occupied).any()
-    drifting = boxes.motion == 1
-    assert drifting.sum() == 6
-    assert sorted(boxes.mass_kg[drifting]) == [965, 965, 968, 969, 970, 971]
-    # True inertia of a cube, m a^2 / 6; the original has 0.16666 kg m^2. float32 rounding.
-    np.testing.assert_allclose(
-        boxes.inertia_kgm2[drifting], boxes.mass_kg[drifting, None] / 6 * np.ones(3), rtol=1e-6
-    )
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32])
 def test_seeds_outside_32_bits_are_refused(seed):
     with pytest.raises(ConfigError, match="seed"):
-        generate_batch(FULL, RADIUS, seed, 0, 1)
+        generate_batch(RECIPE, RADIUS, seed, 0, 1)

@@ -15,6 +15,8 @@ from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies as obstacle_bodies
 from angler_mjx.world.obstacles.explicit import explicit_rows
 
+from ..compiling import quickly
+
 RHO, G = 1025.0, 9.81
 LO, HI = np.array([-12.0, -12.0, -26.0]), np.array([12.0, 12.0, 2.0])
 VORTEX = currents.Vortices(
@@ -39,7 +41,10 @@ def grid(occupied=None):
     )
 
 
-@jax.jit
+_reset = quickly(obstacles.reset)
+
+
+@quickly
 def _advance(body, state, current, t, dt, n, cells, gravity):
     def one(k, state):
         return obstacles.step(
@@ -63,8 +68,7 @@ def roll(body, current, duration, dt, *, every=None, cells=None, gravity=G):
     cells = grid() if cells is None else cells
     every = duration if every is None else every
     n = round(every / dt)
-    start = obstacles.reset(body, current, RHO, gravity)
-    states = [jax.tree.map(jnp.asarray, start)]
+    states = [_reset(body, current, RHO, gravity)]
     for i in range(round(duration / every)):
         t = jnp.asarray(i * every, float)
         states.append(
@@ -215,7 +219,7 @@ def test_nothing_drifts_through_rock_and_all_stay_inside():
     occupied = rng.random((16, 16, 16)) < 0.1
     config = parse(obstacles.ObstaclesConfig, {"dynamic": {"count": 48}}, source="test")
     cells = grid(occupied)
-    body = jax.jit(
+    body = quickly(
         lambda key: obstacles.draw(
             config, key, cells, jnp.asarray(LO), jnp.asarray(HI), jnp.zeros((0, 3)), 0.0, RHO
         )
@@ -327,7 +331,7 @@ def draw_many(config, n_world, occupied, keep_out, keep_out_radius):
             RHO,
         )
 
-    return jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world))
+    return quickly(jax.vmap(one))(jax.random.split(jax.random.key(1), n_world))
 
 
 def test_drawn_obstacles_start_free_and_keep_their_shares():

@@ -1,6 +1,6 @@
 """Cells: density as asked, rocks not salt, walls with gates, one cavern."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import numpy as np
@@ -11,13 +11,21 @@ from angler_kernels.bit_grid import unpack
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.rules import draw_cells
 
+from ..compiling import quickly
+
 N_WORLD = 200
+
+
+@cache
+def drawer(rule, shape):
+    """One program for all shares of walls that the rule may start from."""
+    return quickly(partial(draw_cells, rule, shape))
 
 
 def cells(**config):
     world = resolve(WorldConfig(**config))
-    draw = jax.jit(partial(draw_cells, world.rule, world.shape, world.fill))
-    packed = draw(jax.random.split(jax.random.key(5), N_WORLD))
+    keys = jax.random.split(jax.random.key(5), N_WORLD)
+    packed = drawer(world.rule, world.shape)(np.float32(world.fill or 0.0), keys)
     return np.moveaxis(np.asarray(unpack(packed, world.shape[2])), -1, 0)
 
 

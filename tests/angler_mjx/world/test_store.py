@@ -9,49 +9,44 @@ import zarr
 
 from angler_mjx.cli import env
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.files import parse
 from angler_mjx.storage import environments as store
-from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
 
-RADIUS = np.array([0.4, 0.4])
-CONFIG = parse(
-    WorldConfig,
-    {
-        "preset": "corridor",
-        "shape": [9, 6, 5],
-        "currents": [{"type": "vortices", "count": 2, "peak_speed_mps": [0.1, 0.3]}],
-        "obstacles": {"dynamic": {"count": 2}},
-    },
-    source="test",
-)
+from .recipe import COUNT, RADIUS, RECIPE, SEED
+
+STORED = 3000
+
+
+def make(path, count, **how):
+    return store.make(path, RECIPE, RADIUS, SEED, count, tile=COUNT, **how)
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory):
-    """Seven worlds in tiles of three: the last tile is not full."""
+    """Three thousand worlds in tiles of 2,001: the last tile is not full."""
     path = tmp_path_factory.mktemp("store") / "envs.zarr"
-    assert store.make(path, CONFIG, RADIUS, 3, 7, tile=3) == 0
+    invalid = make(path, STORED)
+    assert 0 < invalid == np.sum(~store.open_file(path)["valid"][:])
     return path
 
 
 def test_what_is_read_is_what_was_generated(file):
-    made = generate_batch(CONFIG, RADIUS, 3, 3, 3)
+    made = generate_batch(RECIPE, RADIUS, SEED, 1500, COUNT)
     group = store.open_file(file)
-    batch = store.read(group, slice(3, 6))
+    batch = store.read(group, slice(1500, STORED))
     assert jax.tree.structure(batch) == jax.tree.structure(made)
-    jax.tree.map(np.testing.assert_array_equal, batch, made)
-    one = store.read(group, 4)
-    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[1]), one, made)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[:1500]), batch, made)
+    one = store.read(group, 2400)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(a, b[900]), one, made)
 
 
 def test_arrays_say_their_units(file):
     group = store.open_file(file)
-    assert group["valid"].shape == (7,)
+    assert group["valid"].shape == (STORED,)
     units = {
         "start_m": "m",
         "start_yaw_rad": "rad",
-        "current/0/circulation_m2ps": "m^2/s",
+        "current/2/circulation_m2ps": "m^2/s",
         "obstacles/inertia_kgm2": "kg m^2",
         "obstacles/p0": "m",
         "grid/occupied": "1",
@@ -64,7 +59,7 @@ def test_arrays_say_their_units(file):
 def test_an_existing_file_is_left_alone(file):
     before = sorted(file.rglob("*"))
     with pytest.raises(ConfigError, match="exists"):
-        store.make(file, CONFIG, RADIUS, 3, 7)
+        make(file, STORED)
     assert sorted(file.rglob("*")) == before
 
 
@@ -74,7 +69,7 @@ def test_a_full_disk_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(store, "write", full)
     with pytest.raises(RunError, match="No space left"):
-        store.make(tmp_path / "envs.zarr", CONFIG, RADIUS, 3, 3, tile=3)
+        make(tmp_path / "envs.zarr", COUNT)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -83,7 +78,7 @@ def test_interruption_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        store.make(tmp_path / "envs.zarr", CONFIG, RADIUS, 3, 6, tile=3, advance=interrupt)
+        make(tmp_path / "envs.zarr", 2 * COUNT, advance=interrupt)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -98,14 +93,29 @@ def test_a_picture_of_a_stored_world(file, tmp_path):
     picture = tmp_path / "env.png"
     env.show(file, index=2, out=picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ConfigError, match="0 to 6"):
-        env.show(file, index=7, out=picture)
+    with pytest.raises(ConfigError, match="0 to 2999"):
+        env.show(file, index=STORED, out=picture)
 
 
-def test_the_command_makes_a_file(tmp_path, capsys):
+def test_the_command_makes_a_file_of_the_nine_boxes_of_the_paper(tmp_path, capsys):
     path = tmp_path / "envs.zarr"
-    env.make(path, preset="corridor", count=2, robots=1, tile=2)
+    env.make(path, preset="angler_nine_boxes", count=2, robots=2, tile=2)
     assert capsys.readouterr().out.strip().endswith(str(path))
-    assert store.read(store.open_file(path), 1).goal_m.shape == (1, 3)
+    world = store.read(store.open_file(path), 1)
+    assert world.goal_m.shape == (2, 3)
+    assert world.valid
+    assert world.floor_z_m == -10.0
+    assert not world.grid.occupied.any()
+    boxes = world.obstacles
+    drifting = boxes.motion == 1
+    assert drifting.sum() == 6
+    assert sorted(boxes.mass_kg[drifting]) == [965, 965, 968, 969, 970, 971]
+    # True inertia of a cube, m a^2 / 6; the original has 0.16666 kg m^2. float32 rounding.
+    np.testing.assert_allclose(
+        boxes.inertia_kgm2[drifting], boxes.mass_kg[drifting, None] / 6 * np.ones(3), rtol=1e-6
+    )
+
+
+def test_a_file_without_worlds_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="--count 0"):
-        env.make(path, count=0)
+        env.make(tmp_path / "envs.zarr", count=0)

@@ -12,6 +12,8 @@ from angler_kernels import clearance, current_field, lanes, quaternion, rigid_bo
 from angler_kernels.lanes import folding
 from angler_kernels.lanes.transform import RULES
 
+from ...angler_mjx.compiling import quickly
+
 W = 64
 # The same operations in another order: sums of a hundred terms of order one to a hundred.
 RTOL, ATOL = 1e-12, 1e-12
@@ -35,8 +37,8 @@ def assert_same(deviation):
 def compare(deviation, function, *args):
     """``function`` of one body on lanes and by ``vmap`` of [W, ...] arguments."""
     args = jax.tree.map(jnp.asarray, args)
-    ours = jax.jit(partial(on_lanes, function))(*args)
-    theirs = jax.jit(jax.vmap(function))(*args)
+    ours = quickly(partial(on_lanes, function))(*args)
+    theirs = quickly(jax.vmap(function))(*args)
     assert jax.tree.structure(ours) == jax.tree.structure(theirs)
     for x, y in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert x.dtype == y.dtype
@@ -222,7 +224,7 @@ def test_thruster_in_a_table_in_memory(assert_same):
     table = lanes.Table(lambda at: flat[at], (33,), flat.dtype, base=33 * jnp.arange(W))
     pwm, value = jnp.asarray(pwm), jnp.asarray(value)
     ours = lanes.join(lanes.apply(both, table, *lanes.split((pwm, value))))
-    theirs = jax.jit(jax.vmap(both))(jnp.asarray(rows), pwm, value)
+    theirs = quickly(jax.vmap(both))(jnp.asarray(rows), pwm, value)
     for x, y in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(x, y, rtol=RTOL, atol=ATOL)
     assert_same(partial(thruster.rotor_lag, dt=0.01), *(normal(4, seed=i) for i in range(2)), value)

@@ -4,8 +4,11 @@ The set `blue_ismc` of the six-thruster BlueROV2 is left out: it has no restorin
 vehicle has no authority in pitch, so nothing holds it level.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +17,15 @@ import pytest
 
 from angler_kernels import quaternion, thruster
 from angler_mjx.control import allocation
-from angler_mjx.control.commands import BodyWrench, Estimate, PoseTarget, ThrusterPwm
+from angler_mjx.control.commands import BodyWrench, Estimate, PoseTarget
 from angler_mjx.control.laws.targets import TrackingTarget
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.vehicles import library, params
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.world.currents import Uniform
+
+from ...compiling import quickly
 
 KINDS = [
     ("bluerov2_heavy", "wu2018"),
@@ -152,46 +157,95 @@ class Flights:
         return self.nu[:, :2, -200:].std(axis=2).max(axis=(1, 2))
 
 
-def fly(robots, reset, control, current_known=False):
-    """Fly a controller on all sets through all scenarios.
+@dataclass(frozen=True)
+class Controller:
+    """A law, or laws one above another, from a tracking target to a wrench or signals."""
 
-    Args:
-        robots: what `build_robots` gives.
-        reset: (estimate) -> carry.
-        control: (vehicle, carry, estimate, tracking target, flow) -> (carry, wrench or PWM).
-        current_known: give the controller the current, otherwise zero.
-    """
-    vehicles, allocations = robots
-    courses, flows, yaws = scenarios()
+    reset: Callable
+    """(estimate) -> carry."""
+    control: Callable
+    """(gains, vehicle, carry, estimate, target, flow) -> (carry, wrench or PWM)."""
+    gains: Any
 
-    def one(vehicle, thrusters, course, flow, yaw):
-        current = (Uniform(velocity_mps=flow),)
-        state = physics.reset(
-            ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
+
+@dataclass(frozen=True)
+class Variant:
+    """A flight of a controller."""
+
+    controller: str
+    gains: Any = None
+    """Those of the controller if left out."""
+    current_known: bool = False
+    """It is told the current; otherwise it is told zero."""
+
+
+def chosen(controllers, variant):
+    """Which controller flies, the gains of all of them, and 1 where it is told the current."""
+    gains = {name: controller.gains for name, controller in controllers.items()}
+    gains[variant.controller] = variant.gains or gains[variant.controller]
+    return list(controllers).index(variant.controller), gains, float(variant.current_known)
+
+
+def signals(controllers, choice, vehicle, thrusters, carries, at, target, flow):
+    """The memories of all controllers, and the PWM that the chosen one asks for."""
+    which, gains, told = choice
+    after, taus, pwms = {}, [], []
+    for name, controller in controllers.items():
+        after[name], out = controller.control(
+            gains[name], vehicle, carries[name], at, target, told * flow
         )
-        known = flow if current_known else jnp.zeros_like(flow)
+        wrench = isinstance(out, BodyWrench)
+        taus.append(out.tau if wrench else jnp.zeros(6))
+        pwms.append(None if wrench else out.pwm_us)
+    pwm = allocation.allocate(thrusters, BodyWrench(tau=jnp.stack(taus)[which])).pwm_us
+    for i, own in enumerate(pwms):
+        pwm = pwm if own is None else jnp.where(which == i, own, pwm)
+    return after, pwm
 
-        def act(pair, target):
-            state, carry = pair
-            carry, out = control(vehicle, carry, estimate_of(state), target, known)
-            if isinstance(out, BodyWrench):
-                out = allocation.allocate(thrusters, out)
-            assert isinstance(out, ThrusterPwm)
-            look = jax.vmap(thruster.lookup, (None, 0, None, None))
-            thrust = look(vehicle.thrust_n, out.pwm_us, PWM_LOW_US, PWM_STEP_US)
 
-            def advance(state, _):
-                return physics.step(
-                    ENGINE, vehicle, vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
-                ), None
+def flight(controllers, choice, vehicle, thrusters, course, flow, yaw):
+    """One flight of the chosen controller: p, q, nu, PWM [N, ...]."""
+    current = (Uniform(velocity_mps=flow),)
+    state = physics.reset(
+        ENGINE, vehicle, vehicle, jnp.asarray(DEEP), quaternion.from_yaw(yaw), current, WATER
+    )
 
-            after, _ = jax.lax.scan(advance, state, length=STEPS)
-            return (after, carry), (state.p, state.q, state.nu, out.pwm_us)
+    def act(pair, target):
+        state, carries = pair
+        at = estimate_of(state)
+        carries, pwm = signals(controllers, choice, vehicle, thrusters, carries, at, target, flow)
+        look = jax.vmap(thruster.lookup, (None, 0, None, None))
+        thrust = look(vehicle.thrust_n, pwm, PWM_LOW_US, PWM_STEP_US)
 
-        return jax.lax.scan(act, (state, reset(estimate_of(state))), course)[1]
+        def advance(state, _):
+            return physics.step(
+                ENGINE, vehicle, vehicle, state, thrust, current, 0.0, PHYSICS_S, WATER
+            ), None
 
-    over = jax.vmap(jax.vmap(one, (None, None, 0, 0, 0)), (0, 0, None, None, None))
-    return Flights(*jax.jit(over)(vehicles, allocations, courses, flows, yaws), courses)
+        after, _ = jax.lax.scan(advance, state, length=STEPS)
+        return (after, carries), (state.p, state.q, state.nu, pwm)
+
+    begun = {name: made.reset(estimate_of(state)) for name, made in controllers.items()}
+    return jax.lax.scan(act, (state, begun), course)[1]
+
+
+def fly(robots, controllers, variants):
+    """Fly variants on all sets through all scenarios; flights by the name of the variant.
+
+    One program: each robot asks all controllers and does what its own one says, so that the physics
+    is compiled once.
+    """
+    courses, flows, yaws = scenarios()
+    choices = [chosen(controllers, variant) for variant in variants.values()]
+    stacked = jax.tree.map(lambda *x: jnp.asarray(np.array(x)), *choices)
+    over_courses = jax.vmap(partial(flight, controllers), (None, None, None, 0, 0, 0))
+    over_sets = jax.vmap(over_courses, (None, 0, 0, None, None, None))
+    over = quickly(jax.vmap(over_sets, (0, None, None, None, None, None)))
+    flown = jax.device_get(over(stacked, *robots, courses, flows, yaws))
+    return {
+        name: Flights(*jax.tree.map(lambda leaf, i=i: leaf[i], flown), courses)
+        for i, name in enumerate(variants)
+    }
 
 
 @pytest.fixture(scope="session")
@@ -199,6 +253,8 @@ def pool(robots):
     """What tests need of this file."""
     return SimpleNamespace(
         fly=partial(fly, robots),
+        Controller=Controller,
+        Variant=Variant,
         Flights=Flights,
         as_pose=as_pose,
         estimate_of=estimate_of,

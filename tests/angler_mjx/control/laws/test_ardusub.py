@@ -1,7 +1,7 @@
 """The surrogate: elements against closed forms, mixer against the firmware's table, loops."""
 
 import dataclasses
-import functools
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.laws.ardusub import mixer as ardusub_mixer
 from angler_mjx.control.laws.ardusub import pid as ardusub_pid
 
+from ...compiling import quickly
 from .equations import HEAVY, SIX, in_flu
 
 DT = 0.05
@@ -50,12 +51,12 @@ def test_forward_gives_way_to_throttle_on_the_six_thruster_frame(robots):
 def test_square_root_controller_brakes_in_time():
     """Following its rate exactly, the error ends at zero and never decelerates harder than told."""
     gain, most, dt = 6.0, 2.0, 0.001
-    error, rates = jnp.asarray(3.0), []
-    step = jax.jit(lambda e: ardusub_pid.square_root(e, gain, most, dt))
-    for _ in range(3000):
-        rate = step(error)
-        rates.append(float(rate))
-        error = error - rate * dt
+
+    def step(error, _):
+        rate = ardusub_pid.square_root(error, gain, most, dt)
+        return error - rate * dt, rate
+
+    error, rates = quickly(lambda e: jax.lax.scan(step, e, length=3000))(jnp.asarray(3.0))
     assert abs(float(error)) < 1e-3
     # Per step, float32 of rates of 3: 3e-7 / 1e-3.
     assert np.max(-np.diff(rates)) / dt < most * 1.01 + 1e-3
@@ -92,22 +93,20 @@ def flown(pool):
         stock, PSC_VELXY_P=8.0, PSC_VELXY_I=2.0, ATC_RAT_YAW_P=0.3, ATC_RAT_YAW_I=0.18
     )
 
-    @functools.cache
-    def fly(name):
-        gains = {"stock": stock, "stiff": stiff}[name]
-        return pool.fly(
-            ardusub.reset,
-            lambda vehicle, carry, at, target, flow: ardusub.step(
-                gains, vehicle, carry, at, pool.as_pose(target), DT, 1000.0, 9.81
-            ),
-        )
-
-    return fly
+    surrogate = pool.Controller(
+        ardusub.reset,
+        lambda gains, vehicle, carry, at, target, flow: ardusub.step(
+            gains, vehicle, carry, at, pool.as_pose(target), DT, 1000.0, 9.81
+        ),
+        stock,
+    )
+    variants = {"stock": pool.Variant("ardusub"), "stiff": pool.Variant("ardusub", stiff)}
+    return pool.fly({"ardusub": surrogate}, variants)
 
 
 def test_the_firmwares_gains_keep_station_in_a_current(flown, pool):
     """As the real firmware does in 0.5 m/s; its integral is slow."""
-    flights = flown("stock")
+    flights = flown["stock"]
     metres, degrees = flights.steady(pool.CURRENT)
     able = [i for i, kind in enumerate(pool.kinds) if kind[1] != "von_benzon2022"]
     # 1 to 6 cm and closing after 20 s; von_benzon2022, with three times the drag, needs longer.
@@ -117,7 +116,7 @@ def test_the_firmwares_gains_keep_station_in_a_current(flown, pool):
 
 
 def test_the_firmwares_gains_hunt_in_still_water_within_bounds(flown, pool):
-    flights = flown("stock")
+    flights = flown["stock"]
     # The step arrives, and what is left swings within the dead band of 25 us: 0.5 m/s^2 of demand,
     # over P = 6 of velocity and 1 of position 8 cm. The real firmware's swings by 6 cm.
     metres, _ = flights.steady(pool.STEP)
@@ -133,7 +132,7 @@ def test_the_firmwares_gains_hunt_in_still_water_within_bounds(flown, pool):
 
 
 def test_higher_gains_settle(flown, pool):
-    flights = flown("stiff")
+    flights = flown["stiff"]
     metres, _ = flights.steady(pool.STEP)
     assert metres.max() < 0.05
     metres, _ = flights.steady(pool.CURRENT)
@@ -142,7 +141,7 @@ def test_higher_gains_settle(flown, pool):
 
 
 def test_signals_are_within_their_range_and_padding_is_neutral(flown, pool):
-    pwm = flown("stock").pwm
+    pwm = flown["stock"].pwm
     assert pwm.min() >= 1100
     assert pwm.max() <= 1900
     assert np.all(pwm[3, ..., 6:] == 1500)
@@ -156,5 +155,6 @@ def test_trim_moves_the_neutral_signal(robots, states, pool):
         position_m=at.p, velocity_mps=jnp.zeros(3), yaw_rad=jnp.zeros(())
     )
     gains = ardusub.ArduSubGains(SERVO_TRIM=1510.0)
-    _, out = ardusub.step(gains, vehicle, ardusub.reset(at), at, here, DT, 1000.0, 9.81)
+    step = quickly(partial(ardusub.step, gains, dt=DT, density=1000.0, gravity=9.81))
+    _, out = step(vehicle, ardusub.reset(at), at, here)
     np.testing.assert_allclose(out.pwm_us, 1510.0, atol=1e-2)

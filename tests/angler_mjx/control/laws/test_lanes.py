@@ -1,7 +1,5 @@
 """On lanes every law gives what it gives under vmap."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +19,8 @@ from angler_mjx.control.laws import (
 from angler_mjx.control.laws.ardusub import law as ardusub
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.vehicles import library, params
+
+from ...compiling import quickly
 
 POINTS = np.array([[0, 0, -10], [2, 0, -10], [2, 3, -11], [2, 3, -11.0]])
 GAINS = {
@@ -61,8 +61,8 @@ def test_lanes_agree_with_vmap(robots, states, pool, name):
         return carry, out
 
     args = (vehicles, estimate, commands[kind], more)
-    expected = jax.jit(jax.vmap(twice))(*args)
-    found = jax.jit(lambda *x: lanes.join(lanes.apply(twice, *lanes.split(x))))(*args)
+    expected = quickly(jax.vmap(twice))(*args)
+    found = quickly(lambda *x: lanes.join(lanes.apply(twice, *lanes.split(x))))(*args)
     for x, y in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         # float32 sums in another order; wrenches are of tens of newtons, signals of 1500 us.
         np.testing.assert_allclose(
@@ -77,9 +77,10 @@ def test_laws_are_as_good_in_double(states, pool):
     """The same in float64, to the rounding of float32: no constant narrows or widens the work."""
     estimate, target = jax.tree.map(lambda x: np.asarray(x[0]), states)
 
-    def run(law, gains, kind, dtype):
-        at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
-        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+    @quickly
+    def steps(vehicle, at, goal):
+        """What each law makes of it, by name."""
+        dtype = at.p.dtype
         commands = {
             "pose": pool.as_pose(goal),
             "tracking": goal,
@@ -90,14 +91,22 @@ def test_laws_are_as_good_in_double(states, pool):
                 found=jnp.asarray(True),
             ),
         }
-        step = partial(law.step, gains, dt=0.05, density=1000.0, gravity=9.81)
-        carry, out = jax.jit(step)(vehicle, law.reset(at), at, commands[kind])
-        for leaf in jax.tree.leaves((carry, out)):
-            assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), law.__name__
-        return np.asarray(jax.tree.leaves(out)[0], float)
+        return {
+            name: law.step(gains, vehicle, law.reset(at), at, commands[kind], 0.05, 1000.0, 9.81)
+            for name, (law, gains, kind) in GAINS.items()
+        }
 
-    for law, gains, kind in GAINS.values():
-        single = run(law, gains, kind, jnp.float32)
-        with jax.enable_x64(True):
-            double = run(law, gains, kind, jnp.float64)
-        np.testing.assert_allclose(single, double, rtol=1e-4, atol=1e-3)
+    def run(dtype):
+        at, goal = jax.tree.map(lambda x: jnp.asarray(x, dtype), (estimate, target))
+        vehicle = params.build(library.load("bluerov2_heavy"), "wu2018", 14.8)
+        found = steps(vehicle, at, goal)
+        for name, made in found.items():
+            for leaf in jax.tree.leaves(made):
+                assert leaf.dtype in (dtype, jnp.bool_, jnp.int32), name
+        return {name: np.asarray(jax.tree.leaves(out)[0]) for name, (_, out) in found.items()}
+
+    single = run(jnp.float32)
+    with jax.enable_x64(True):
+        double = run(jnp.float64)
+    for name in GAINS:
+        np.testing.assert_allclose(single[name], double[name], rtol=1e-4, atol=1e-3, err_msg=name)

@@ -11,6 +11,8 @@ from angler_mjx.control.commands import Estimate
 from angler_mjx.control.laws import ismc, los
 from angler_mjx.control.trajectory import Trajectory
 
+from ...compiling import quickly
+
 DT, SPEED = 0.05, 0.4
 POINTS = np.array([[0, 0, 0], [3, 0, 0], [3, 2, -1], [3, 2, -3], [0.5, 2, -3.0]])
 
@@ -26,12 +28,14 @@ def flights(pool):
         found=jnp.asarray(True),
     )
 
-    def control(vehicle, carry, at, target, flow):
-        above, twist = los.step(los.LosGains(), vehicle, carry[0], at, path, DT, 1000.0, 9.81)
-        below, wrench = ismc.step(ismc.IsmcGains(), vehicle, carry[1], at, twist, DT, 1000.0, 9.81)
+    def control(gains, vehicle, carry, at, target, flow):
+        above, twist = los.step(gains[0], vehicle, carry[0], at, path, DT, 1000.0, 9.81)
+        below, wrench = ismc.step(gains[1], vehicle, carry[1], at, twist, DT, 1000.0, 9.81)
         return (above, below), wrench
 
-    return pool.fly(lambda at: (los.reset(at), ismc.reset(at)), control)
+    gains = (los.LosGains(), ismc.IsmcGains())
+    guided = pool.Controller(lambda at: (los.reset(at), ismc.reset(at)), control, gains)
+    return pool.fly({"los": guided}, {"los": pool.Variant("los")})["los"]
 
 
 def off_path(p):
@@ -118,7 +122,7 @@ def test_the_integral_steers_against_a_drift_that_nobody_holds(robots, pool):
 
     weights = los.LosGains(lookahead_m=0.8, integral_per_s=jnp.array([0.0, 0.1]))
     axes = los.LosGains(**{name: None for name in vars(weights)} | {"integral_per_s": 0})
-    plain, integral = np.asarray(jax.jit(jax.vmap(run, (axes,)))(weights))
+    plain, integral = np.asarray(quickly(jax.vmap(run, (axes,)))(weights))
     # Plain: 0.4 e / sqrt(e^2 + 0.8^2) = 0.1, so e = 0.8 / sqrt 15, split as the drift.
     np.testing.assert_allclose(plain[-1, 1:], 0.8 / np.sqrt(15) * np.array([0.6, 0.8]), rtol=0.01)
     # With it: an error of e is worth sigma e / D of pull a second; 200 s are enough for 1 cm.

@@ -9,6 +9,8 @@ from angler_mjx.control.laws.targets import as_tracking
 from angler_mjx.physics import step as physics
 from angler_mjx.world.currents import Uniform
 
+from ...compiling import quickly
+
 
 def test_the_model_wrench_gives_the_acceleration_asked_for(robots, states, pool):
     vehicles, _ = robots
@@ -27,7 +29,7 @@ def test_the_model_wrench_gives_the_acceleration_asked_for(robots, states, pool)
         )
         return M, force + tau
 
-    M, total = jax.jit(jax.vmap(one))(vehicles, estimate, wanted, flow)
+    M, total = quickly(jax.vmap(one))(vehicles, estimate, wanted, flow)
     found = np.linalg.solve(np.asarray(M, float), np.asarray(total, float)[..., None])[..., 0]
     # float32 on forces of 130 N over moments of inertia of 0.1 kg m^2.
     np.testing.assert_allclose(found, wanted, atol=2e-4)

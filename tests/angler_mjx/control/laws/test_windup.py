@@ -15,6 +15,8 @@ from angler_mjx.physics import step as physics
 from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.world.currents import Uniform
 
+from ...compiling import quickly
+
 DT, FULL, N = 0.05, 300, 500
 """15 s of a surge of 3 m/s, that no set has, then 10 s of rest."""
 
@@ -51,7 +53,7 @@ def surge(robots, pool, law, gains, realised):
         row = (start, law.reset(pool.estimate_of(start)), jnp.zeros(6))
         return jax.lax.scan(control, row, jnp.arange(N))[1]
 
-    return np.asarray(jax.jit(jax.vmap(run))(gains))
+    return np.asarray(quickly(jax.vmap(run))(gains))
 
 
 def back_at(u):
