@@ -105,31 +105,16 @@ def scenario_file(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def alone(scenario_file, cache, tmp_path_factory):
-    """The run of one process on one device, and what was said."""
-    out = tmp_path_factory.mktemp("alone")
-    [(code, _, said)] = both((HERE / "many_devices.py", scenario_file, out, 1), cache=cache)
-    assert code == 0, said
-    return Run(out / "1_devices"), said
+def runs(scenario_file, cache, tmp_path_factory):
+    """Folder of the runs of one process on 1 and 3 devices, the programs, and what was said.
 
-
-@pytest.fixture(scope="module")
-def shared(scenario_file, cache, tmp_path_factory):
-    """The run of two processes of two devices each, what they printed, and their programs.
-
-    Seven tiles of one world: waves of two in both processes, and in the second one at last a wave
-    of one beside an idle device.
+    Seven tiles of one world: two waves of three, and one of one beside two idle devices.
     """
-    out = tmp_path_factory.mktemp("shared")
-    two = command_of_two(
-        scenario_file, out / "run", "--devices", "2", "--chunk", "2", "--no-figures", "--json"
-    )
-    (code_0, said_0, errors_0), (code_1, said_1, errors_1) = both(
-        *two, cache=cache, programs=out / "programs"
-    )
-    assert code_0 == 0, errors_0
-    assert code_1 == 0, errors_1
-    return Run(out / "run"), (said_0, said_1), programs_in(out / "programs")
+    out = tmp_path_factory.mktemp("devices")
+    command = (HERE / "many_devices.py", scenario_file, out, 1, 3)
+    [(code, _, said)] = both(command, cache=cache, programs=out / "programs")
+    assert code == 0, said
+    return out, programs_in(out / "programs"), said
 
 
 def files(run):
@@ -148,17 +133,17 @@ def assert_same(one, other):
     assert files(one) == files(other)
 
 
-def test_the_same_bytes_on_any_number_of_devices_and_processes(alone, shared):
-    one, other = alone[0], shared[0]
-    assert_same(one, other)
-    for run, processes, devices in ((one, 1, 1), (other, 2, 4)):
-        assert run.summary["complete"]
-        assert (run.summary["processes"], run.summary["devices"]) == (processes, devices)
-        assert run.summary["timing"]["vehicle_steps"] > 0
+def test_the_same_bytes_on_any_number_of_devices(runs):
+    out, _, _ = runs
+    assert_same(Run(out / "1_devices"), Run(out / "3_devices"))
+    for devices in (1, 3):
+        summary = Run(out / f"{devices}_devices").summary
+        assert summary["complete"]
+        assert summary["devices"] == devices
 
 
-@pytest.mark.nightly(by="test_the_same_bytes_on_any_number_of_devices_and_processes")
-def test_devices_of_one_process_and_half_of_a_wave_that_is_idle_change_nothing(cache, tmp_path):
+@pytest.mark.nightly(by="test_the_same_bytes_on_any_number_of_devices")
+def test_half_of_a_wave_that_is_idle_changes_nothing(cache, tmp_path):
     # Four tiles, the last one of one world: on one device, by three, and beside four idle ones.
     file, programs = tmp_path / "spread.toml", tmp_path / "programs"
     file.write_text(SCENARIO.format(tile=2))
@@ -171,42 +156,46 @@ def test_devices_of_one_process_and_half_of_a_wave_that_is_idle_change_nothing(c
     assert COLLECTIVE.findall("".join(programs_in(programs))) == []
 
 
-def test_tiles_of_a_wave_end_by_themselves(shared):
+def test_tiles_of_a_wave_end_by_themselves(runs):
     # One tile is over long before the horizon, another one runs to it beside it.
-    run, _, _ = shared
+    run = Run(runs[0] / "3_devices")
     assert run.episodes["world"].to_pylist() == list(range(7))
     assert set(run.episodes["outcome"].to_pylist()) == {"reached", "timeout"}
     over = np.isnan(run.trajectories["p_m"][:, -1, 0, 0])
-    waves = ((0, 2), (4, 6), (1, 3))
-    assert any(over[one] != over[other] for one, other in waves)
+    assert any(0 < over[wave].sum() < 3 for wave in (slice(0, 3), slice(3, 6)))
 
 
-def test_devices_do_not_talk_to_each_other(shared):
-    _, _, programs = shared
-    assert programs
-    for program in programs:
-        assert "num_partitions=2" in program
-        assert COLLECTIVE.findall(program) == []
+def test_devices_do_not_talk_to_each_other(runs):
+    _, programs, _ = runs
+    (program,) = [text for text in programs if "num_partitions=3" in text]
+    assert COLLECTIVE.findall(program) == []
 
 
-def test_fewer_devices_than_asked_says_how_many(alone):
-    _, said = alone
+def test_fewer_devices_than_asked_says_how_many(runs):
+    _, _, said = runs
     assert "--devices 9: there are 8" in said
 
 
-def test_json_holds_the_documented_keys_and_is_printed_once(shared):
-    run, (said_0, said_1), _ = shared
-    summary = json.loads(said_0)
-    assert sorted(summary) == sorted(
-        [
-            "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
-            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s",
-            "path_length_m", "energy_j",
-            "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
-        ]
-    )  # fmt: skip
-    assert summary == json.loads((run.path / "summary.json").read_text())
+@pytest.mark.nightly(
+    by="test_rollout.py: test_two_that_share_a_run_write_the_same_bytes, and "
+    "test_a_lost_process_ends_the_wait_of_the_others"
+)
+def test_two_processes_write_the_same_run(runs, scenario_file, cache, tmp_path):
+    # Of two devices each: the second one has at last a wave of one beside an idle device.
+    shared = tmp_path / "shared"
+    more = ("--devices", "2", "--chunk", "2", "--no-figures", "--json")
+    (code_0, said_0, errors_0), (code_1, said_1, errors_1) = both(
+        *command_of_two(scenario_file, shared, *more), cache=cache
+    )
+    assert code_0 == 0, errors_0
+    assert code_1 == 0, errors_1
+    run = Run(shared)
+    assert json.loads(said_0) == run.summary
     assert said_1 == ""
+    assert_same(Run(runs[0] / "1_devices"), run)
+    assert run.summary["complete"]
+    assert (run.summary["processes"], run.summary["devices"]) == (2, 4)
+    assert run.summary["timing"]["vehicle_steps"] > 0
 
 
 @pytest.mark.nightly(by="test_a_lost_process_ends_the_wait_of_the_others")
@@ -235,10 +224,10 @@ def test_a_lost_process_ends_the_wait_of_the_others(then, word, cache):
     assert lost in (3, 4)
 
 
-def test_what_is_read_back_is_what_zarr_itself_would_read(shared):
+def test_what_is_read_back_is_what_zarr_itself_would_read(runs):
     # The shards are written by our own code: every chunk of every array decodes, and no array
     # holds more worlds than the run.
-    run, _, _ = shared
+    run = Run(runs[0] / "1_devices")
     for name, array in run.trajectories.arrays():
         assert np.asarray(array[...]).shape == array.shape, name
     assert isinstance(run.trajectories["p_m"], zarr.Array)

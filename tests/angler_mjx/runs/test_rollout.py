@@ -6,6 +6,8 @@ import os
 import re
 import resource
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
@@ -124,6 +127,70 @@ def test_rows_agree_with_the_trajectories(run):
 def test_chunking_changes_no_byte(run, scenario, simulator, tmp_path):
     out = tmp_path / "chunk"
     assert_same(run, rollout(scenario, out=out, chunk=100, simulator=simulator))
+
+
+class Beside:
+    """One of two that share a run, as `runs.processes.Processes`: threads of this process."""
+
+    count, stopping = 2, False
+
+    def __init__(self, index, meeting, brought):
+        self.index, self._meeting, self._brought = index, meeting, brought
+
+    def check(self):
+        """The other one is here as long as this one is."""
+
+    def meet(self, name, value=None):
+        self._brought[self.index] = (name, value)
+        self._meeting.wait(100.0)
+        names, values = zip(*self._brought, strict=True)
+        assert set(names) == {name}
+        self._meeting.wait(100.0)
+        return list(values)
+
+    def fail(self, reason):
+        self._meeting.abort()
+
+    def stop(self):
+        """Nobody interrupts."""
+
+    def leave(self):
+        """There is nothing to leave."""
+
+
+def test_two_that_share_a_run_write_the_same_bytes(run, scenario, simulator, tmp_path):
+    meeting, brought = threading.Barrier(2), [None, None]
+
+    def share(index):
+        here = Beside(index, meeting, brought)
+        return rollout(scenario, out=tmp_path / "run", simulator=simulator, processes=here)
+
+    with ThreadPoolExecutor(2) as threads:
+        both = list(threads.map(share, range(2)))
+    for one in both:
+        assert_same(run, one)
+        assert one.summary["complete"]
+        assert (one.summary["processes"], one.summary["devices"]) == (2, 2)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_the_command_prints_the_documented_keys(
+    scenario_file, simulator, tmp_path, capsys, monkeypatch
+):
+    # The command takes the simulator of its scenario that is compiled already.
+    monkeypatch.setattr("angler_mjx.runs.rollout.Simulator", lambda *_, **__: simulator)
+    out = tmp_path / "run"
+    main(["rollout", str(scenario_file), "--out", str(out), "--no-figures", "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert sorted(summary) == sorted(
+        [
+            "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
+            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s",
+            "path_length_m", "energy_j",
+            "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
+        ]
+    )  # fmt: skip
+    assert summary == json.loads((out / "summary.json").read_text())
 
 
 class Stop(Silent):
