@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -56,14 +57,17 @@ def _imported(path):
             yield module.partition(".")[0], id(node) in late
 
 
+@cache
 def _foreign():
     """All of them: distribution, file, whether when needed only."""
     own = {package.name for package in PACKAGES}
-    for package in PACKAGES:
-        for path in package.rglob("*.py"):
-            for name, late in _imported(path):
-                if name not in own and name not in sys.stdlib_module_names:
-                    yield DISTRIBUTION.get(name, name), path.relative_to(ROOT), late
+    return [
+        (DISTRIBUTION.get(name, name), path.relative_to(ROOT), late)
+        for package in PACKAGES
+        for path in package.rglob("*.py")
+        for name, late in _imported(path)
+        if name not in own and name not in sys.stdlib_module_names
+    ]
 
 
 def test_what_is_imported_is_declared():

@@ -111,13 +111,10 @@ def claim(
         ConfigError: the name is taken, by something unfinished perhaps, or cannot be had.
     """
     require_name(out, flag=flag)
+    require_place(out, flag=flag)
     building = partial_path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise ConfigError(
-            f"{flag} {out}: cannot be written (a part of {out.parent} is no folder)"
-        ) from error
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
     try:
@@ -153,12 +150,13 @@ def require_none(
 ) -> None:
     """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
 
-    Arguments as of `claim`.
+    One that cannot be had is refused too; nothing is made. Arguments as of `claim`.
 
     Raises:
         ConfigError: it is.
     """
     require_name(out, flag=flag)
+    require_place(out, flag=flag)
     building = partial_path(out)
     if building.is_dir():
         locked = (building / LOCK).exists()
@@ -243,6 +241,26 @@ def require_name(out: Path, *, flag: str) -> None:
         raise ConfigError(
             f"{flag} {out.name[:40]}...: the name has {length} bytes, {most - around} are the most "
             "here; give a shorter one"
+        )
+
+
+def require_place(out: Path, *, flag: str) -> None:
+    """Refuse a name under which this process can make no folder, as far as can be seen beforehand.
+
+    Raises:
+        ConfigError: saying what of its path is no folder, or cannot be written.
+    """
+    place = out.absolute().parent
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigError(
+            f"{flag} {out}: cannot be written (a part of {out.parent} is no folder); "
+            "give another folder"
+        )
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"{flag} {out}: cannot be written (nothing can be made in {place}); give another folder"
         )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from angler_mjx.errors import ConfigError
 from angler_mjx.storage.folder import FIGURES, Run
 from angler_mjx.viewing import maps, scene, statistics, style
 from angler_mjx.viewing.choose import good_world, worst_world
@@ -27,6 +28,7 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
     """
     folder = run.path / FIGURES
     name, episodes = run.scenario.name, run.episodes
+    chosen = _chosen(run, worlds) if run.scenario.time.record_hz > 0 else {}
     paths = [
         style.save(statistics.outcomes(episodes, name), folder / "outcomes.png"),
         style.save(statistics.distances(episodes, name), folder / "distances.png"),
@@ -35,10 +37,7 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
             folder / "time_to_goal.png",
         ),
     ]
-    if run.scenario.time.record_hz > 0:
-        for world, word in _chosen(run, worlds).items():
-            paths.append(world_map(run, world, word))
-    return paths
+    return paths + [world_map(run, world, word) for world, word in chosen.items()]
 
 
 def world_map(run: Run, world: int, word: str = "") -> Path:
@@ -63,6 +62,10 @@ def world_map(run: Run, world: int, word: str = "") -> Path:
 def _chosen(run: Run, worlds: Sequence[int] | None) -> dict[int, str]:
     """Worlds to map, and what to call them."""
     if worlds is not None:
+        held = set(run.episodes["world"].to_pylist())
+        for world in worlds:
+            if world not in held:
+                raise ConfigError(f"world {world} is not in {run.path}")
         return dict.fromkeys(worlds, "")
     worst, good = worst_world(run), good_world(run)
     if worst == good:  # a run of one world, or of worlds that all went alike

@@ -1,6 +1,5 @@
 """The `angler` command as a person meets it: help at once, one message for a fault, exit code 2."""
 
-import json
 import os
 import subprocess
 import sys
@@ -9,9 +8,7 @@ import pytest
 
 import angler_mjx
 from angler_mjx.cli.main import COMMANDS, GROUPS, main
-from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import shipped
-from angler_mjx.storage.folder import Run
 
 
 def run(*arguments):
@@ -167,45 +164,21 @@ def test_missing_gpu_is_said_without_a_traceback(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_unwritable_place_is_refused(tmp_path):
-    wall = tmp_path / "wall"
-    wall.write_text("a file where a folder is wanted")
-    done = run("rollout", "open_water_current", "--worlds", "1", "--out", str(wall / "run"))
-    assert done.returncode == 2
-    assert "cannot be written" in done.stderr
-    assert "Traceback" not in done.stderr
+@pytest.mark.parametrize("where", ["wall/run", "wall", "there"])
+def test_a_place_that_cannot_be_had_is_refused_before_anything_is_computed(
+    where, tmp_path, capsys, monkeypatch
+):
+    def computed(*_, **__):
+        pytest.fail("worlds are prepared")
 
-
-SMALL = """
-schema_version = 1
-name = "tiny"
-worlds = 1
-
-[time]
-horizon_s = 5.0
-
-[world]
-preset = "open"
-
-[[fleet]]
-vehicle = "bluerov2"
-"""
-
-
-def test_json_holds_the_documented_keys(tmp_path):
-    scenario, out = tmp_path / "tiny.toml", tmp_path / "run"
-    scenario.write_text(SMALL)
-    done = run("rollout", str(scenario), "--out", str(out), "--record-hz", "0", "--json")
-    assert done.returncode == 0, done.stderr
-    summary = json.loads(done.stdout)
-    assert sorted(summary) == sorted(
-        [
-            "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
-            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s",
-            "path_length_m", "energy_j",
-            "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
-        ]
-    )  # fmt: skip
-    assert summary == json.loads((out / "summary.json").read_text())
-    with pytest.raises(ConfigError, match="stored no trajectories"):
-        _ = Run(out).trajectories
+    monkeypatch.setattr("angler_mjx.runs.rollout.Simulator", computed)
+    (tmp_path / "wall").write_text("a file where a folder is wanted")
+    (tmp_path / "there").mkdir()
+    with pytest.raises(SystemExit) as left:
+        main(["rollout", "open_water_current", "--worlds", "1", "--out", str(tmp_path / where)])
+    assert left.value.code == 2
+    shown = capsys.readouterr()
+    said = {"wall/run": "cannot be written", "wall": "exists", "there": "exists"}[where]
+    assert said in shown.err
+    assert shown.err.count("angler:") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["there", "wall"]

@@ -1,9 +1,9 @@
 """Runs the same scenario on some devices; a process of its own, for they are forced.
 
-Arguments: scenario file, folder for the runs, numbers of devices. Prints the compiled segment of
-the last simulator.
+Arguments: scenario file, folder for the runs, numbers of devices.
 """
 
+import gc
 import sys
 from pathlib import Path
 
@@ -14,14 +14,11 @@ from angler_mjx.simulator.simulator import Simulator
 
 
 def main(scenario_file, out, counts):
+    gc.set_threshold(100_000, 20, 20)  # tracing makes millions of objects that stay
     scenario = load_scenario(scenario_file)
     for devices in counts:
         simulator = Simulator(scenario, devices=devices)
-        simulator.compile()
-        for chunk in (2, 100) if devices == 3 else (100,):
-            name = f"{devices}_devices_{chunk}"
-            rollout(scenario, out=out / name, chunk=chunk, simulator=simulator)
-    print(simulator._segment.as_text())
+        rollout(scenario, out=out / f"{devices}_devices", chunk=100, simulator=simulator)
     try:
         Simulator(scenario, devices=9)
     except ConfigError as error:

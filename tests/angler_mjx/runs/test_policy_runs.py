@@ -25,8 +25,6 @@ name = "signals"
 worlds = 3
 seed = 3
 tile = 1
-engine = "fused"
-kernels = "xla"
 
 [time]
 horizon_s = 2.0
@@ -38,6 +36,7 @@ placement = "parallel"
 
 [[fleet]]
 vehicle = "bluerov2"
+parameter_set = "blue_gazebo"
 count = 2
 """
 

@@ -6,6 +6,8 @@ import os
 import re
 import resource
 import shutil
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +18,7 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.engines import mjx
+from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
@@ -125,6 +127,70 @@ def test_rows_agree_with_the_trajectories(run):
 def test_chunking_changes_no_byte(run, scenario, simulator, tmp_path):
     out = tmp_path / "chunk"
     assert_same(run, rollout(scenario, out=out, chunk=100, simulator=simulator))
+
+
+class Beside:
+    """One of two that share a run, as `runs.processes.Processes`: threads of this process."""
+
+    count, stopping = 2, False
+
+    def __init__(self, index, meeting, brought):
+        self.index, self._meeting, self._brought = index, meeting, brought
+
+    def check(self):
+        """The other one is here as long as this one is."""
+
+    def meet(self, name, value=None):
+        self._brought[self.index] = (name, value)
+        self._meeting.wait(100.0)
+        names, values = zip(*self._brought, strict=True)
+        assert set(names) == {name}
+        self._meeting.wait(100.0)
+        return list(values)
+
+    def fail(self, reason):
+        self._meeting.abort()
+
+    def stop(self):
+        """Nobody interrupts."""
+
+    def leave(self):
+        """There is nothing to leave."""
+
+
+def test_two_that_share_a_run_write_the_same_bytes(run, scenario, simulator, tmp_path):
+    meeting, brought = threading.Barrier(2), [None, None]
+
+    def share(index):
+        here = Beside(index, meeting, brought)
+        return rollout(scenario, out=tmp_path / "run", simulator=simulator, processes=here)
+
+    with ThreadPoolExecutor(2) as threads:
+        both = list(threads.map(share, range(2)))
+    for one in both:
+        assert_same(run, one)
+        assert one.summary["complete"]
+        assert (one.summary["processes"], one.summary["devices"]) == (2, 2)
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def test_the_command_prints_the_documented_keys(
+    scenario_file, simulator, tmp_path, capsys, monkeypatch
+):
+    # The command takes the simulator of its scenario that is compiled already.
+    monkeypatch.setattr("angler_mjx.runs.rollout.Simulator", lambda *_, **__: simulator)
+    out = tmp_path / "run"
+    main(["rollout", str(scenario_file), "--out", str(out), "--no-figures", "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert sorted(summary) == sorted(
+        [
+            "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
+            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "time_to_goal_s",
+            "path_length_m", "energy_j",
+            "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
+        ]
+    )  # fmt: skip
+    assert summary == json.loads((out / "summary.json").read_text())
 
 
 class Stop(Silent):
@@ -243,45 +309,35 @@ def test_nothing_is_compiled_between_tiles(simulator):
     assert compiled == []
 
 
-def test_a_control_step_is_traced_once_for_all_worlds(simulator):
-    chex.clear_trace_counter()
-
-    @chex.assert_max_traces(n=1)
-    def control_step(engine, world, state):
-        return mjx.control_step(simulator.spec, engine, world, state)
-
-    step = jax.jit(jax.vmap(control_step, (None, 0, 0)))
-    for first in (0, 2):
-        worlds = simulator.worlds(first)
-        state = simulator.reset(worlds)
-        state, _ = step(simulator.fleet.engine, worlds, state)
-        state, _ = step(simulator.fleet.engine, worlds, state)
-    chex.assert_tree_all_finite(state.vehicles)
-
-
 def test_a_world_is_the_same_wherever_its_tile_stands(simulator):
-    early, late = simulator.worlds(1), simulator.worlds(2)
+    early, late, other = jax.device_get(
+        (simulator.worlds(1), simulator.worlds(2), simulator.worlds(2, seed=4))
+    )
     chex.assert_trees_all_equal(
         jax.tree.map(lambda leaf: leaf[1], early), jax.tree.map(lambda leaf: leaf[0], late)
     )
-    other_seed = simulator.worlds(2, seed=4)
-    assert not np.array_equal(
-        np.asarray(late.environment.start_m), np.asarray(other_seed.environment.start_m)
-    )
+    assert not np.array_equal(late.environment.start_m, other.environment.start_m)
 
 
 def test_a_world_that_diverges_is_marked_and_leaves_the_others_alone(simulator):
     worlds = simulator.worlds(0)
-    state = simulator.reset(worlds)
-    nu = state.vehicles.nu.at[1, 0, 3].set(jax.numpy.nan)
-    poisoned = replace(state, vehicles=replace(state.vehicles, nu=nu))
-    good, _ = simulator.step(worlds, state)
-    bad, _ = simulator.step(worlds, poisoned)
-    np.testing.assert_array_equal(bad.tally.outcome, [[0, 0], [Outcome.DIVERGED, 0]])
-    chex.assert_trees_all_equal(
-        *(jax.tree.map(lambda leaf: leaf[0], state) for state in (good, bad))
-    )
-    chex.assert_tree_all_finite(bad.vehicles)
+
+    def fly(roll_radps):
+        """State and samples of ten seconds, that begin with robot 0 of world 1 rolling so."""
+        state = simulator.reset(worlds)
+        nu = np.array(state.vehicles.nu)
+        nu[1, 0, 3] = roll_radps
+        nu = jax.device_put(nu, state.vehicles.nu.sharding)
+        vehicles = replace(state.vehicles, nu=nu)
+        return jax.device_get(simulator.segment(worlds, replace(state, vehicles=vehicles)))
+
+    good, bad = fly(0.0), fly(np.nan)
+    wanted = good[0].tally.outcome.copy()
+    assert Outcome.DIVERGED not in wanted
+    wanted[1, 0] = Outcome.DIVERGED
+    np.testing.assert_array_equal(bad[0].tally.outcome, wanted)
+    chex.assert_trees_all_equal(*(jax.tree.map(lambda leaf: leaf[0], one) for one in (good, bad)))
+    chex.assert_tree_all_finite(bad[0].vehicles)
 
 
 def test_an_existing_folder_is_refused_and_kept(scenario, tmp_path):

@@ -1,4 +1,7 @@
-"""A simulator that is given a world with edits: rock is met, parameters and signals are refused."""
+"""A simulator that is given a world with edits: rock is met, parameters and signals are refused.
+
+And a run of it, which stores no trajectories.
+"""
 
 from dataclasses import replace
 
@@ -6,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.cli.main import main
 from angler_mjx.control.commands import BodyTwist, ThrusterPwm
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.simulator.simulator import Simulator
@@ -19,11 +24,11 @@ engine = "fused"
 kernels = "xla"
 worlds = 2
 seed = 3
-tile = 2
+tile = 1
 
 [time]
 horizon_s = 60.0
-record_hz = 1.0
+record_hz = 0.0
 
 [world]
 preset = "open"
@@ -32,7 +37,7 @@ placement = "random"
 [[fleet]]
 vehicle = "bluerov2_heavy"
 parameter_set = "wu2018"
-count = 4
+count = 2
 """
 
 
@@ -40,7 +45,9 @@ count = 4
 def simulator(tmp_path_factory):
     path = tmp_path_factory.mktemp("edited") / "edited.toml"
     path.write_text(SCENARIO)
-    return Simulator(load_scenario(path))
+    simulator = Simulator(load_scenario(path))
+    simulator.compile()
+    return simulator
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +76,8 @@ def test_rock_that_is_put_into_a_world_is_met(simulator, worlds):
     far = np.linalg.norm(way - start, axis=-1) > 4.0
     index = np.floor((way - lo) / cell).astype(int)
     occupied = np.asarray(grid.occupied).copy()
-    for world in range(2):
-        at = index[:, world][far[:, world]]
-        occupied[(world, *at.T)] = True
+    at = index[:, 0][far[:, 0]]
+    occupied[(0, *at.T)] = True
     rock = replace(grid, occupied=jnp.asarray(occupied))
     walled = replace(worlds, environment=replace(environment, grid=rock))
     tally = fly(simulator, walled)
@@ -101,9 +107,9 @@ def test_parameters_are_refused_by_all_that_take_a_world(simulator, worlds):
 def test_commands_are_refused_before_they_enter(simulator, worlds):
     state = simulator.reset(worlds)
     for bad, said in (
-        (BodyTwist(nu=jnp.zeros((2, 4, 3))), r"nu has the shape \[2, 4, 3\]: must be \[2, 4, 6\]"),
-        (ThrusterPwm(pwm_us=jnp.zeros((2, 4, 6))), r"\[2, 4, 6\]: must be \[2, 4, 8\]"),
-        (ThrusterPwm(pwm_us=np.full((2, 4, 8), 1e9)), "thruster 0 is 1e\\+09 us: must be 1100"),
+        (BodyTwist(nu=np.zeros((1, 2, 3))), r"nu has the shape \[1, 2, 3\]: must be \[1, 2, 6\]"),
+        (ThrusterPwm(pwm_us=np.zeros((1, 2, 6))), r"\[1, 2, 6\]: must be \[1, 2, 8\]"),
+        (ThrusterPwm(pwm_us=np.full((1, 2, 8), 1e9)), "thruster 0 is 1e\\+09 us: must be 1100"),
     ):
         for enter in (simulator.step, simulator.segment):
             with pytest.raises(ConfigError, match=said):
@@ -114,3 +120,16 @@ def test_commands_are_refused_before_they_enter(simulator, worlds):
 def test_what_programs_hold_is_not_set_later(simulator, name):
     with pytest.raises(AttributeError):
         setattr(simulator, name, None)
+
+
+def test_a_run_that_stores_no_trajectories_has_rows_and_figures(simulator, tmp_path, capsys):
+    run = rollout(simulator.scenario, out=tmp_path / "run", simulator=simulator)
+    assert run.summary["complete"]
+    assert run.summary["worlds_done"] == 2
+    assert run.episodes["outcome"].to_pylist() == ["reached"] * 4
+    with pytest.raises(ConfigError, match="stored no trajectories"):
+        _ = run.trajectories
+    main(["figures", str(run.path)])
+    assert "no maps and no replay" in capsys.readouterr().err
+    drawn = sorted(path.name for path in (run.path / "figures").iterdir())
+    assert drawn == ["distances.png", "outcomes.png", "time_to_goal.png"]

@@ -6,12 +6,15 @@ import signal
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.storage import atomic, claims, environments, folder
 from angler_mjx.world.config import WorldConfig
+
+from ..viewing.conftest import make_environment
 
 HOLD = """
 import sys, time
@@ -105,7 +108,10 @@ def test_an_unfinished_run_says_the_one_way_on(name, words, tmp_path):
     assert (tmp_path / ".out.partial" / name).exists()
 
 
-def test_environments_of_a_killed_process_are_made_anew(tmp_path):
+def test_environments_of_a_killed_process_are_made_anew(tmp_path, monkeypatch):
+    made = make_environment(np.random.default_rng(1), (4, 4, 4))
+    batch = jax.tree.map(lambda leaf: np.asarray(leaf)[None], made)
+    monkeypatch.setattr(environments, "generate_batch", lambda *_: batch)
     leave(tmp_path / "envs.zarr", "zarr.json")
     config = WorldConfig.model_validate({"preset": "open"})
     assert environments.make(tmp_path / "envs.zarr", config, np.full(1, 0.4), 0, 1, 1) == 0

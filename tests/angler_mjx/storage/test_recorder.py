@@ -10,8 +10,8 @@ from angler_mjx.storage import environments as store
 from angler_mjx.storage import recorder, shards
 from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
 from angler_mjx.storage.recorder import Recorder, Shape
-from angler_mjx.world.config import WorldConfig
-from angler_mjx.world.generate import generate_batch
+
+from ..viewing.conftest import make_environment
 
 TILE, SAMPLES, ROBOTS, OBSTACLES = 4, 6, 2, 3
 SHAPE = Shape(
@@ -21,9 +21,9 @@ SHAPE = Shape(
 
 @pytest.fixture(scope="module")
 def environment():
-    config = WorldConfig(preset="open", shape=(4, 4, 4))
-    drawn = generate_batch(config, np.full(ROBOTS, 0.3), 0, 0, TILE)
-    return jax.tree.map(np.asarray, drawn)
+    rng = np.random.default_rng(1)
+    worlds = [make_environment(rng, (4, 4, 4), n_obstacle=OBSTACLES) for _ in range(TILE)]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *worlds)
 
 
 def make_tile(environment, first, kept, rng):

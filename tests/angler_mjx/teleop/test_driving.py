@@ -27,7 +27,6 @@ from .terminals import assert_given_back
 SCENARIO = """
 schema_version = 1
 name = "three"
-engine = "fused"
 worlds = 2
 seed = 5
 

@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 
@@ -10,7 +11,6 @@ from angler_sitl.scene.scene import Scene
 SCENARIO = {
     "name": "two_kinds",
     "seed": 5,
-    "engine": "fused",
     "time": {"horizon_s": 20.0, "physics_dt_s": 0.0025},  # that of the lock-step
     "world": {
         "preset": "open",
@@ -58,12 +58,17 @@ def matrix(q):
 def test_the_same_signals_make_the_same_way_as_in_the_simulator(afloat):
     scene, worlds, simulator = afloat, afloat.worlds, afloat.simulator
     theirs = simulator.reset(worlds)
+    traced = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, *_, **said: "trace" in event and traced.append(said.get("fun_name"))
+    )
     for pwm in series(60):
         for _ in range(scene.period):
             scene.step(pwm)
         scene.judge()
         command = ThrusterPwm(pwm_us=pwm[None, :, :8].astype(theirs.vehicles.p.dtype))
         theirs, _ = simulator.step(worlds, theirs, command)
+    assert traced.count("control_step") == 1  # what a step gives has the types of what it takes
     ours = scene.state
     # float32 there, float64 here: at 25 m each of 1,200 steps rounds a position by up to 1 um, and
     # a steady velocity always the same way.

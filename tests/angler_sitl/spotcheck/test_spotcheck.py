@@ -15,6 +15,7 @@ import jax
 import numpy as np
 import pyarrow as pa
 import pytest
+from matplotlib.figure import Figure
 
 from angler_mjx.cli.main import main
 from angler_mjx.control.laws.ardusub.gains import ArduSubGains
@@ -31,7 +32,7 @@ from angler_mjx.storage.folder import (
 )
 from angler_mjx.vehicles import library
 from angler_sitl.firmware import parameters, probe
-from angler_sitl.spotcheck import checking, flight, gaps, picking, scenes
+from angler_sitl.spotcheck import checking, figures, flight, gaps, picking, scenes
 from angler_sitl.spotcheck.flight import Flight
 from angler_sitl.spotcheck.found import Settings
 
@@ -331,7 +332,10 @@ def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
         checking.check(run.path, settings, out, told, resume=True)
 
 
-def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path):
+def test_what_was_interrupted_goes_on(run, flyers, settings, tmp_path, monkeypatch):
+    # Drawn in the test above; here they would take most of the time.
+    for name in ("summary", "overlay"):
+        monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
     out, told = tmp_path / "check", Told()
     flyers[0] = 3
     found = checking.check(run.path, settings, out, told)
