@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from angler_kernels.bit_grid import pack
-from angler_mjx.world.difficulty import line_is_free, shortest_ways
+from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_ways
 
 from ..compiling import quickly
 from ..lattice import least_costs
@@ -63,6 +63,29 @@ def test_a_way_that_turns_back_again_and_again_is_found(found):
         shortest = expected(*worlds, 0, world)
         assert 3 * 8 < shortest < np.inf
         assert length[0, world] == pytest.approx(shortest, rel=1e-6)
+
+
+def test_ways_through_open_water_are_dijkstras_too():
+    """Where the passable cells are a box, which an edge of the grid or the floor makes smaller."""
+    rng = np.random.default_rng(3)
+    passable = np.zeros((*SHAPE, 4), bool)
+    for world, (low, high) in enumerate(
+        [
+            ((0, 0, 0), (9, 9, 9)),
+            ((1, 1, 1), (8, 8, 8)),
+            ((0, 0, 3), (9, 9, 9)),
+            ((4, 0, 0), (5, 9, 9)),
+        ]
+    ):
+        passable[(*(slice(a, b) for a, b in zip(low, high, strict=True)), world)] = True
+    start, goal = rng.integers(0, 9, (2, 3, 30, 4))
+    find = quickly(lambda passable, *ends: open_ways(pack(passable), SHAPE[2], *ends))
+    length = np.asarray(find(passable, start, goal))
+    for world in range(4):
+        costs = [least_costs(passable[..., world], tuple(cell)) for cell in goal[..., world].T]
+        right = [cost[tuple(c)] for cost, c in zip(costs, start[..., world].T, strict=True)]
+        np.testing.assert_allclose(length[:, world], right, rtol=1.2e-6)
+    assert np.isinf(length).any()
 
 
 def test_line_of_sight_equals_dense_sampling():
