@@ -153,7 +153,8 @@ def build_scene(
     # One after another: one program for any number of worlds.
     draw = partial(quickly(one_world, static_argnums=1), kinds, config)
     drawn = [draw(key) for key in jax.random.split(jax.random.key(seed), n)]
-    worlds = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn)
+    # In numpy, which compiles nothing for each shape.
+    worlds = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *drawn)
     return Scene(spec=SimSpec(), fleet=kinds, worlds=worlds)
 
 
@@ -196,7 +197,20 @@ def double():
 
 
 @pytest.fixture(scope="session")
-def play(engines_by_name):
+def begun(engines_by_name):
+    """A function (scene, engine) -> the state at t = 0; kept."""
+
+    @cache
+    def reset(name: str, scene: "Hashed") -> Any:
+        with jax.enable_x64(True):
+            one = partial(engines_by_name[name].reset, scene.scene.spec)
+            return quickly(one)(scene.scene.fleet, scene.scene.worlds)
+
+    return lambda scene, name: reset(name, Hashed(scene))
+
+
+@pytest.fixture(scope="session")
+def play(engines_by_name, begun):
     """A function (scene, engine, commanded) -> final state, samples of all steps; kept."""
 
     @cache
@@ -204,7 +218,7 @@ def play(engines_by_name):
         with jax.enable_x64(True):
             engine, spec = engines_by_name[name], scene.scene.spec
             worlds, kinds = scene.scene.worlds, scene.scene.fleet
-            start = quickly(partial(engine.reset, spec))(kinds, worlds)
+            start = begun(scene.scene, name)
             signals = random_signals(worlds) if commanded else None
             return quickly(partial(_steps, engine, spec))(kinds, worlds, start, signals)
 

@@ -12,7 +12,6 @@ import pytest
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee
 
-from ..compiling import quickly
 from .stored import store
 
 # Asked for; found is 1e-13, on numbers of up to 1e3 (forces) and after 1,000 physics steps.
@@ -95,13 +94,5 @@ def test_a_mixed_fleet_is_grouped_by_vehicle(double):
     assert [(group.first, group.count) for group in double.fleet.groups] == [(0, 4), (4, 2)]
 
 
-def test_reset_is_that_of_mjx(double, engines_by_name, deviation):
-    states = []
-    with jax.enable_x64(True):
-        for engine in engines_by_name.values():
-            states.append(
-                quickly(lambda f, w, e=engine: e.reset(double.spec, f, w))(
-                    double.fleet, double.worlds
-                )
-            )
-    assert_close(deviation, "fused.reset", states[1], states[0])
+def test_reset_is_that_of_mjx(double, begun, deviation):
+    assert_close(deviation, "fused.reset", begun(double, "fused"), begun(double, "mjx"))
