@@ -204,7 +204,8 @@ def begun(engines_by_name):
     def reset(name: str, scene: "Hashed") -> Any:
         with jax.enable_x64(True):
             one = partial(engines_by_name[name].reset, scene.scene.spec)
-            return quickly(one)(scene.scene.fleet, scene.scene.worlds)
+            # In numpy: a state that begins has the types of one that goes on.
+            return jax.device_get(quickly(one)(scene.scene.fleet, scene.scene.worlds))
 
     return lambda scene, name: reset(name, Hashed(scene))
 

@@ -235,7 +235,7 @@ def test_a_command_holds_for_its_period_and_the_carry_counts_over_segments(
 def test_worlds_are_their_own(scene, throw, dice):
     """In another place, beside others: each does to the last bit what it did."""
     order = np.array([2, 1, 1])
-    moved = jax.tree.map(lambda leaf: leaf[order], scene.worlds)
+    moved = jax.tree.map(lambda leaf: np.asarray(leaf)[order], scene.worlds)
     for ours, before in zip(throw(FUSED, moved)[1:], dice[1:], strict=True):
         np.testing.assert_array_equal(ours, before[order])
     assert len(np.unique(dice[1][:, 0, 0, 0])) == WORLDS
@@ -316,7 +316,7 @@ def test_signals_are_as_many_as_the_thrusters(begin, signals, taken):
 @pytest.fixture(scope="module")
 def told(scene):
     """A function: the time, currents and goals that a policy is told, and where its robots are."""
-    world = jax.tree.map(lambda leaf: leaf[1], scene.worlds)
+    world = jax.tree.map(lambda leaf: np.asarray(leaf)[1], scene.worlds)
     start = world.environment.start_m
     vehicles = VehicleState(
         p=start,
