@@ -20,6 +20,7 @@ from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim import robot
 from angler_mjx.sim.aboard import Aboard
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.vehicles import library, params
@@ -158,33 +159,60 @@ def assert_close(ours, theirs, tolerance):
 
 
 @pytest.fixture(scope="module")
-def by_stack(fly):
-    return fly(FUSED, None)
+def guided(fly):
+    """The flight of `Guide`: every step is a sample."""
+    return fly(FUSED, Guide(), SAMPLES * EVERY, 1)
 
 
-@pytest.mark.parametrize("engine", [MJX, FUSED, KERNELS])
-def test_a_policy_that_is_the_first_stage_flies_as_the_stack(fly, by_stack, engine):
-    stack, stack_seen = by_stack
-    ours, seen = fly(engine, Guide())
+def test_a_policy_that_is_the_first_stage_flies_as_the_stack(scene, guided):
+    """Given the same states, the whole stack follows the paths with the same targets and signals.
+
+    So the flights are the same: the thrusters move the vehicles (`engines/test_fused`).
+    """
+    after, seen = guided
+
+    decide = jax.vmap(jax.vmap(partial(robot.decide, scene.spec, flow=None)))
+    begin = jax.vmap(jax.vmap(partial(robot.begin, scene.spec)))
+
+    @quickly
+    def by_stack(worlds, seen):
+        known = Estimate(p=seen.p, q=seen.q, nu=seen.nu)
+        known = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 1, 0), known)
+
+        def one(carry, now):
+            carry, target_m, pwm = decide(worlds.control, carry, now, worlds.path)
+            return carry, (target_m, pwm.pwm_us)
+
+        first = jax.tree.map(lambda leaf: leaf[0], known)
+        return jax.lax.scan(one, begin(first, worlds.environment.start_yaw_rad), known)
+
+    carry, (target_m, pwm_us) = by_stack(scene.worlds, seen)
     # float64; the heading at the start comes from the attitude here.
-    assert_close(ours.vehicles, stack.vehicles, 1e-9)
-    assert_close(seen, stack_seen, 1e-9)
-    assert_close(ours.tally, stack.tally, 1e-9)
+    np.testing.assert_allclose(np.moveaxis(seen.target_m, 1, 0), target_m, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.moveaxis(seen.pwm_us, 1, 0), pwm_us, rtol=1e-9, atol=1e-9)
     # The guidance of the stack stood idle; that of the policy did its work.
-    assert_close(ours.policy.carry, stack.carry.stages[FOLLOW], 1e-9)
-    assert ours.policy.command is None
-    assert np.all(np.asarray(ours.carry.stages[FOLLOW].clock_s) == 0.0)
+    assert_close(after.policy.carry, carry.stages[FOLLOW], 1e-9)
+    assert_close(after.carry.stages[FOLLOW + 1 :], carry.stages[FOLLOW + 1 :], 1e-9)
+    assert after.policy.command is None
+    assert np.all(after.carry.stages[FOLLOW].clock_s == 0.0)
     assert np.min(np.linalg.norm(seen.target_m[:, -1] - seen.target_m[:, 0], axis=-1)) > 0.05
+    assert np.ptp(seen.pwm_us, axis=1).max() > 10.0
 
 
-@pytest.mark.parametrize("engine", [MJX, FUSED])
-def test_robots_of_a_world_see_each_other(fly, engine):
-    _, seen = fly(engine, Guide(meet=True))
+@pytest.mark.nightly(by="the fused engine here, and sim/test_senses.py, where mjx flies a policy")
+@pytest.mark.parametrize("engine", [MJX, TritonEngine(lanes=2, interpret=True)])
+def test_every_engine_flies_it_alike(fly, guided, engine):
+    for ours, theirs in zip(fly(engine, Guide(), SAMPLES * EVERY, 1), guided, strict=True):
+        assert_close(ours, theirs, 1e-9)
+
+
+def test_robots_of_a_world_see_each_other(fly):
+    _, seen = fly(FUSED, Guide(meet=True), SAMPLES * EVERY, 1)
     middle = np.mean(seen.p, axis=2, keepdims=True)
     np.testing.assert_allclose(seen.target_m, np.broadcast_to(middle, seen.p.shape), rtol=1e-12)
     # Each world has another middle, and each time.
     assert np.ptp(middle[:, 0, 0, 0]) > 0.01
-    assert np.all(np.linalg.norm(np.diff(middle, axis=1), axis=-1) > 1e-4)
+    assert np.all(np.linalg.norm(middle[:, -1] - middle[:, 1], axis=-1) > 1e-4)
 
 
 PERIOD, PARTS, STEPS = 3, 3, 2

@@ -1,6 +1,6 @@
 """What controllers are told: exactly the truth without noise, and the same in every engine."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -18,6 +18,7 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim import senses
+from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.grid import Grid, height_above_bottom
 
@@ -46,17 +47,29 @@ def tell(scene, told, controller="cascade", numbers=()):
     return replace(scene, spec=spec, worlds=keyed if spec.instrumented else scene.worlds)
 
 
-def begin(scene):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Pilot(Policy):
+    """Trajectories of joints along the paths with a heading of its own; keeps what it was told."""
+
+    def reset(self, known, key):
+        return known.belief.p, jax.random.uniform(key, (len(TOLD),))
+
+    def act(self, carry, known, key, step):
+        return (known.belief.p, carry[1]), jax.vmap(from_path)(known.path, carry[1])
+
+
+def begin(scene, policy=None):
     """The state at t = 0. One for all: it is the same to rounding (test_fused)."""
     reset = quickly(partial(FusedEngine().reset, scene.spec))
-    return jax.device_get(reset(scene.fleet, scene.worlds))
+    return jax.device_get(reset(scene.fleet, scene.worlds, policy))
 
 
-def fly(engine, scene, start, samples=SAMPLES, command=None):
+def fly(engine, scene, start, samples=SAMPLES, policy=None):
     """Final state and samples [W, samples, R, ...]."""
     count = {"n_sample": samples, "steps_per_sample": EVERY}
     run = quickly(partial(engine.segment, scene.spec, **count))
-    return jax.device_get(run(scene.fleet, scene.worlds, start, command=command))
+    return jax.device_get(run(scene.fleet, scene.worlds, start, policy=policy))
 
 
 def assert_close(ours, theirs, tolerance):
@@ -80,22 +93,22 @@ def place(scenes):
 
 @pytest.fixture(scope="module")
 def double(place):
-    """In float64: the scene, its start, a command, and how mjx flies it.
+    """In float64: the scene, its start, and how mjx flies the trajectories of a policy.
 
-    A JointTrajectory, under a law that wants the current and the wrench that was realised.
+    Under a law that wants the current and the wrench that was realised.
     """
     with jax.enable_x64(True):
         scene = tell(place, TOLD, "tracking", {"reference": {"lag_slow_m": 0.2}})
-        yaw = scene.worlds.environment.start_yaw_rad
-        command = quickly(jax.vmap(jax.vmap(from_path)))(scene.worlds.path, yaw)
-        start = begin(scene)
-        return scene, start, command, fly(MjxEngine(), scene, start, command=command)
+        keys = jax.random.key_data(jax.random.split(jax.random.key(6), WORLDS))
+        scene = replace(scene, worlds=replace(scene.worlds, policy_key=keys))
+        start = begin(scene, Pilot())
+        return scene, start, fly(MjxEngine(), scene, start, policy=Pilot())
 
 
-def test_the_fused_engine_tells_the_same_and_flies_the_command_alike(double):
-    scene, start, command, theirs = double
+def test_the_fused_engine_tells_the_same_and_flies_it_alike(double):
+    scene, start, theirs = double
     with jax.enable_x64(True):
-        ours = fly(FusedEngine(), scene, start, command=command)
+        ours = fly(FusedEngine(), scene, start, policy=Pilot())
     # As for all of an engine in float64: rounding has no room to grow.
     assert_close(ours, theirs, 1e-9)
     n_obstacle = scene.worlds.environment.obstacles.kind.shape[-1]
@@ -107,11 +120,11 @@ def test_the_fused_engine_tells_the_same_and_flies_the_command_alike(double):
     assert np.all(after.carry.stages[0].clock_s > 0.5)
 
 
-@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same_and_flies_the_command_alike")
+@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same_and_flies_it_alike")
 def test_kernels_tell_the_same(double):
-    scene, start, command, (_, theirs) = double
+    scene, start, (_, theirs) = double
     with jax.enable_x64(True):
-        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, start, 3, command)
+        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, start, 3, Pilot())
     assert_close(ours, jax.tree.map(lambda x: x[:, :3], theirs), 1e-9)
 
 
