@@ -175,6 +175,7 @@ def assert_close(ours, theirs, tolerance):
 DAILY = ("ardusub",)
 """Flown here in every run of the tests; on both engines the cascade is in `test_fused`, tracking in
 `sim/test_senses`."""
+ELSEWHERE = "; the cascade by test_fused.py"
 
 
 def controllers(by, daily=DAILY):
@@ -185,7 +186,7 @@ def controllers(by, daily=DAILY):
     ]
 
 
-@pytest.mark.parametrize("name", controllers(by="control/laws/test_lanes.py"))
+@pytest.mark.parametrize("name", controllers(by=f"control/laws/test_lanes.py{ELSEWHERE}"))
 def test_both_engines_decide_alike_along_a_flight(name, scene, flown):
     seen, _ = flown(name, "fused", LONGEST)
     states, *ours = seen
@@ -242,7 +243,7 @@ def assert_alike(ours, theirs):
         assert (x.shape, x.dtype) == (y.shape, y.dtype)
 
 
-@pytest.mark.parametrize("name", controllers(by="control/laws/test_closed_loops.py"))
+@pytest.mark.parametrize("name", controllers(by=f"control/laws/test_closed_loops.py{ELSEWHERE}"))
 def test_it_brings_robots_to_their_goals(name, flown):
     _, end = flown(name, "fused", LONGEST)
     assert np.all(np.asarray(end.tally.outcome) == Outcome.REACHED), np.asarray(end.tally.outcome)
@@ -294,7 +295,6 @@ def test_lanes_take_every_kind_of_command(kind, scene, at_rest, told):
     """What the fused engine does with a command is what the mjx engine does with it."""
     with jax.enable_x64(True):
         state, decide = at_rest(scene.spec), partial(robot.decide, scene.spec, flow=None)
-
         moving = state.carry, state.vehicles, told[kind]
         expected = quickly(jax.vmap(jax.vmap(decide)))(scene.worlds.control, *moving)
         given = scene_of(scene.fleet, scene.worlds).groups[0].params
