@@ -1,6 +1,6 @@
 """Random worlds for the engines, without planner or file: every vehicle and set, every obstacle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any
@@ -95,9 +95,18 @@ def every_variant() -> list[Member]:
     return [Member(variants=mix, weights=(1.0,) * len(mix), cruise_speed_mps=0.4), *members]
 
 
-def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
-    """A world of random cells, obstacles, current, starts and paths. Nothing keeps robots apart."""
-    n = kinds.cruise_mps.shape[0]
+ROBOTS = 6
+"""Rows that are drawn at least; fleets of fewer take the first, so that all share one program."""
+
+
+@partial(quickly, static_argnums=(0, 1))
+def one_water(
+    n: int, config: ObstaclesConfig, key: jax.Array
+) -> tuple[Environment, Trajectory, jax.Array]:
+    """Random cells, obstacles, current, starts and paths of ``n`` robots, and a key for these.
+
+    Nothing keeps robots apart.
+    """
     keys = iter(jax.random.split(key, 8))
     lo = jnp.asarray(ORIGIN_M, float)
     hi = lo + CELLS * CELL_M
@@ -117,7 +126,7 @@ def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
     )
     path = jax.vmap(_polyline)(points)
     rows = obstacles.draw(config, next(keys), grid, lo, hi, points[:, 0], 0.5, 1000.0)
-    variant, control, body = fleet.draw(kinds, next(keys))
+    of_fleet = next(keys)
     environment = Environment(
         grid=grid,
         floor_z_m=lo[2],
@@ -132,7 +141,21 @@ def one_world(kinds: Fleet, config: ObstaclesConfig, key: jax.Array) -> World:
         redraws=jnp.zeros((), jnp.int32),
         valid=jnp.asarray(True),
     )
-    return World(environment=environment, variant=variant, body=body, control=control, path=path)
+    return environment, path, of_fleet
+
+
+def one_world(kinds: Fleet, draw: Any, config: ObstaclesConfig, key: jax.Array) -> World:
+    """A world with robots that ``draw`` gives for a key, in numpy, in JAX's present float type."""
+    n = kinds.cruise_mps.shape[0]
+    with jax.enable_x64(True):
+        environment, path, of_fleet = jax.device_get(one_water(max(n, ROBOTS), config, key))
+    of_robots = ("start_m", "start_yaw_rad", "goal_m", "path_ratio", "line_free")
+    rows = {name: getattr(environment, name)[:n] for name in of_robots}
+    environment = replace(environment, **rows)
+    path = jax.tree.map(lambda leaf: leaf[:n], path)
+    variant, control, body = jax.device_get(draw(of_fleet))
+    world = World(environment=environment, variant=variant, body=body, control=control, path=path)
+    return jax.tree.map(lambda leaf: leaf.astype(jax.dtypes.canonicalize_dtype(leaf.dtype)), world)
 
 
 def _polyline(corners: jax.Array) -> Trajectory:
@@ -150,10 +173,12 @@ def build_scene(
 ) -> Scene:
     """``n`` random worlds, in JAX's present float type."""
     kinds = fleet.build(every_variant() if members is None else members)
+    draw = quickly(partial(fleet.draw, kinds))
     # One after another: one program for any number of worlds.
-    draw = partial(quickly(one_world, static_argnums=1), kinds, config)
-    drawn = [draw(key) for key in jax.random.split(jax.random.key(seed), n)]
-    worlds = jax.tree.map(lambda *leaves: jnp.stack(leaves), *drawn)
+    drawn = [
+        one_world(kinds, draw, config, key) for key in jax.random.split(jax.random.key(seed), n)
+    ]
+    worlds = jax.tree.map(lambda *leaves: jnp.asarray(np.stack(leaves)), *drawn)
     return Scene(spec=SimSpec(), fleet=kinds, worlds=worlds)
 
 
@@ -196,7 +221,21 @@ def double():
 
 
 @pytest.fixture(scope="session")
-def play(engines_by_name):
+def begun(engines_by_name):
+    """A function (scene, engine) -> the state at t = 0; kept."""
+
+    @cache
+    def reset(name: str, scene: "Hashed") -> Any:
+        with jax.enable_x64(True):
+            one = partial(engines_by_name[name].reset, scene.scene.spec)
+            # In numpy: a state that begins has the types of one that goes on.
+            return jax.device_get(quickly(one)(scene.scene.fleet, scene.scene.worlds))
+
+    return lambda scene, name: reset(name, Hashed(scene))
+
+
+@pytest.fixture(scope="session")
+def play(engines_by_name, begun):
     """A function (scene, engine, commanded) -> final state, samples of all steps; kept."""
 
     @cache
@@ -204,7 +243,7 @@ def play(engines_by_name):
         with jax.enable_x64(True):
             engine, spec = engines_by_name[name], scene.scene.spec
             worlds, kinds = scene.scene.worlds, scene.scene.fleet
-            start = quickly(partial(engine.reset, spec))(kinds, worlds)
+            start = begun(scene.scene, name)
             signals = random_signals(worlds) if commanded else None
             return quickly(partial(_steps, engine, spec))(kinds, worlds, start, signals)
 

@@ -1,9 +1,9 @@
-"""Every stack that has a name, in closed loop in the simulator, on both engines, in float64.
+"""Every stack that has a name, in closed loop in the simulator, as both engines decide, in float64.
 
 And what else can drive the controllers: all kinds of commands, on lanes and in kernels.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import jax
@@ -24,16 +24,21 @@ from angler_mjx.engines.lanes.layout import (
     to_arrays,
     to_lanes,
 )
-from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.engines.triton.kernels import Kernels
+from angler_mjx.engines.triton.launch import Program
+from angler_mjx.engines.triton.segment import Segment
+from angler_mjx.engines.triton.tile import Tile
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import robot, step
+from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.step import DECIDE
 from angler_mjx.world import currents
 
 from ..compiling import quickly
 
-WORLDS, PARITY, LONGEST = 3, 40, 900
-"""Worlds; control steps in which engines are compared, 2 s; and in which robots must arrive, 45 s.
+WORLDS, PARITY, LONGEST = 3, 40, 880
+"""Worlds; control steps in which engines are compared, 2 s; and in which robots must arrive, 44 s.
 Paths take up to 25 s."""
 
 
@@ -56,11 +61,13 @@ def at_rest(scene, engines_by_name):
         first = quickly(partial(engines_by_name["fused"].reset, scene.spec))(
             scene.fleet, scene.worlds
         )
-    yaw = scene.worlds.environment.start_yaw_rad
+    # In numpy: what begins a flight has the types of what goes on with it, and is compiled once.
+    first = jax.device_get(first)
+    yaw = np.asarray(scene.worlds.environment.start_yaw_rad)
 
     def start(spec):
-        begin = jax.vmap(jax.vmap(partial(robot.begin, spec)))
-        return replace(first, carry=begin(first.vehicles, yaw))
+        begin = quickly(jax.vmap(jax.vmap(partial(robot.begin, spec))))
+        return replace(first, carry=jax.device_get(begin(first.vehicles, yaw)))
 
     return start
 
@@ -101,38 +108,55 @@ def time_of(spec, state):
     return state.step[0].astype(state.vehicles.p.dtype) * spec.control_dt_s
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Counts(Policy):
+    """Counts how often it is asked."""
+
+    def act(self, carry, known, key, step):
+        return carry + 1, ThrusterPwm(pwm_us=jnp.full(known.goal_m.shape[:1], 1500.0))
+
+
+UNASKED = PolicyMemory(carry=np.zeros(WORLDS, np.int32), command=None)
+
+
 @pytest.fixture(scope="module")
 def flown(scene, at_rest, engines_by_name):
-    """A function (controller, engine, steps) -> states after each step of `PARITY`, and the end.
+    """A function (controller, engine, steps) -> what is seen of `PARITY` steps, and the end.
 
-    Controllers are compiled apart from their engine, which takes their signals and is compiled
-    once; how the two are put together is compared for one of them below.
+    Seen are the states before, the memory after and the signals, [PARITY] leading. The engine takes
+    the signals of the controllers as a command; how the two are put together is compared in
+    `test_fused` and `sim/test_senses`. The signals stand in for a policy's.
     """
     deciding = {"fused": on_lanes, "mjx": mapped}
-    stepping = {
-        name: quickly(partial(engine.control_step, scene.spec))
-        for name, engine in engines_by_name.items()
-    }
+    signals = stack.Memory(stages=(), realised=None)
+
+    def one(spec, engine, kinds, worlds, state, _):
+        carry, pwm = deciding[engine](spec, kinds, worlds, state)
+        alone, command = replace(state, carry=signals), ThrusterPwm(pwm_us=pwm)
+        after, sample = engines_by_name[engine].control_step(
+            scene.spec, kinds, worlds, alone, command, Counts()
+        )
+        return replace(after, carry=carry), (state, carry, pwm, sample.pwm_us)
 
     @cache
     def fly(name, engine, steps):
         with jax.enable_x64(True):
             spec = spec_of(scene, stages.CONTROLLERS[name])
-            decide = quickly(partial(deciding[engine], spec))
-            state, seen = at_rest(spec), []
-            signals = stack.Memory(stages=(), realised=None)
-            for i in range(steps):
-                carry, pwm = decide(scene.fleet, scene.worlds, state)
-                alone = replace(state, carry=signals)
-                after, _ = stepping[engine](
-                    scene.fleet, scene.worlds, alone, ThrusterPwm(pwm_us=pwm)
-                )
-                state = replace(after, carry=carry)
-                if i < PARITY:
-                    seen.append((state, pwm))
-                elif i % 20 == 0 and np.all(np.asarray(state.tally.outcome) != Outcome.RUNNING):
+
+            @quickly
+            def some(kinds, worlds, state):
+                step = partial(one, spec, engine, kinds, worlds)
+                return jax.lax.scan(step, state, length=PARITY)
+
+            state, parts = replace(at_rest(spec), policy=UNASKED), []
+            while len(parts) < steps // PARITY:
+                state, (*seen, sent) = jax.device_get(some(scene.fleet, scene.worlds, state))
+                np.testing.assert_array_equal(sent, seen[-1])
+                parts.append(seen)
+                if np.all(state.tally.outcome != Outcome.RUNNING):
                     break
-            return seen, state
+            return parts[0], state
 
     return fly
 
@@ -148,134 +172,168 @@ def assert_close(ours, theirs, tolerance):
             np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-DAILY = ("cascade", "tracking", "ardusub")
-"""Flown in every run of the tests: a controller of each kind of stage."""
+DAILY = ("ardusub",)
+"""Flown here in every run of the tests; on both engines the cascade is in `test_fused`, tracking in
+`sim/test_senses`."""
+ELSEWHERE = "; the cascade by test_fused.py"
 
 
-def controllers(by):
+def controllers(by, daily=DAILY):
     """All, but those of a day alone by night; ``by`` proves the others in small."""
     return [
-        name if name in DAILY else pytest.param(name, marks=pytest.mark.nightly(by=by))
+        name if name in daily else pytest.param(name, marks=pytest.mark.nightly(by=by))
         for name in stages.CONTROLLERS
     ]
 
 
-@pytest.mark.parametrize("name", controllers(by="control/laws/test_lanes.py"))
+@pytest.mark.parametrize("name", controllers(by=f"control/laws/test_lanes.py{ELSEWHERE}"))
+def test_both_engines_decide_alike_along_a_flight(name, scene, flown):
+    seen, _ = flown(name, "fused", LONGEST)
+    states, *ours = seen
+    with jax.enable_x64(True):
+        decide = jax.vmap(
+            partial(mapped, spec_of(scene, stages.CONTROLLERS[name])), (None, None, 0)
+        )
+        theirs = quickly(decide)(scene.fleet, scene.worlds, states)
+    # float64 leaves rounding no room; found is 1e-12.
+    assert_close(tuple(ours), theirs, 1e-9)
+    assert np.abs(np.asarray(states.vehicles.nu[..., :3])).max() > 0.1
+    assert np.ptp(ours[1], axis=0).max() > 10.0
+
+
+BY_DECISIONS = "test_both_engines_decide_alike_along_a_flight, and test_fused.py for what they move"
+
+
+@pytest.mark.parametrize("name", controllers(by=BY_DECISIONS, daily=()))
 def test_both_engines_fly_it_alike(name, flown):
     ours, _ = flown(name, "fused", LONGEST)
     theirs, _ = flown(name, "mjx", PARITY)
     # As for the cascade: float64 leaves rounding no room; found is 1e-12.
-    assert_close(ours[-1], theirs[-1], 1e-9)
-    assert_close(ours[10], theirs[10], 1e-9)
-    assert np.abs(np.asarray(ours[-1][0].vehicles.nu[..., :3])).max() > 0.1
+    assert_close(ours, theirs, 1e-9)
+    assert np.abs(ours[0].vehicles.nu[..., :3]).max() > 0.1
 
 
 @pytest.mark.parametrize("name", stages.CONTROLLERS)
+def test_memory_comes_out_as_it_went_in(name, scene, at_rest):
+    """Traced, not computed: so a segment of it can be put together."""
+    spec = spec_of(scene, stages.CONTROLLERS[name])
+    with jax.enable_x64(True):
+        state = at_rest(spec)
+        after, pwm = jax.eval_shape(partial(on_lanes, spec), scene.fleet, scene.worlds, state)
+    assert_alike(after, state.carry)
+    assert pwm.shape == (WORLDS, 1, 8)
+
+
+@pytest.mark.parametrize("name", controllers(by="test_memory_comes_out_as_it_went_in", daily=()))
 def test_a_segment_of_it_can_be_put_together(name, scene, at_rest, engines_by_name):
-    """Traced, not computed: every leaf of the memory comes out as it went in."""
+    """Traced, not computed: every leaf of the state comes out as it went in."""
     spec = spec_of(scene, stages.CONTROLLERS[name])
     with jax.enable_x64(True):
         state = at_rest(spec)
         run = partial(engines_by_name["fused"].segment, spec, n_sample=1, steps_per_sample=2)
         after, sample = jax.eval_shape(run, scene.fleet, scene.worlds, state)
-    assert jax.tree.structure(after) == jax.tree.structure(state)
-    for x, y in zip(jax.tree.leaves(after), jax.tree.leaves(state), strict=True):
-        assert (x.shape, x.dtype) == (y.shape, y.dtype)
+    assert_alike(after, state)
     assert sample.target_m.shape == (WORLDS, 1, 1, 3)
 
 
-@pytest.mark.parametrize("name", controllers(by="control/laws/test_closed_loops.py"))
+def assert_alike(ours, theirs):
+    """The same structure, shapes and types."""
+    assert jax.tree.structure(ours) == jax.tree.structure(theirs)
+    for x, y in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        assert (x.shape, x.dtype) == (y.shape, y.dtype)
+
+
+@pytest.mark.parametrize("name", controllers(by=f"control/laws/test_closed_loops.py{ELSEWHERE}"))
 def test_it_brings_robots_to_their_goals(name, flown):
     _, end = flown(name, "fused", LONGEST)
     assert np.all(np.asarray(end.tally.outcome) == Outcome.REACHED), np.asarray(end.tally.outcome)
     assert np.asarray(end.tally.path_length_m).min() > 3.0
 
 
+def test_a_command_from_outside_stands_in_for_the_policy(flown):
+    """The signals of the flights are those that were given; nobody asked the policy."""
+    _, end = flown(DAILY[0], "fused", LONGEST)
+    assert end.step[0] > PARITY
+    np.testing.assert_array_equal(end.policy.carry, 0)
+
+
 def commands(scene, state):
     """One of each kind for every robot."""
     environment = scene.worlds.environment
-    shape = environment.start_yaw_rad.shape
+    yaw = np.asarray(environment.start_yaw_rad)
     random = np.random.default_rng(3)
 
     def some(*tail):
-        return jnp.asarray(random.normal(size=(*shape, *tail)))
+        return random.normal(size=(*yaw.shape, *tail))
 
     pose = PoseTarget(
         position_m=state.vehicles.p + some(3), velocity_mps=0.1 * some(3), yaw_rad=some()
     )
     return {
         "path": scene.worlds.path,
-        "joints": jax.vmap(jax.vmap(from_path))(scene.worlds.path, environment.start_yaw_rad),
+        "joints": quickly(jax.vmap(jax.vmap(from_path)))(scene.worlds.path, yaw),
         "pose": pose,
-        "tracking": jax.vmap(jax.vmap(as_tracking))(pose),
+        "tracking": quickly(jax.vmap(jax.vmap(as_tracking)))(pose),
         "twist": BodyTwist(nu=0.3 * some(6)),
         "wrench": BodyWrench(tau=20.0 * some(6)),
         "signals": ThrusterPwm(pwm_us=1500 + 100 * some(8)),
     }
 
 
+@pytest.fixture(scope="module")
+def told(scene, at_rest):
+    """One of each kind of command, at rest."""
+    with jax.enable_x64(True):
+        return commands(scene, at_rest(scene.spec))
+
+
 KINDS = ["path", "joints", "pose", "tracking", "twist", "wrench", "signals"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_lanes_take_every_kind_of_command(kind, scene, at_rest):
+def test_lanes_take_every_kind_of_command(kind, scene, at_rest, told):
     """What the fused engine does with a command is what the mjx engine does with it."""
     with jax.enable_x64(True):
-        state = at_rest(scene.spec)
-        command = commands(scene, state)[kind]
-        params = scene.worlds.control
-        decide = partial(robot.decide, scene.spec, flow=None)
-        expected = quickly(jax.vmap(jax.vmap(decide)))(params, state.carry, state.vehicles, command)
+        state, decide = at_rest(scene.spec), partial(robot.decide, scene.spec, flow=None)
+        moving = state.carry, state.vehicles, told[kind]
+        expected = quickly(jax.vmap(jax.vmap(decide)))(scene.worlds.control, *moving)
         given = scene_of(scene.fleet, scene.worlds).groups[0].params
-        moving = to_lanes((state.carry, state.vehicles, command), 2)
-        found = to_arrays(lanes.apply(decide, given, *moving), 2)
-        for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-            # The same numbers in another order of adding; signals are of 1500 us.
-            np.testing.assert_allclose(np.broadcast_to(x, y.shape), y, rtol=1e-12, atol=1e-9)
+        found = to_arrays(lanes.apply(decide, given, *to_lanes(moving, 2)), 2)
+    for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        # The same numbers in another order of adding; signals are of 1500 us.
+        np.testing.assert_allclose(np.broadcast_to(x, y.shape), y, rtol=1e-12, atol=1e-9)
 
 
-def test_a_command_drives_whole_segments_alike(scene, at_rest, engines_by_name):
-    """A JointTrajectory under a law that wants the current and the wrench that was realised."""
-    spec = spec_of(scene, stages.CONTROLLERS["tracking"], {"reference": {"lag_slow_m": 0.2}})
-    ends = []
-    with jax.enable_x64(True):
-        state = at_rest(spec)
-        command = commands(scene, state)["joints"]
-        for engine in engines_by_name.values():
-            run = partial(engine.segment, spec, n_sample=3, steps_per_sample=5)
-            compiled = quickly(lambda f, w, s, c, run=run: run(f, w, s, command=c))
-            ends.append(compiled(scene.fleet, scene.worlds, state, command))
-    assert_close(ends[1], ends[0], 1e-9)
-    after, sample = ends[0]
-    assert sample.target_m.shape == (WORLDS, 3, 1, 3)
-    assert np.abs(after.carry.realised.tau).max() > 1.0
-    # Followed, not the path: a line from way-point to way-point is the same, but not the heading.
-    assert np.all(np.asarray(after.carry.stages[0].clock_s) > 0.5)
-
-
-# The cascade's are lowered elsewhere; the others have no operation that these have not.
+# The cascade's are lowered elsewhere, with the other phases; the others have no operation that
+# these have not.
 @pytest.mark.parametrize("name", ["los", "tracking", "ismc", "aitsm", "ardusub"])
 @pytest.mark.usefixtures("as_if_on_an_h200")
-def test_kernels_of_every_controller_lower_for_cuda(name, scene, at_rest):
-    spec, engine = spec_of(scene, stages.CONTROLLERS[name]), TritonEngine()
+def test_the_kernel_of_every_controller_lowers_for_cuda(name, scene, at_rest, told):
+    spec = spec_of(scene, stages.CONTROLLERS[name])
     with jax.enable_x64(True):
-        state = at_rest(spec)
         # The command that reads most from memory: tables of numbers and of whole numbers.
-        told = commands(scene, state)["path" if name == "los" else "joints"]
-        given = scene.fleet, scene.worlds, state, told
-        single = jax.tree.map(
-            lambda x: x.astype(jnp.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x, given
-        )
-    traced = jax.jit(partial(engine.control_step, spec)).trace(*single)
+        given = scene.worlds, at_rest(spec), told["path" if name == "los" else "joints"]
+        worlds, state, command = jax.tree.map(single, given)
+
+    def decide(worlds, state, command):
+        part = Segment(Tile(jax.tree.map(single, scene.fleet), worlds), state, 1, 1, command, None)
+        kernels = Kernels(Program(lanes=1, warps=1, interpret=False), spec, part)
+        start = np.zeros(1, np.int32)
+        return kernels.phase(DECIDE, part.tile.groups[0], start, start, part.start)
+
+    traced = jax.jit(decide).trace(worlds, state, command)
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
-    assert text.count("__gpu$xla.gpu.triton") == 3
+    assert text.count("__gpu$xla.gpu.triton") == 1
 
 
-def test_a_command_that_the_controllers_do_not_take_is_refused(scene, at_rest):
+def single(x):
+    return np.asarray(x, np.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x
+
+
+def test_a_command_that_the_controllers_do_not_take_is_refused(scene, at_rest, told):
     spec = spec_of(scene, stages.CONTROLLERS["ardusub"])
     with jax.enable_x64(True):
         state = at_rest(spec)
-        told = commands(scene, state)["wrench"]
         step = partial(FusedEngine().control_step, spec)
         with pytest.raises(ConfigError, match="BodyWrench: no stage of follow, ardusub"):
-            jax.eval_shape(step, scene.fleet, scene.worlds, state, told)
+            jax.eval_shape(step, scene.fleet, scene.worlds, state, told["wrench"])

@@ -4,15 +4,18 @@ In float64 rounding has no room to grow, so what is left to see is the equations
 differs is measured by `angler_experiments.engine_parity`, on whole episodes.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee
 
-from ..compiling import quickly
+from .. import declared
 from .stored import store
 
 # Asked for; found is 1e-13, on numbers of up to 1e3 (forces) and after 1,000 physics steps.
@@ -46,6 +49,13 @@ def assert_close(deviation, key, ours, theirs):
 def test_states_and_samples_are_those_of_mjx(pair, deviation):
     name, theirs, ours = pair
     assert_close(deviation, f"fused.{name.replace(' ', '_')}", ours, theirs)
+
+
+def test_samples_have_the_declared_shapes(pair, double):
+    n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
+    sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
+    for _, sample in pair[1:]:
+        declared.check(sample, (200, 8), sizes)
 
 
 def test_the_worlds_are_worth_comparing(pair, double):
@@ -95,13 +105,22 @@ def test_a_mixed_fleet_is_grouped_by_vehicle(double):
     assert [(group.first, group.count) for group in double.fleet.groups] == [(0, 4), (4, 2)]
 
 
-def test_reset_is_that_of_mjx(double, engines_by_name, deviation):
-    states = []
-    with jax.enable_x64(True):
-        for engine in engines_by_name.values():
-            states.append(
-                quickly(lambda f, w, e=engine: e.reset(double.spec, f, w))(
-                    double.fleet, double.worlds
-                )
-            )
-    assert_close(deviation, "fused.reset", states[1], states[0])
+def test_reset_is_that_of_mjx(double, begun, deviation):
+    assert_close(deviation, "fused.reset", begun(double, "fused"), begun(double, "mjx"))
+
+
+@pytest.mark.usefixtures("as_if_on_an_h200")
+def test_kernels_lower_for_cuda(double, begun):
+    """Triton's part of the compiler knows every operation in them; no device is needed for that."""
+    given = double.fleet, double.worlds, begun(double, "fused")
+    given = jax.tree.map(
+        lambda x: np.asarray(x, np.float32) if jnp.issubdtype(x.dtype, jnp.floating) else x, given
+    )
+    segment = partial(TritonEngine().segment, double.spec, n_sample=2, steps_per_sample=2)
+    traced = jax.jit(segment).trace(*given)
+    text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    # Control, motion and judgement of each of two groups, and the obstacles; for all launches.
+    assert text.count("__gpu$xla.gpu.triton") == 7
+    n_obstacle = double.worlds.environment.obstacles.kind.shape[-1]
+    sizes = {"robot": 6, "thruster": 8, "obstacle": n_obstacle}
+    declared.check(traced.out_info[1], (8, 2), sizes, dtype=jnp.float32)

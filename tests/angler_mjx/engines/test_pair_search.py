@@ -20,6 +20,8 @@ from angler_mjx.engines.lanes.search import (
     in_turn,
 )
 
+from ..compiling import quickly
+
 N, R, W = 45, 3, 8
 """Shapes, robots and worlds: several chunks of pairs, and more groups than a lane can note."""
 FIRST = 2
@@ -75,7 +77,7 @@ def search(how, mine, theirs, limit, running, start_gap):
 def searches():
     """A function of the same arguments that gives what each search finds."""
     kinds = (pair_search.among_listed, in_groups, in_turn)
-    functions = [jax.jit(partial(search, how)) for how in kinds]
+    functions = [quickly(partial(search, how)) for how in kinds]
     return lambda *args: [function(*args) for function in functions]
 
 
@@ -118,7 +120,7 @@ def test_has_the_derivative_of_the_search_in_turn():
         return jnp.sum(found.gap**2 + found.v[0])
 
     ours, theirs = (
-        jax.grad(cost)([x + 0.25 for x in points(1, R)], how)
+        quickly(jax.grad(partial(cost, how=how)))([x + 0.25 for x in points(1, R)])
         for how in (pair_search.among_listed, in_turn)
     )
     # Multiples of a quarter.

@@ -1,10 +1,16 @@
-"""What the simulator's session does beyond what every session must."""
+"""The simulator's session: what every session must do, and what it does beyond that.
+
+And the suite of all sessions finds those that are broken on purpose. In one file, so that the
+session is compiled once.
+"""
+
+from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.control.joint_goal import JointGoal, JointPoint, build
 from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, from_path
 from angler_mjx.control.laws.targets import as_tracking
@@ -14,7 +20,10 @@ from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.view import believed, covariance, look
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome
+from angler_mjx.testing import CHECKS, Bounds, NonConformanceError, check_session
 from angler_mjx.testing.driving import heading, pose, position, run, twist
+
+from .broken import broken
 
 
 def every_kind(session):
@@ -43,6 +52,32 @@ def every_kind(session):
     ]
 
 
+def test_nobody_told_anything_robots_fly_the_planners_paths(heavies):
+    """As if they were told the paths of the world that a run would fly."""
+    heavies.reset()
+    inside = heavies.inside()
+    path = jax.tree.map(lambda leaf: np.asarray(leaf)[0], inside.worlds.path)
+    start = np.asarray(inside.worlds.environment.start_m)[0]
+    assert path.found.all()
+    told = {robot: jax.tree.map(lambda leaf, i=robot: leaf[i], path) for robot in (0, 1)}
+    alone = [now.estimate.p for now in run(heavies, 2.0)]
+    heavies.reset()
+    told = [now.estimate.p for now in run(heavies, 2.0, told)]
+    np.testing.assert_array_equal(told, alone)
+    assert np.linalg.norm(alone[-1] - start, axis=1).min() > 0.3
+    for points, corners in zip(np.moveaxis(alone, 1, 0), path.position_m, strict=True):
+        a, way = corners[:-1], np.diff(corners, axis=0)
+        along = np.sum((points[:, None] - a) * way, axis=-1)
+        share = np.clip(along / np.maximum(np.sum(way**2, axis=-1), 1e-9), 0.0, 1.0)
+        gap = np.linalg.norm(points[:, None] - a - share[..., None] * way, axis=-1)
+        # In still water, along a straight line.
+        assert gap.min(axis=1).max() < 0.05
+
+
+@pytest.mark.nightly(
+    by="test_nobody_told_anything_robots_fly_the_planners_paths; control/test_mixed.py for how a "
+    "command among many is chosen"
+)
 def test_it_is_the_same_world_as_that_of_a_run(heavies):
     """Nobody told anything else, robots fly as in `Simulator.step` along the planner's paths."""
     heavies.reset()
@@ -228,3 +263,36 @@ def look_again(session):
     shape = (1, len(session.robots), 8)
     signals = np.full(shape, 1500.0, np.float32)
     return jax.device_get(look(inside.worlds, inside.state, signals, None))
+
+
+def test_the_fused_engine_conforms(heavies, borrowed):
+    results = check_session(lambda: borrowed(heavies))
+    assert [result.name for result in results] == [check.name for check in CHECKS]
+    assert not [result for result in results if result.skipped]
+
+
+@pytest.mark.nightly(by="test_the_fused_engine_conforms")
+def test_the_mjx_engine_conforms_with_another_vehicle(calm):
+    """Six thrusters beside the eight of the other robot; this session is really closed."""
+    results = check_session(
+        lambda: BatchSession(calm("bluerov2"), engine="mjx"), bounds=Bounds(robot=1)
+    )
+    assert not [result for result in results if result.skipped]
+
+
+@pytest.mark.parametrize("name", broken(object))
+def test_the_suite_finds_what_is_broken(name, heavies, borrowed):
+    faulty = broken(borrowed)[name]
+    with pytest.raises(NonConformanceError, match=f"1 of 1 checks failed\n{name}: "):
+        check_session(lambda: faulty(heavies), only={name})
+
+
+def test_a_check_is_skipped_where_nothing_takes_its_command(heavies, borrowed):
+    class NoTwists(borrowed):
+        @property
+        def robots(self):
+            kept = [kind for kind in self._session.robots[0].accepts if kind is not BodyTwist]
+            return [replace(robot, accepts=tuple(kept)) for robot in self._session.robots]
+
+    (result,) = check_session(lambda: NoTwists(heavies), only={"commands_are_latched"})
+    assert result.skipped == "robot_0 takes no BodyTwist"

@@ -11,6 +11,8 @@ from angler_mjx.session.rejoin import Plan, Ways
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldConfig, resolve
 
+from ..compiling import quickly
+
 CLEARANCE_M, SPEED_MPS = 0.5, 0.5
 PLAN = Plan(
     time_s=np.array([0.0, 20.0, 36.0]),
@@ -22,7 +24,7 @@ PLAN = Plan(
 def water():
     """An open cube of 12^3 cells of 1.5 m: x and y from -9 to 9 m, z from -20 to -2 m."""
     recipe = resolve(WorldConfig(preset="open", shape=(12, 12, 12), placement="random"))
-    draw = jax.jit(lambda key: generate.generate(recipe, jnp.array([0.3]), key, 60.0, 1000.0))
+    draw = quickly(lambda key: generate.generate(recipe, jnp.array([0.3]), key, 60.0, 1000.0))
     return draw(jax.random.key(0))
 
 

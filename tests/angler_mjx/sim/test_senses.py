@@ -1,6 +1,6 @@
 """What controllers are told: exactly the truth without noise, and the same in every engine."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.control import stages
+from angler_mjx.control.joint_trajectory import from_path
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
@@ -17,9 +18,11 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim import senses
+from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.grid import Grid, height_above_bottom
 
+from .. import declared
 from ..compiling import quickly
 
 WORLDS, SAMPLES, EVERY = 2, 12, 5
@@ -28,11 +31,11 @@ EXACT = {"noise": False}
 TOLD = [("truth", {}), ("noisy", {}), ("ekf", ALL), ("ekf", {})]
 
 
-def tell(scene, told, controller="cascade"):
+def tell(scene, told, controller="cascade", numbers=()):
     """A scene whose robots are told of themselves, and whose controllers use the current."""
     robots = [(source, SensorsConfig.model_validate(tables)) for source, tables in told]
     spec = scene.spec
-    controllers, gains = stages.build(stages.CONTROLLERS[controller], {})
+    controllers, gains = stages.build(stages.CONTROLLERS[controller], dict(numbers))
     spec = replace(
         spec,
         stages=controllers,
@@ -44,13 +47,29 @@ def tell(scene, told, controller="cascade"):
     return replace(scene, spec=spec, worlds=keyed if spec.instrumented else scene.worlds)
 
 
-def fly(engine, scene, samples=SAMPLES):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Pilot(Policy):
+    """Trajectories of joints along the paths with a heading of its own; keeps what it was told."""
+
+    def reset(self, known, key):
+        return known.belief.p, jax.random.uniform(key, (len(TOLD),))
+
+    def act(self, carry, known, key, step):
+        return (known.belief.p, carry[1]), jax.vmap(from_path)(known.path, carry[1])
+
+
+def begin(scene, policy=None):
+    """The state at t = 0. One for all: it is the same to rounding (test_fused)."""
+    reset = quickly(partial(FusedEngine().reset, scene.spec))
+    return jax.device_get(reset(scene.fleet, scene.worlds, policy))
+
+
+def fly(engine, scene, start, samples=SAMPLES, policy=None):
     """Final state and samples [W, samples, R, ...]."""
-    # One for all: it is the same to rounding (test_fused), and compiled once.
-    start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
     count = {"n_sample": samples, "steps_per_sample": EVERY}
     run = quickly(partial(engine.segment, scene.spec, **count))
-    return jax.device_get(run(scene.fleet, scene.worlds, start))
+    return jax.device_get(run(scene.fleet, scene.worlds, start, policy=policy))
 
 
 def assert_close(ours, theirs, tolerance):
@@ -66,37 +85,51 @@ def assert_close(ours, theirs, tolerance):
 
 @pytest.fixture(scope="module")
 def place(scenes):
-    """Two worlds of four robots of a kind, without obstacles, in the present float type."""
+    """Two worlds of four robots of a kind, without obstacles, in float64."""
     build, members, obstacles = scenes
-    return lambda: build(WORLDS, members=members("bluerov2") * len(TOLD), config=obstacles["none"])
+    with jax.enable_x64(True):
+        return build(WORLDS, members=members("bluerov2") * len(TOLD), config=obstacles["none"])
 
 
 @pytest.fixture(scope="module")
 def double(place):
-    """The scene in float64, and how mjx flies it with a controller that uses the current."""
+    """In float64: the scene, its start, and how mjx flies the trajectories of a policy.
+
+    Under a law that wants the current and the wrench that was realised.
+    """
     with jax.enable_x64(True):
-        scene = tell(place(), TOLD, "tracking")
-        return scene, fly(MjxEngine(), scene)
+        scene = tell(place, TOLD, "tracking", {"reference": {"lag_slow_m": 0.2}})
+        keys = jax.random.key_data(jax.random.split(jax.random.key(6), WORLDS))
+        scene = replace(scene, worlds=replace(scene.worlds, policy_key=keys))
+        start = begin(scene, Pilot())
+        return scene, start, fly(MjxEngine(), scene, start, policy=Pilot())
 
 
-def test_the_fused_engine_tells_the_same(double):
-    scene, theirs = double
+def test_the_fused_engine_tells_the_same_and_flies_it_alike(double):
+    scene, start, theirs = double
     with jax.enable_x64(True):
-        ours = fly(FusedEngine(), scene)
+        ours = fly(FusedEngine(), scene, start, policy=Pilot())
     # As for all of an engine in float64: rounding has no room to grow.
     assert_close(ours, theirs, 1e-9)
+    n_obstacle = scene.worlds.environment.obstacles.kind.shape[-1]
+    sizes = {"robot": 4, "thruster": 6, "obstacle": n_obstacle}
+    declared.check(ours[1], (WORLDS, SAMPLES), sizes, told=True)
+    after, _ = theirs
+    assert np.abs(after.carry.realised.tau).max() > 1.0
+    # Followed, not the path: a line from way-point to way-point is the same, but not the heading.
+    assert np.all(after.carry.stages[0].clock_s > 0.5)
 
 
-@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same")
+@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same_and_flies_it_alike")
 def test_kernels_tell_the_same(double):
-    scene, (_, theirs) = double
+    scene, start, (_, theirs) = double
     with jax.enable_x64(True):
-        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, samples=3)
+        _, ours = fly(TritonEngine(lanes=2, interpret=True), scene, start, 3, Pilot())
     assert_close(ours, jax.tree.map(lambda x: x[:, :3], theirs), 1e-9)
 
 
 def test_each_robot_is_told_what_it_is_to_be_told(double):
-    _, (after, seen) = double
+    *_, (after, seen) = double
     belief, dt = seen.belief, 0.05
     for name in ("p", "q", "nu"):
         np.testing.assert_array_equal(getattr(belief, name)[:, :, 0], getattr(seen, name)[:, :, 0])
@@ -119,31 +152,53 @@ def test_each_robot_is_told_what_it_is_to_be_told(double):
     assert SAMPLES * EVERY * dt == 3.0
 
 
+SOURCES = [("truth", {})] * 2 + [("ekf", EXACT)] * 2
+CHANGED = np.array([2, 3, 0, 1])
+"""The second world is the first with its robots in this order, so that each flies by the truth in
+one of them, and by a filter in the other."""
+
+
 @pytest.fixture(scope="module")
 def exact(place):
-    """In float32: samples where the truth is told, and with filters of exact instruments."""
-    scene = place()
-    filters = tell(scene, [("ekf", EXACT)] * 4)
-    return {
-        "truth": fly(FusedEngine(), tell(scene, [("truth", {})] * 4))[1],
-        "fused": fly(FusedEngine(), filters)[1],
-        "mjx": fly(MjxEngine(), filters)[1],
-    }
+    """In float32: two robots that are told the truth, and two with filters of exact instruments."""
+    first = jax.tree.map(lambda leaf: single(np.asarray(leaf)[0]), place.worlds)
+    environment, there = first.environment, {}
+    for name in ("start_m", "start_yaw_rad", "goal_m", "path_ratio", "line_free"):
+        there[name] = getattr(environment, name)[CHANGED]
+    of_robots = {"variant": first.variant, "control": first.control, "path": first.path}
+    moved = jax.tree.map(lambda leaf: leaf[CHANGED], of_robots | {"body": first.body})
+    second = replace(first, environment=replace(environment, **there), **moved)
+    worlds = jax.tree.map(lambda *leaves: np.stack(leaves), first, second)
+    fleet = jax.tree.map(single, place.fleet)
+    return tell(replace(place, worlds=worlds, fleet=fleet), SOURCES)
 
 
-def test_without_noise_the_filter_is_near_the_truth(exact):
-    truth, seen = exact["truth"], exact["fused"]
+def single(leaf):
+    return np.asarray(leaf, np.float32) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+
+@pytest.fixture(scope="module")
+def in_single(exact):
+    return fly(FusedEngine(), exact, begin(exact))[1]
+
+
+def test_without_noise_the_filter_is_near_the_truth(in_single):
+    p, believed = in_single.p, in_single.belief.p
+    assert p.dtype == np.float32
     # The filter reckons by the trapezoidal rule: off by dt^2 / 12 times the change of acceleration
     # in a period, which is 1 m/s^2 where thrusters start.
-    np.testing.assert_allclose(seen.belief.p, seen.p, atol=3e-4)
+    np.testing.assert_allclose(believed, p, atol=3e-4)
+    assert np.abs(believed - p)[:, :, 2:].max() > 0.0
     # The robot goes where the filter takes it to be.
-    np.testing.assert_allclose(seen.p, truth.p, atol=6e-4)
-    assert np.abs(np.diff(truth.p, axis=1)).max() > 0.05
-    assert truth.belief is None
+    by_truth, by_filter = p[:, :, :2], p[::-1, :, 2:]
+    np.testing.assert_allclose(by_filter, by_truth, atol=6e-4)
+    assert np.abs(np.diff(by_truth, axis=1)).max() > 0.05
+    assert np.ptp(by_truth[:, 0, :, 2]) > 1.0
 
 
-def test_in_float32_engines_differ_by_rounding(exact):
-    ours, theirs = exact["fused"], exact["mjx"]
+@pytest.mark.nightly(by="the same in float64, and test_without_noise_the_filter_is_near_the_truth")
+def test_in_float32_engines_differ_by_rounding(exact, in_single):
+    ours, theirs = in_single, fly(MjxEngine(), exact, begin(exact))[1]
     # Three seconds: 1e-6 m of rounding at 12 m in each of 60 steps, fed back through controllers.
     np.testing.assert_allclose(ours.p, theirs.p, atol=3e-5)
     np.testing.assert_allclose(ours.belief.p, theirs.belief.p, atol=3e-5)
@@ -172,8 +227,13 @@ def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
         thrust=jnp.zeros((n, 8)),
     )
     spec = SimSpec(instrumented=groups)
-    memory = senses.reset(spec, world, robots)
-    _, belief = senses.step(spec, world, memory, jnp.int32(3), robots, jnp.ones((n, 3)))
+
+    @quickly
+    def one(robots, flow):
+        memory = senses.reset(spec, world, robots)
+        return senses.step(spec, world, memory, jnp.int32(3), robots, flow)[1]
+
+    belief = one(robots, jnp.ones((n, 3)))
     for told, true in (
         (belief.p, robots.p),
         (belief.nu, robots.nu),

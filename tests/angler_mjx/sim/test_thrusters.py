@@ -43,26 +43,30 @@ def scene(scenes):
 
 @pytest.fixture(scope="module")
 def fly(scene):
-    """A function (engine, worlds) -> state and samples; compiled once an engine."""
+    """A function (engine, command) -> state and samples; compiled once an engine."""
 
     def compiled(name):
         engine, count = by_name(name, "xla"), {"n_sample": SAMPLES, "steps_per_sample": EVERY}
         reset = partial(engine.reset, scene.spec)
         segment = partial(engine.segment, scene.spec, **count)
-        return quickly(lambda kinds, worlds: segment(kinds, worlds, reset(kinds, worlds)))
+        return quickly(
+            lambda kinds, worlds, command: segment(
+                kinds, worlds, reset(kinds, worlds), command=command
+            )
+        )
 
     engines = {name: compiled(name) for name in ("mjx", "fused")}
 
-    def run(name, worlds):
+    def run(name, command):
         with jax.enable_x64(True):
-            return engines[name](scene.fleet, worlds)
+            return engines[name](scene.fleet, scene.worlds, command)
 
     return run
 
 
 @pytest.mark.nightly(by="test_fused.py")
 def test_the_fused_engine_flies_them_as_mjx_does(fly, scene, deviation):
-    theirs, ours = (fly(name, scene.worlds) for name in ("mjx", "fused"))
+    theirs, ours = (fly(name, scene.worlds.path) for name in ("mjx", "fused"))
     assert set(np.unique(scene.worlds.variant)) == {0, 1, 2}
     assert theirs[0].vehicles.thrust.shape == (6, 2, 3, 8)
     assert np.median(theirs[0].tally.path_length_m) > 0.5
@@ -72,7 +76,7 @@ def test_the_fused_engine_flies_them_as_mjx_does(fly, scene, deviation):
 
 
 def test_a_dead_thruster_gives_nothing_and_is_asked_if_nobody_knows(fly, scene):
-    after, samples = fly("mjx", scene.worlds)
+    after, samples = fly("fused", scene.worlds.path)
     variant = np.asarray(scene.worlds.variant)
     np.testing.assert_array_equal(np.asarray(after.vehicles.thrust)[variant > 0][:, :, 5], 0.0)
     asked = np.moveaxis(np.asarray(samples.pwm_us)[..., 5], 2, 1)
@@ -81,11 +85,11 @@ def test_a_dead_thruster_gives_nothing_and_is_asked_if_nobody_knows(fly, scene):
 
 
 def test_station_is_kept_with_a_dead_thruster(fly, scene, deviation):
-    """On the spot, in the currents of these worlds."""
+    """On the spot, in the currents of these worlds: a command that stands in for the paths."""
     start = scene.worlds.environment.start_m
     path = scene.worlds.path
     stay = replace(path, position_m=jnp.broadcast_to(start[:, :, None], path.position_m.shape))
-    _, samples = fly("mjx", replace(scene.worlds, path=stay))
+    _, samples = fly("fused", stay)
     off = np.asarray(samples.p) - np.asarray(start)[:, None]
     q = np.asarray(samples.q)
     tilt = np.degrees(2 * np.arcsin(np.hypot(q[..., 1], q[..., 2])))

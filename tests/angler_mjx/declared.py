@@ -1,0 +1,26 @@
+"""Whether samples of an engine have the shapes and types that are declared of them."""
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.sim import record
+
+
+def check(sample, lead, sizes, *, told=False, dtype=jnp.float64):
+    """Assert it for all declared fields.
+
+    Args:
+        sample: of an engine, or its shapes.
+        lead: sizes of the axes before those of a world.
+        sizes: how many robots, thrusters and obstacles there are.
+        told: whether robots were told of themselves otherwise than by the truth.
+        dtype: of the simulation.
+    """
+    assert record.sizes_of(sample, lead=len(lead)) == sizes
+    for one in record.FIELDS:
+        value = one.of(sample)
+        assert (value is None) == (one.optional and not told), one.path
+        if value is not None:
+            assert value.shape == (*lead, *one.shape(sizes)), one.path
+            assert value.dtype == (jnp.int32 if one.about.whole else dtype), one.path
+    assert jax.tree.leaves(sample)
