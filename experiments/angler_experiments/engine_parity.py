@@ -3,7 +3,7 @@
 Every world is run twice: same cells, obstacles, currents, paths and fleet, another engine. All
 shipped vehicles and parameter sets are drawn.
 
-    python -m angler_experiments.engine_parity --worlds 1000
+    python -m angler_experiments.engine_parity --worlds 250
 
 A robot is counted as *within the bound* as long as its positions of the two runs differ by no more
 than `bound_m`. What takes it past the bound is a decision that rounding tips: an obstacle that was
@@ -221,7 +221,7 @@ def to_markdown(parity: Parity) -> str:
 
 def main(
     scenario: str = "reef_fleet",
-    worlds: int = 1000,
+    worlds: int = 250,
     seconds: float = 120.0,
     json: Path | None = None,
 ) -> Parity:
