@@ -370,6 +370,9 @@ def test_the_viewer_is_told_of_what_moves_and_who_drives(session, tmp_path):
 COMMAND = "from angler_mjx.cli.main import main; main([{arguments}])"
 
 
+@pytest.mark.nightly(
+    by="test_terminal.py with real terminals, test_keys.py, test_pilot.py, and the scripts above"
+)
 def test_by_hand_in_a_terminal(start, folder, tmp_path):
     run_folder = str(tmp_path / "run")
     given = ["teleop", str(folder / "three.toml"), "--robots", "0,2", "--out", run_folder]
