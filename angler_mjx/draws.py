@@ -1,7 +1,8 @@
 """Random numbers of several keys in one go.
 
-To XLA every draw is a loop of its own, of a dozen kernels: a world took 27 of them, a quarter of
-what its program took to compile. Drawn together, each key gives the numbers that it gives alone.
+To XLA every draw is a loop of its own. Where keys are folded and numbers drawn together, the
+program of `reef_fleet`'s worlds has nine loops and 54 kernels fewer, of 49 and 813, and less to
+compile. Each key gives the numbers that it gives alone.
 """
 
 from typing import Any

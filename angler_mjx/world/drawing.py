@@ -1,8 +1,8 @@
 """The part of a world that may have to be drawn again: its cells, and where the fleet stands.
 
 A world alone is drawn in a loop until it can hold its fleet. Under ``vmap`` that loop would repeat
-for all worlds what a few of them need, so `draw` brings its own rule for a batch: all worlds are
-drawn once, and then only those that failed, gathered into small groups. Large batches go through in
+for all worlds what a few of them need, so `draw` brings its own rule for a batch: group by group
+all worlds are drawn once, and then only those that failed (`groups`). Large batches go through in
 tiles of worlds that the device's caches and memory can hold. What a world looks like depends on its
 key alone. The functions behind `draw` have their axis of worlds last (see
 `angler_kernels.bit_grid`).
