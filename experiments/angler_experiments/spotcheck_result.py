@@ -8,9 +8,10 @@ Needs no ArduSub: everything is in ``spotcheck.json`` and ``gaps.csv``.
 
 import csv
 import json as json_text
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -72,7 +73,7 @@ def to_markdown(sums: dict[tuple[str, str], dict[str, float]], autopilot: str) -
     )
 
 
-def main(folder: Path, json: Path) -> None:
+def main(folder: Annotated[Path, tyro.conf.Positional], json: Path) -> None:
     """Write what a spot check found as a result that `angler validate` puts on its page.
 
     Args:
@@ -82,8 +83,8 @@ def main(folder: Path, json: Path) -> None:
     table = folder / "spotcheck.json"
     try:
         held: dict[str, Any] = json_text.loads(table.read_text(encoding="utf-8"))
-        origin, autopilot = held["provenance"], held["autopilot"]
-    except (OSError, ValueError, KeyError) as error:
+        origin, autopilot = held["provenance"], held["asked"]["ardusub"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{table}: is no table of a spot check ({error})") from error
     sums = add_up(read_gaps(folder))
     numbers = {}
@@ -106,4 +107,8 @@ def main(folder: Path, json: Path) -> None:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

@@ -19,7 +19,10 @@ guided,2,recorded,8,0,reached,reached,0.2,0.1,0.1
 
 @pytest.fixture
 def folder(tmp_path):
-    table = {"provenance": {**describe(), "command": "angler spotcheck"}, "autopilot": "4.6"}
+    table = {
+        "provenance": {**describe(), "command": "angler spotcheck"},
+        "asked": {"run": "runs/reef", "ardusub": "4.6"},
+    }
     (tmp_path / "spotcheck.json").write_text(json.dumps(table))
     (tmp_path / "gaps.csv").write_text(ROWS)
     return tmp_path
