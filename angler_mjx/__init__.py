@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
     from angler_mjx.control.joint_goal import JointGoal, JointPoint
     from angler_mjx.control.joint_trajectory import JointTrajectory
+    from angler_mjx.control.trajectory import Trajectory
+    from angler_mjx.planning.planner import BatchPlanner, NoPlan, Planner, joint_path, way_points
+    from angler_mjx.planning.problem import Problem
     from angler_mjx.runs.rollout import resume, rollout
     from angler_mjx.scenario.scenario import Scenario, load_scenario
     from angler_mjx.session.batch import BatchSession
@@ -22,45 +25,59 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "BatchPlanner",
     "BatchSession",
     "BodyTwist",
     "BodyWrench",
     "JointGoal",
     "JointPoint",
     "JointTrajectory",
+    "NoPlan",
     "Observation",
     "Outcome",
+    "Planner",
     "Policy",
     "PoseTarget",
+    "Problem",
     "Run",
     "Scenario",
     "Session",
     "Simulator",
     "ThrusterPwm",
+    "Trajectory",
+    "joint_path",
     "load_scenario",
     "resume",
     "rollout",
+    "way_points",
 ]
 
 _HOME = {
+    "BatchPlanner": "angler_mjx.planning.planner",
     "BatchSession": "angler_mjx.session.batch",
     "BodyTwist": "angler_mjx.control.commands",
     "BodyWrench": "angler_mjx.control.commands",
     "JointGoal": "angler_mjx.control.joint_goal",
     "JointPoint": "angler_mjx.control.joint_goal",
     "JointTrajectory": "angler_mjx.control.joint_trajectory",
+    "NoPlan": "angler_mjx.planning.planner",
     "Observation": "angler_mjx.session.interface",
     "Outcome": "angler_mjx.sim.state",
+    "Planner": "angler_mjx.planning.planner",
     "Policy": "angler_mjx.sim.policy",
     "PoseTarget": "angler_mjx.control.commands",
+    "Problem": "angler_mjx.planning.problem",
     "Run": "angler_mjx.storage.folder",
     "Scenario": "angler_mjx.scenario.scenario",
     "Session": "angler_mjx.session.interface",
     "Simulator": "angler_mjx.simulator.simulator",
     "ThrusterPwm": "angler_mjx.control.commands",
+    "Trajectory": "angler_mjx.control.trajectory",
+    "joint_path": "angler_mjx.planning.planner",
     "load_scenario": "angler_mjx.scenario.scenario",
     "resume": "angler_mjx.runs.rollout",
     "rollout": "angler_mjx.runs.rollout",
+    "way_points": "angler_mjx.planning.planner",
 }
 
 

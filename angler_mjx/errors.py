@@ -56,6 +56,14 @@ def shown(value: Any, most: int = SHOWN) -> str:
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
+def size(n_byte: float) -> str:
+    """A number of bytes for a message, in the unit that fits it, as in "3.46 MB"."""
+    for unit, of in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if n_byte >= of:
+            return f"{n_byte / of:.3g} {unit}"
+    return f"{n_byte:.0f} bytes"
+
+
 def _pieces(value: Any, most: int, levels: int) -> Iterator[str]:
     """Pieces of a value's text, of which little more than ``most`` characters are made."""
     match value:

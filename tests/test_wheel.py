@@ -23,12 +23,21 @@ DISTRIBUTION = {
     "google_crc32c": "google-crc32c",
     "mcap_ros2": "mcap-ros2-support",
     "mpl_toolkits": "matplotlib",
+    "pinocchio": "pin",
     "pydantic_core": "pydantic",
     "rerun": "rerun-sdk",
 }
 """Where a module comes from, if not from what is called like it."""
 
-OF_EXTRAS = {"cmaes": "tune", "pymavlink": "sitl", "rerun-sdk": "view"}
+OF_EXTRAS = {
+    "cmaes": "tune",
+    "coal": "plan",
+    "numba": "plan",
+    "ompl": "plan",
+    "pin": "plan",
+    "pymavlink": "sitl",
+    "rerun-sdk": "view",
+}
 """Distributions that the package does without, and who brings them."""
 
 
@@ -83,13 +92,16 @@ def test_what_is_imported_is_declared():
 
 def test_extras_are_imported_where_they_are_used_and_not_with_the_simulator():
     at_once = {
-        (name, path.parts[1])
+        (name, "planning/host" if "host" in path.parts else path.parts[1])
         for name, path, late in _foreign()
         if name in OF_EXTRAS and not late and path.parts[0] == "angler_mjx"
     }
-    # The bridge is made of pymavlink; who draws replays is imported when one is drawn.
-    assert {name for name, _ in at_once} <= {"rerun-sdk"}
-    assert {room for _, room in at_once} <= {"viewing", "teleop"}
+    # The bridge is made of pymavlink; who draws replays is imported when one is drawn, and who
+    # plans on the host when somebody names such a planner.
+    of_host = {name for name, extra in OF_EXTRAS.items() if extra == "plan"}
+    assert {room for name, room in at_once if name in of_host} <= {"planning/host"}
+    assert {name for name, _ in at_once} - of_host <= {"rerun-sdk"}
+    assert {room for name, room in at_once if name not in of_host} <= {"viewing", "teleop"}
 
 
 def test_what_is_declared_is_imported():

@@ -18,6 +18,7 @@ from angler_mjx.cli import (
     control,
     env,
     export,
+    plan,
     rollout,
     scenarios,
     teleop,
@@ -72,6 +73,8 @@ def _vehicle() -> None:
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
+    "plan": plan.plan,
+    "problems": plan.problems,
     "warm": warm.warm,
     "scenarios": _scenarios,
     "figures": rollout.figures,

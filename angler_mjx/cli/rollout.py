@@ -31,6 +31,9 @@ def rollout(
     coordinator: str | None = None,
     processes: int | None = None,
     process: int | None = None,
+    planner: str | None = None,
+    workers: int | None = None,
+    plans: Path | None = None,
     figures: bool = True,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
@@ -57,6 +60,12 @@ def rollout(
         coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
         processes: How many processes there are; Slurm and Open MPI tell it.
         process: Index of this one, from 0; Slurm and Open MPI tell it.
+        planner: That gives robots their paths; the scenario's if left out. One that angler plan
+            --list names, or FILE.py:CLASS.
+        workers: Processes that plan, where the planner is one of the host; one for each processor
+            if left out. Changes no byte of the results.
+        plans: File of plans to fly (angler plan, or written by anything else), instead of a
+            planner's.
         figures: Draw figures and write a replay at the end.
         json: Print one JSON object instead of the table.
     """
@@ -69,7 +78,7 @@ def rollout(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import flag, scenario_given
+    from angler_mjx.cli.shared.given import at_least_one, flag, planner_given, scenario_given
     from angler_mjx.cli.shared.progress import Bar
     from angler_mjx.runs import rollout as runs
 
@@ -79,7 +88,10 @@ def rollout(
         "engine": engine,
         "kernels": kernels,
         "tile": tile,
+        "planner": planner_given(planner),
     }
+    if planner is not None and plans is not None:
+        raise ConfigError("--planner and --plans: give one of them; plans are made already")
     overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
@@ -94,6 +106,8 @@ def rollout(
             "progress": bar,
             "devices": devices,
             "processes": shared,
+            "workers": at_least_one("workers", workers),
+            "plans": plans,
         }
         run = (
             runs.resume(place, scenario=loaded, **how)

@@ -26,6 +26,7 @@ AXES: dict[type, dict[str, Axes]] = {
         "acceleration": (POINTS, JOINTS),
         "degree": (POINTS,),
         "commanded": (JOINTS,),
+        "found": (),
     },
     TrackingTarget: {
         "position_m": (3,),
@@ -61,6 +62,8 @@ def check_arrays(command: Any, lead: tuple[int, ...], thrusters: int) -> None:
     axes = AXES[type(command)]
     for name in (field.name for field in fields(command) if field.name in axes):
         value, where = getattr(command, name), f"command {kind}: {name}"
+        if value is None and isinstance(command, JointTrajectory) and name == "found":
+            continue  # no planner was asked
         dtype = getattr(value, "dtype", None)
         if dtype is None or not (jnp.isdtype(dtype, ("real floating", "integral", "bool"))):
             raise ConfigError(

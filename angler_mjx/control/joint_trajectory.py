@@ -58,6 +58,32 @@ class JointTrajectory:
     """int32 [n_point] of the segment that begins at a point: 1, 3 or 5."""
     commanded: jax.Array
     """bool [n_joint] whether a joint was named; the others hold where they were at the start."""
+    found: jax.Array | None = None
+    """bool [] False where the planner found no way, as in a `Trajectory`: the robot is told to hold
+    its start. None where no planner was asked."""
+
+
+def hold(start_m: jax.Array, yaw_rad: jax.Array, n_point: int) -> JointTrajectory:
+    """Trajectories [R] that stay where robots start: no way was found, or none is known yet.
+
+    Args:
+        start_m: [R, 3].
+        yaw_rad: [R].
+        n_point: rows of each.
+    """
+    n_robot = start_m.shape[0]
+    place = jnp.concatenate([start_m, yaw_rad[:, None].astype(start_m.dtype)], axis=1)
+    position = jnp.repeat(place[:, None], n_point, axis=1)
+    return JointTrajectory(
+        joints=VEHICLE_JOINTS,
+        time_s=jnp.zeros((n_robot, n_point), start_m.dtype),
+        position=position,
+        velocity=jnp.zeros_like(position),
+        acceleration=jnp.zeros_like(position),
+        degree=jnp.full((n_robot, n_point), LINEAR, jnp.int32),
+        commanded=jnp.ones((n_robot, len(VEHICLE_JOINTS)), bool),
+        found=jnp.zeros((n_robot,), bool),
+    )
 
 
 def turns(joint: str) -> bool:
@@ -213,6 +239,7 @@ def from_path(path: Trajectory, yaw_rad: jax.Array) -> JointTrajectory:
         acceleration=jnp.zeros_like(position),
         degree=jnp.full(time.shape, LINEAR, jnp.int32),
         commanded=jnp.ones(len(VEHICLE_JOINTS), bool),
+        found=path.found,
     )
 
 

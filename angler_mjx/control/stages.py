@@ -195,6 +195,15 @@ def named(controller: str) -> Stages:
     return tuple(STAGES[name] for name in CONTROLLERS[controller])
 
 
+def called(stages: Stages) -> str:
+    """A stack in words: its name, or its stages."""
+    names = tuple(stage.name for stage in stages)
+    for name, own in CONTROLLERS.items():
+        if own == names:
+            return f"controller {name!r}"
+    return f"the controller of stages {_quoted(names)}"
+
+
 def build(
     names: Sequence[str],
     gains: Mapping[str, Mapping[str, float]],

@@ -24,6 +24,16 @@ class Trajectory:
     """bool [] False where the planner found no way: the robot is told to hold its start."""
 
 
+def hold(start_m: jax.Array, n_point: int) -> Trajectory:
+    """Trajectories [R] that stay at ``start_m`` [R, 3]: no way was found, or none is known yet."""
+    n_robot = start_m.shape[0]
+    return Trajectory(
+        time_s=jnp.zeros((n_robot, n_point), start_m.dtype),
+        position_m=jnp.repeat(start_m[:, None], n_point, axis=1),
+        found=jnp.zeros((n_robot,), bool),
+    )
+
+
 def sample(trajectory: Trajectory, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Position and velocity of the reference at a time.
 

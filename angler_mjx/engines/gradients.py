@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import trajectory
+from angler_mjx.control import plans
 from angler_mjx.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
@@ -55,7 +55,7 @@ def tracking_cost(
         # Robots that have not failed move in the whole step, so their positions belong to it.
         on_way = after.tally.outcome == Outcome.RUNNING
         t = after.step[0].astype(after.vehicles.p.dtype) * spec.control_dt_s
-        wanted = jax.vmap(jax.vmap(trajectory.sample, (0, None)), (0, None))(worlds.path, t)[0]
+        wanted = jax.vmap(jax.vmap(plans.place, (0, None)), (0, None))(worlds.path, t)
         square = jnp.sum((after.vehicles.p - wanted) ** 2, axis=-1)
         total = jnp.sum(jnp.where(on_way, square, 0.0))
         return after, (total, jnp.sum(on_way, dtype=total.dtype))

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.control import plans
 from angler_mjx.control.stack import Command, ControlParams
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
@@ -49,7 +50,9 @@ class OneWorld:
     @property
     def command(self) -> Any:
         """See `phase.Here`."""
-        return self.world.path if self.given is None else self.given
+        if self.given is not None:
+            return self.given
+        return plans.checked(self.spec.stages, self.world.path)
 
     @property
     def current(self) -> Current:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pyarrow.compute as pc
 
-from angler_mjx.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.control.plans import Plan, course, message, of_robot
 from angler_mjx.errors import ConfigError
 from angler_mjx.interop import ros_messages as ros
 from angler_mjx.interop.bag import Bag
 from angler_mjx.storage import environments as store
+from angler_mjx.storage import layout
 from angler_mjx.storage.atomic import replacing, require_free
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
@@ -48,10 +49,8 @@ class _World:
     time_s: np.ndarray
     """[T] until its last robot's end."""
     environment: Environment
-    plan_time_s: list[np.ndarray]
-    """[n] of each robot, padding dropped."""
-    plan_m: list[np.ndarray]
-    """[n, 3] of each robot."""
+    plan: Plan
+    """Of all robots, [robot] leading."""
     p_m: np.ndarray
     """[T, robot, 3]."""
     q: np.ndarray
@@ -132,15 +131,12 @@ def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
     count = min(time.size, int(np.searchsorted(time, max(ends))) + 1)
     sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu")}
     moving = "obstacle_p_m" in stored
-    plan_time, plan = stored["plan_time_s"][world], stored["plan_m"][world]
-    kept = [np.r_[True, np.diff(times) > 0] for times in plan_time]
     return _World(
         index=world,
         time_s=time[:count],
         environment=store.read(stored["environment"], world),
         pwm_us=np.rint(stored["pwm_us"][world, :count]).astype(np.uint16),
-        plan_time_s=[times[rows] for times, rows in zip(plan_time, kept, strict=True)],
-        plan_m=[points[rows] for points, rows in zip(plan, kept, strict=True)],
+        plan=layout.read_plan(stored, world, np.array([row["planned"] for row in rows])),
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         **sampled,
@@ -159,23 +155,15 @@ def _begin(bag: Bag, worlds: Sequence[_World]) -> None:
         bag.topic(f"/{world.name}/scenery", "visualization_msgs/MarkerArray", latched=True)
         bag.topic(f"/{world.name}/obstacles", "visualization_msgs/MarkerArray")
         bag.write(f"/{world.name}/scenery", 0, {"markers": _scenery(world)})
-        for robot, times, points in zip(world.robots, world.plan_time_s, world.plan_m, strict=True):
+        for i, robot in enumerate(world.robots):
+            plan = of_robot(world.plan, i)
             bag.topic(f"/{robot}/joint_trajectory", "trajectory_msgs/JointTrajectory", latched=True)
             bag.topic(f"/{robot}/plan", "nav_msgs/Path", latched=True)
             bag.topic(f"/{robot}/odometry", "nav_msgs/Odometry")
             bag.topic(f"/{robot}/thruster_pwm_us", "std_msgs/UInt16MultiArray")
-            plan = ros.joint_trajectory(_goal(times, points), world.name)
-            bag.write(f"/{robot}/joint_trajectory", 0, plan)
-            bag.write(f"/{robot}/plan", 0, ros.path(world.name, times, points))
-
-
-def _goal(time_s: np.ndarray, points_m: np.ndarray) -> JointGoal:
-    """Way-points as a trajectory of the joints that a planner speaks of."""
-    points = zip(time_s.tolist(), points_m.tolist(), strict=True)
-    return JointGoal(
-        joint_names=("x", "y", "z"),
-        points=tuple(JointPoint(time_s=time, positions=tuple(point)) for time, point in points),
-    )
+            told = ros.joint_trajectory(message(plan), world.name)
+            bag.write(f"/{robot}/joint_trajectory", 0, told)
+            bag.write(f"/{robot}/plan", 0, ros.path(world.name, *course(plan)))
 
 
 def _samples(bag: Bag, worlds: Sequence[_World], progress: Progress | None) -> None:

@@ -15,13 +15,32 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.lattice import Terrain, free_space, terrain
 from angler_mjx.planning.pulling import pull
 from angler_mjx.planning.search import reachable
 from angler_mjx.planning.tracing import Route, trace_back
 from angler_mjx.planning.traffic import Balls, Traffic, balls, clear_of
 from angler_mjx.world.environment import Environment
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridSettings:
+    """What a scenario can choose of it, in [planner.grid]."""
+
+    start_hold_s: float = 30.0
+    """How long the start of a robot that is not planned yet is kept clear."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is none."""
+        if not 0.0 <= self.start_hold_s <= 86400.0:
+            raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 86400 s")
+
+
+class GridPlanner:
+    """What scenarios call grid; `plan` is part of the program that draws the worlds."""
+
+    Settings = GridSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +57,7 @@ class GridPlannerConfig:
     """Layers of the search. A layer is half a step along an axis, but at least
     horizon_s / n_layer: with fewer layers than 2 horizon_s speed / cell the search moves slower
     than the robot can, and finds less. Diagonal steps are up to 16 % slow: allow that much more."""
-    start_hold_s: float = 30.0
+    start_hold_s: float = GridSettings.start_hold_s
     """How long the start of a robot that is not planned yet is kept clear."""
 
 
@@ -59,7 +78,7 @@ def plan(
     """
     land = terrain(environment)
     n_robot = radius_m.shape[0]
-    held = _hold(environment.start_m, config.n_point)
+    held = hold(environment.start_m, config.n_point)
 
     def one(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
         planned = jnp.arange(n_robot) < index
@@ -82,16 +101,6 @@ def plan(
 
     plans, _ = jax.lax.scan(one, held, jnp.arange(n_robot))
     return _withdraw(plans, held, radius_m, config)
-
-
-def _hold(start_m: jax.Array, n_point: int) -> Trajectory:
-    """Trajectories [R] that stay at ``start_m`` [R, 3]."""
-    n_robot = start_m.shape[0]
-    return Trajectory(
-        time_s=jnp.zeros((n_robot, n_point), start_m.dtype),
-        position_m=jnp.repeat(start_m[:, None], n_point, axis=1),
-        found=jnp.zeros((n_robot,), bool),
-    )
 
 
 def _plan_one(
@@ -131,7 +140,7 @@ def _plan_one(
     # 0.1 mm: a way along cells' centres must not fail by rounding where it just fits.
     path = pull(land, traffic, timetable, clearance_m - 1e-4, speed_mps, config.n_point)
     found = reached & path.found & (path.time_s[-1] <= config.horizon_s)
-    stay = jax.tree.map(lambda leaf: leaf[0], _hold(start_m[None], config.n_point))
+    stay = jax.tree.map(lambda leaf: leaf[0], hold(start_m[None], config.n_point))
     chosen: Trajectory = jax.tree.map(lambda a, b: jnp.where(found, a, b), path, stay)
     return replace(chosen, found=found)
 

@@ -14,19 +14,33 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, mending
 from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.damage import read_table
+from angler_mjx.storage.plans.read import Plans, open_plans
 from angler_mjx.storage.recorder import Recorder
 from angler_mjx.vehicles import library
 
+PLANS = "plans.json"
+"""Says which plans are flown."""
 
-def begin(simulator: Simulator, place: Path) -> Claim:
-    """Make the folder of a new run, with what is known before the first world."""
+
+def begin(simulator: Simulator, place: Path, plans: Plans | None = None) -> Claim:
+    """Make the folder of a new run, with what is known before the first world.
+
+    Args:
+        simulator: of the run.
+        place: the folder to be.
+        plans: that are flown, instead of the scenario's planner.
+    """
     scenario, shape = simulator.scenario, sizes.shape_of(simulator)
     chosen = scenario.model_copy(update=resolved(simulator))
     if scenario.time.record_hz > 0:
         folder.require_space(place, scenario.worlds * shape.bytes_per_world())
     claimed = folder.create(place)
     try:
-        folder.begin(claimed.building, chosen, describe_environment())
+        others = [("planner", file)] if (file := planner_file(simulator)) else []
+        folder.begin(claimed.building, chosen, describe_environment(), others)
+        if plans is not None:
+            folder.write_json(claimed.building / PLANS, _described(plans))
         write_policy(claimed.building, simulator.policy)
         if scenario.time.record_hz > 0:
             _describe(simulator, claimed.building / folder.TRAJECTORIES)
@@ -37,6 +51,47 @@ def begin(simulator: Simulator, place: Path) -> Claim:
         claimed.withdraw()
         raise
     return claimed
+
+
+def planner_file(simulator: Simulator) -> Path | None:
+    """The file of the planner's class, where it is one of a person's own."""
+    spec = simulator.planner
+    return None if spec is None else spec.reference.file
+
+
+def plans_again(building: Path, given: Path | str | None, scenario: Scenario) -> Plans | None:
+    """The plans with which a run began; None where a planner made them.
+
+    Args:
+        building: folder of the run.
+        given: where they lie now; where they lay if left out.
+        scenario: of the run.
+
+    Raises:
+        ConfigError: they are not there any more, or others.
+    """
+    said = building / PLANS
+    if not said.exists():
+        if given is not None:
+            raise ConfigError(f"--plans {given}: the run was begun with a planner, without plans")
+        return None
+    table = read_table(said)
+    plans = open_plans(Path(given or str(table.get("path"))), scenario)
+    if plans.sha256() != table.get("sha256"):
+        raise ConfigError(
+            f"{plans.path}: is not the file of plans with which the run began; put that one back, "
+            "or name it with --plans"
+        )
+    return plans
+
+
+def _described(plans: Plans) -> dict[str, Any]:
+    """Which plans are flown: where they lie, a hash of all their bytes, and who says made them."""
+    return {
+        "path": str(plans.path.absolute()),
+        "sha256": plans.sha256(),
+        "planner": dict(plans.group.attrs).get("planner"),
+    }
 
 
 def _describe(simulator: Simulator, path: Path) -> None:

@@ -26,6 +26,7 @@ from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, harvest, results
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile
+from angler_mjx.storage.plans.read import Plans, open_plans
 from angler_mjx.storage.recorder import Recorder
 from angler_mjx.storage.writer import Writer
 
@@ -51,6 +52,8 @@ def rollout(
     devices: int | None = None,
     processes: Processes | None = None,
     policy: Policy | None = None,
+    workers: int | None = None,
+    plans: Path | str | None = None,
 ) -> folder.Run:
     """Run a scenario into a new run folder.
 
@@ -64,6 +67,10 @@ def rollout(
         devices: devices of this process to run on; all if left out. Changes no byte of the results.
         processes: processes that share the run; each calls this with the same arguments.
         policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
+        workers: processes that plan, where the planner is one of the host; one for each processor
+            if left out. Changes no byte of the results.
+        plans: file of plans to fly (`angler_mjx.storage.plans`), instead of the scenario's planner;
+            ``plans.json`` says which.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,
@@ -78,16 +85,31 @@ def rollout(
     with _telling(processes), ExitStack() as stack:
         if processes.index == 0:
             folder.require_none(place)
-        simulator = simulator or Simulator(scenario, devices=devices, policy=policy)
+        found = None if plans is None else open_plans(Path(plans), scenario)
+        if simulator is None:
+            simulator = Simulator(
+                scenario,
+                devices=devices,
+                policy=policy,
+                workers=workers,
+                paths=None if found is None else found.shape,
+            )
+            stack.callback(simulator.close)
         if simulator.scenario != scenario:
             raise ConfigError("simulator: was made for another scenario")
+        if found is not None and simulator.paths != found.shape:
+            raise ConfigError(
+                f"simulator: flies {simulator.paths}, and {found.path} holds {found.shape}; make "
+                "it with paths=open_plans(...).shape"
+            )
         room = sizes.room(simulator, chunk)
         claimed = None
         if processes.index == 0:
-            claimed = opening.begin(simulator, place)
+            claimed = opening.begin(simulator, place, found)
             stack.enter_context(opening.held(claimed, new=processes.count == 1))
         processes.meet("folder")
-        return _Rollout(simulator, place, room, progress or Silent(), processes, claimed).run()
+        told = progress or Silent()
+        return _Rollout(simulator, place, room, told, processes, claimed, found).run()
 
 
 def resume(
@@ -100,6 +122,8 @@ def resume(
     devices: int | None = None,
     processes: Processes | None = None,
     policy: Policy | None = None,
+    workers: int | None = None,
+    plans: Path | str | None = None,
 ) -> folder.Run:
     """Go on with an interrupted run; arguments and errors as in `rollout`.
 
@@ -115,6 +139,8 @@ def resume(
         devices: as in `rollout`.
         processes: as in `rollout`.
         policy: the one that the run was begun with.
+        workers: as in `rollout`.
+        plans: the file that the run was begun with, if it lies elsewhere now.
 
     Raises:
         ConfigError: there is no interrupted run of that name, another process goes on with it, it
@@ -134,7 +160,16 @@ def resume(
         processes.meet("found")
         building = claims.partial_path(place)
         stored = folder.read_scenario(building)
-        simulator = simulator or Simulator(stored, devices=devices, policy=policy)
+        found = opening.plans_again(building, plans, stored)
+        if simulator is None:
+            simulator = Simulator(
+                stored,
+                devices=devices,
+                policy=policy,
+                workers=workers,
+                paths=None if found is None else found.shape,
+            )
+            stack.callback(simulator.close)
         require_policy(building, simulator.policy)
         if simulator.scenario.model_copy(update=opening.resolved(simulator)) != stored:
             raise ConfigError("simulator: was made for another scenario")
@@ -142,7 +177,7 @@ def resume(
         if processes.index == 0 and stored.time.record_hz > 0:
             opening.mend(simulator, building, told)
         processes.meet("folder")
-        return _Rollout(simulator, place, room, told, processes, claimed).run()
+        return _Rollout(simulator, place, room, told, processes, claimed, found).run()
 
 
 @contextmanager
@@ -167,7 +202,9 @@ class _Rollout:
         progress: Progress,
         processes: Processes,
         claimed: Claim | None,
+        plans: Plans | None,
     ) -> None:
+        self._plans = plans
         self._sim = simulator
         self._scenario = simulator.scenario
         self._claimed = claimed
@@ -250,7 +287,11 @@ class _Rollout:
         begun = time.perf_counter()
         try:
             for finished in waves.simulate(
-                self._sim, tiles, recorded=recorded, progress=self._progress
+                self._sim,
+                tiles,
+                recorded=recorded,
+                progress=self._progress,
+                plans=self._plans,
             ):
                 for tile in finished:
                     seconds = float(np.sum(np.asarray(tile.end.tally.end_time_s)[: tile.kept]))

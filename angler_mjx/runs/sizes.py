@@ -3,7 +3,8 @@
 import numpy as np
 import psutil
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage.recorder import Shape
 
@@ -19,6 +20,7 @@ def shape_of(simulator: Simulator) -> Shape:
         thrusters=world.control.vehicle.B.shape[-1],
         obstacles=world.environment.obstacles.kind.shape[-1],
         plan_points=world.path.time_s.shape[-1],
+        jointed=isinstance(world.path, JointTrajectory),
         estimated=scenario.senses,
     )
 
@@ -41,7 +43,7 @@ def room(simulator: Simulator, chunk: int | None) -> int:
         fits = free // per_world // simulator.devices
         raise RunError(
             f"--tile {simulator.tile}: the trajectories of {in_wave} worlds at once need "
-            f"{in_wave * per_world / 1e9:.2f} GB of memory, {free / 1e9:.2f} GB are free; the "
+            f"{size(in_wave * per_world)} of memory, {size(free)} are free; the "
             f"largest tile that fits is about {fits} worlds; or lower --record-hz or --devices"
         )
     if chunk is not None:

@@ -17,9 +17,11 @@ from angler_mjx.runs.progress import Progress
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World
 from angler_mjx.simulator import devices
+from angler_mjx.simulator.hosted import Drawn, PlanNotes
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import harvest
 from angler_mjx.storage.harvest import End, FinishedTile, Last
+from angler_mjx.storage.plans.read import Plans
 
 AHEAD = 2
 """Segments that the device has been given and the host has not taken."""
@@ -40,7 +42,12 @@ def split(tiles: Sequence[int], devices: int) -> list[list[int]]:
 
 
 def simulate(
-    simulator: Simulator, tiles: Sequence[int], *, recorded: bool, progress: Progress
+    simulator: Simulator,
+    tiles: Sequence[int],
+    *,
+    recorded: bool,
+    progress: Progress,
+    plans: Plans | None = None,
 ) -> Iterator[list[FinishedTile]]:
     """Run tiles, a wave at a time.
 
@@ -49,6 +56,7 @@ def simulate(
         tiles: first world of each.
         recorded: whether samples are kept.
         progress: what to tell.
+        plans: made before; instead of the scenario's planner.
 
     Yields:
         The finished tiles of each wave.
@@ -57,22 +65,35 @@ def simulate(
         RunError: a world cannot hold the fleet, or device memory is used up.
     """
     waves = split(tiles, simulator.devices)
+    drawn: deque[Drawn] = deque()
+
+    def draw(number: int) -> None:
+        drawn.extend(_draw(simulator, firsts) for firsts in waves[number : number + 1])
+
     try:
-        drawn = deque(_draw(simulator, firsts) for firsts in waves[:1])
+        draw(0)
         for i, firsts in enumerate(waves):
-            flight = _Flight(simulator, firsts, recorded, progress)
-            flight.fly(drawn.popleft())
-            drawn.extend(_draw(simulator, following) for following in waves[i + 1 : i + 2])
+            worlds, notes = simulator.finish(drawn.popleft())
+            if plans is not None:
+                path, notes = plans.of(firsts, worlds, simulator)
+                worlds = simulator.with_paths(worlds, path)
+            flight = _Flight(simulator, firsts, recorded, progress, notes)
+            if simulator.hosted:  # so that the host plans while the device flies
+                draw(i + 1)
+            flight.fly(worlds)
+            if not simulator.hosted:
+                draw(i + 1)
             yield flight.land()
     except jax.errors.JaxRuntimeError as error:
         simulator.explain(error)
         raise
 
 
-def _draw(simulator: Simulator, firsts: list[int]) -> World:
-    """Worlds of a wave; devices without a tile repeat the last one, which is dropped."""
-    idle = simulator.devices - len(firsts)
-    return simulator.wave([*firsts, *firsts[-1:] * idle])
+def _draw(simulator: Simulator, firsts: list[int]) -> Drawn:
+    """Begin with a wave; devices without a tile repeat the last one, which is dropped."""
+    idle, total = simulator.devices - len(firsts), simulator.scenario.worlds
+    kept = [min(simulator.tile, total - first) for first in firsts]
+    return simulator.begin([*firsts, *firsts[-1:] * idle], kept=[*kept, *[0] * idle])
 
 
 class _Flight:
@@ -84,8 +105,10 @@ class _Flight:
         firsts: list[int],
         recorded: bool,
         progress: Progress,
+        notes: PlanNotes | None,
     ) -> None:
         self._sim = simulator
+        self._notes = notes
         self._firsts = firsts
         self._recorded = recorded
         self._progress = progress
@@ -123,6 +146,7 @@ class _Flight:
         """Take what is still in flight, and the end."""
         while self._in_flight:
             self._take(self._in_flight.popleft())
+        tile = self._sim.tile
         return [
             FinishedTile(
                 first=first,
@@ -130,6 +154,7 @@ class _Flight:
                 constants=jax.tree.map(np.asarray, self._constants[i]),
                 end=self._end_of(i),
                 parts=self._parts[i],
+                notes=self._notes and self._notes.rows(slice(i * tile, (i + 1) * tile)),
             )
             for i, first in enumerate(self._firsts)
         ]

@@ -57,7 +57,13 @@ _UNITS = (
 )  # fmt: skip
 """Unit by the end of a key."""
 
-_WORDS: dict[Any, str] = {float: "float", int: "integer", str: "text", bool: "true or false"}
+_WORDS: dict[Any, str] = {
+    float: "float",
+    int: "integer",
+    str: "text",
+    bool: "true or false",
+    Any: "anything",
+}
 _COMMON = {
     "source": "Where the numbers come from.",
     "type": "Which kind this is.",

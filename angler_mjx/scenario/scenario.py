@@ -1,6 +1,8 @@
 """Scenario files: everything that a run needs to know, checked before anything is computed."""
 
+import hashlib
 import importlib.resources
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -13,8 +15,14 @@ from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
-from angler_mjx.scenario.fleet_entry import FOLDER, FleetEntry
-from angler_mjx.scenario.tables import ControllerConfig, PlannerConfig, TimeConfig, WaterConfig
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.tables import (
+    FOLDER,
+    ControllerConfig,
+    PlannerConfig,
+    TimeConfig,
+    WaterConfig,
+)
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
@@ -133,6 +141,23 @@ class Scenario(FileModel):
         """The fleet, one member a robot."""
         return [entry.member() for entry in self.fleet for _ in range(entry.count)]
 
+    def digest(self) -> str:
+        """Hexadecimal, of everything that the problems of a seed are drawn from.
+
+        Scenarios that differ in other things (engine, controllers, planner, recording) pose the
+        same problems.
+        """
+        drawn = {
+            "world": self.world.model_dump(mode="json"),
+            "fleet": [_as_drawn(entry) for entry in self.fleet],
+            "horizon_s": self.time.horizon_s,
+            "control_dt_s": self.time.control_dt_s,
+            "density_kgpm3": self.water.density_kgpm3,
+            "goal_tolerance_m": self.goal_tolerance_m,
+        }
+        text = json.dumps(drawn, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
     def sim_spec(self) -> SimSpec:
         """The simulator's settings."""
         controllers, gains = self.controller.stack()
@@ -147,6 +172,14 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
         )
+
+
+def _as_drawn(entry: FleetEntry) -> dict[str, Any]:
+    """An entry of the fleet without what only its flight shows; its vehicle as it is now."""
+    table = entry.model_dump(mode="json", exclude={"estimate", "sensors", "fault_known"})
+    vehicle = library.load(entry.vehicle)
+    thruster = library.load_thruster(vehicle.rotor.model)
+    return {**table, "vehicle": [vehicle.model_dump(mode="json"), thruster.model_dump(mode="json")]}
 
 
 def shipped() -> dict[str, Path]:
@@ -183,7 +216,7 @@ def read_scenario(
     whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
     beside = {FOLDER: path.absolute().parent}
     try:
-        return check(Scenario, whole, {} if "fleet" in overrides else beside)
+        found = check(Scenario, whole, {} if "fleet" in overrides else beside)
     except FaultyError as error:
         own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
         its = [fault.text for fault in error.faults if fault.text in own]
@@ -192,6 +225,11 @@ def read_scenario(
         ]
         of_file = [listed(str(path), its)] if its else []
         raise ConfigError("\n".join([*theirs, *of_file])) from error
+    try:
+        found.planner.chosen()
+    except ConfigError as error:
+        raise ConfigError(str(error) if "planner" in overrides else f"{path}: {error}") from error
+    return found
 
 
 def _merged(before: Any, value: Any) -> Any:

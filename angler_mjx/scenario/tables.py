@@ -1,15 +1,33 @@
 """Tables of a scenario file: water, time steps, controller, planner."""
 
 import math
-from typing import Any, Literal, Self
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Self, get_type_hints
 
-from pydantic import Field, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from angler_mjx.control import stack, stages
 from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.errors import shown
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
+from angler_mjx.planning import register
+from angler_mjx.planning.knowledge import Knows, Level
+from angler_mjx.planning.planner import MOST_POINTS
+from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.quantities import Length
+
+FOLDER = "folder"
+"""Context of a check: where paths in a scenario begin; the working directory if it is not there."""
 
 
 class WaterConfig(FileModel):
@@ -119,10 +137,108 @@ class ControllerConfig(FileModel):
         return stages.build(names, self.gains)
 
 
-class PlannerConfig(FileModel):
-    """The planner that gives each robot its path."""
+class KnowsConfig(FileModel):
+    """What the planner may know of what moves; see `docs/planners.md`."""
 
-    name: Literal["grid"] = "grid"
-    """The only one: search over cells, in space and time."""
+    obstacles: Level = "nothing"
+    """Of those that move: nothing; observed, where they are at t = 0 and how fast; predicted, where
+    that takes them in the current that is known; truth, where they will be."""
+    current: Level = "nothing"
+    """Nothing; observed, its mean at the robots' starts at t = 0; predicted, all of it at t = 0,
+    taken to stay; truth, all of it for all time."""
+
+    def knows(self) -> Knows:
+        """As planners are told."""
+        return Knows(obstacles=self.obstacles, current=self.current)
+
+
+class PlannerConfig(FileModel):
+    """The planner that gives each robot its path; its own settings stand in [planner.NAME]."""
+
+    name: str = Field(default="grid", max_length=4096)
+    """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours."""
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""
+    points: int = Field(default=32, ge=2, le=MOST_POINTS)
+    """Most way-points of a path; a path of more is none. Part of the result's bytes."""
+    deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
+    """Wall-clock time for each world; a planner that takes a tenth more is ended."""
+    knows: KnowsConfig = KnowsConfig()
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """The tables [planner.NAME] of planners, by their names; that of the chosen one is checked."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _settings_by_name(cls, data: Any) -> Any:
+        """Tables of planners out of what stands beside our own keys."""
+        if not isinstance(data, Mapping):
+            return data
+        own = {key: value for key, value in data.items() if key in cls.model_fields}
+        tables = {key: x for key, x in data.items() if key not in own and isinstance(x, Mapping)}
+        rest = {key: value for key, value in data.items() if key not in own and key not in tables}
+        if tables:
+            before = own.get("settings", {})
+            own["settings"] = {**(before if isinstance(before, Mapping) else {}), **tables}
+        return {**own, **rest}
+
+    @field_validator("name")
+    @classmethod
+    def _absolute(cls, name: str, info: ValidationInfo) -> str:
+        """A file's path from the scenario's folder, made absolute."""
+        path, colon, qualname = name.rpartition(":")
+        if not (colon and path.endswith(".py")):
+            return name
+        folder = (info.context or {}).get(FOLDER) or Path.cwd()
+        return f"{Path(folder, path).absolute()}:{qualname}"
+
+    @property
+    def table(self) -> str:
+        """Name of the chosen planner's own table: of a class in a file, that of the class."""
+        return self.name.rpartition(":")[2]
+
+    def chosen(self) -> PlannerSpec:
+        """The planner with its settings.
+
+        Raises:
+            ConfigError: there is no such planner, or it has no such settings.
+            UnsupportedError: its libraries are not installed.
+        """
+        reference = register.find(self.name)
+        given = self.settings.get(self.table, {})
+        others = sorted(set(self.settings) - {self.table})
+        if others:
+            raise ConfigError(
+                f"[planner.{others[0]}]: the planner is {self.name}; its settings stand in "
+                f"[planner.{self.table}]"
+            )
+        model = register.settings_of(reference.load())
+        if model is None and given:
+            raise ConfigError(f"[planner.{self.table}]: this planner has no settings")
+        if model is not None:
+            _check_settings(model, given, self.table)
+        return PlannerSpec(reference=reference, settings=given)
+
+
+_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+def _check_settings(model: type, given: Mapping[str, Any], table: str) -> None:
+    """Refuse settings that a planner does not have, and values that are none."""
+    known = [one.name for one in fields(model)]
+    unknown = [key for key in given if key not in known]
+    if unknown:
+        raise ConfigError(
+            f"[planner.{table}] {shown(unknown[0])}: no setting of this planner; "
+            f"there is {', '.join(known) or 'none'}"
+        )
+    types = get_type_hints(model)
+    for key, value in given.items():
+        try:
+            TypeAdapter(types[key], config=_STRICT).validate_python(value)
+        except ValidationError as error:
+            said = error.errors()[0]["msg"]
+            raise ConfigError(f"[planner.{table}] {key} = {shown(value)}: {said}") from error
+    try:
+        model(**given)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"[planner.{table}]: {error}") from error

@@ -26,8 +26,6 @@ from angler_mjx.simulator.simulator import Simulator
 
 POINTS = 256
 """Points of a JointTrajectory, where a caller says nothing."""
-WAY_BACK = 32
-"""Way-points that a way back to a plan may have beside those of the plan."""
 START_TOLERANCE = 0.5
 """m, and rad of yaw: how far a path may begin from a robot, where a caller says nothing."""
 
@@ -179,8 +177,9 @@ class BatchSession:
         clearance = self.robots[robot].radius_m + self._scenario.planner.margin_m - paths.SLACK_M
         p, speed = np.asarray(self._seen.p[robot], float), self.robots[robot].cruise_speed_mps
         velocity = paths.over_ground(self._seen, robot)
-        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed)
-        if back is None or back.time_s.size > self._limits.way_points:
+        yaw = float(self._seen.yaw_rad[robot])
+        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed, yaw)
+        if back is None or back.time_s.size > self._limits.rows(back.kind):
             raise ConfigError(
                 f"{name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
                 f"{p[2]:.2f}) m; bring it nearer"
@@ -204,11 +203,7 @@ class BatchSession:
 
     @property
     def _limits(self) -> Limits:
-        return Limits(
-            start_tolerance=self._start_tolerance,
-            points=self._points,
-            way_points=self._facts.way_points + WAY_BACK,
-        )
+        return self._facts.limits(self._points, self._start_tolerance)
 
     def _open(self) -> None:
         if self._closed:

@@ -59,6 +59,10 @@ class Limits:
     way_points: int
     """Of a Trajectory."""
 
+    def rows(self, kind: type) -> int:
+        """Of a path of either type."""
+        return self.points if kind is JointTrajectory else self.way_points
+
 
 def check(robot: RobotInfo, place: Place, limits: Limits, command: Any, now_s: float) -> None:
     """Refuse a command that a robot cannot follow.

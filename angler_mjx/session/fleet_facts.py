@@ -3,18 +3,24 @@
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.control.joint_goal import JointGoal
 from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.plans import of_robot
+from angler_mjx.session.checks import Limits
 from angler_mjx.session.interface import Floats, RobotInfo
-from angler_mjx.session.rejoin import Plan
+from angler_mjx.session.plan import Plan
 from angler_mjx.session.slots import kinds_of
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.vehicles import library
 from angler_mjx.vehicles.drive import full_force, terminal_speed
+
+WAY_BACK = 32
+"""Way-points that a way back to a plan may have beside those of the plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +46,23 @@ class Facts:
     """Rows of the signals, padding included."""
     way_points: int
     """Of the planner's paths."""
+    jointed: bool
+    """Whether these are trajectories of joints."""
     obstacles: Rows
+
+    def limits(self, points: int, start_tolerance: float) -> Limits:
+        """What a session of this world can take: no less than its own plans.
+
+        Args:
+            points: of a JointTrajectory, as its caller wants it.
+            start_tolerance: see `Limits`.
+        """
+        most = self.way_points + WAY_BACK
+        return Limits(
+            start_tolerance=start_tolerance,
+            points=max(points, most) if self.jointed else points,
+            way_points=most,
+        )
 
 
 def gather(simulator: Simulator, worlds: World) -> Facts:
@@ -51,33 +73,25 @@ def gather(simulator: Simulator, worlds: World) -> Facts:
         worlds: [1] leads.
     """
     count = worlds.variant.shape[1]
-    path = worlds.path
+    path: Any = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
     given = worlds.environment.obstacles
     rows = np.flatnonzero(np.asarray(given.exists)[0])
     robots = tuple(_info(simulator, worlds, i) for i in range(count))
     return Facts(
         robots=robots,
-        plans=tuple(
-            _plan(np.asarray(path.time_s, float)[0, i], np.asarray(path.position_m, float)[0, i])
-            for i in range(count)
-        ),
-        found=tuple(map(bool, np.asarray(path.found)[0])),
+        plans=tuple(Plan.of(of_robot(path, i)) for i in range(count)),
+        found=tuple(map(bool, np.asarray(worlds.planned)[0])),
         radius_m=tuple(robot.radius_m for robot in robots),
         cruise_mps=tuple(robot.cruise_speed_mps for robot in robots),
         thrusters=worlds.control.vehicle.B.shape[-1],
         way_points=path.time_s.shape[-1],
+        jointed=isinstance(path, JointTrajectory),
         obstacles=Rows(
             which=rows,
             kind=np.asarray(given.kind)[0][rows],
             size_m=np.asarray(given.size_m)[0][rows],
         ),
     )
-
-
-def _plan(time_s: Floats, position_m: Floats) -> Plan:
-    """Way-points without their padding."""
-    rows = int(np.searchsorted(time_s, time_s[-1])) + 1
-    return Plan(time_s=time_s[:rows], position_m=position_m[:rows])
 
 
 def _info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:

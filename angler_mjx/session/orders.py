@@ -9,12 +9,13 @@ import numpy as np
 from angler_mjx.control.joint_goal import JointGoal
 from angler_mjx.control.joint_tolerance import ResultCode
 from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.plans import checked
 from angler_mjx.control.stack import Stages
 from angler_mjx.session import paths
 from angler_mjx.session.checks import Limits
 from angler_mjx.session.fleet_facts import Facts
 from angler_mjx.session.interface import Order, RobotStatus
-from angler_mjx.session.rejoin import Plan
+from angler_mjx.session.plan import Plan
 from angler_mjx.session.slots import Sizes, Slots
 from angler_mjx.session.view import View
 from angler_mjx.sim.state import Outcome
@@ -48,7 +49,11 @@ class Orders:
     """
 
     def __init__(self, stages: Stages, facts: Facts, limits: Limits, dtype: Any) -> None:
-        """Every robot is told its plan."""
+        """Every robot is told its plan.
+
+        Raises:
+            ConfigError: the controllers do not take plans of its type.
+        """
         self._stages, self._limits, self._dtype = stages, limits, dtype
         self.slots = Slots(
             stages,
@@ -116,7 +121,8 @@ class Orders:
     def resume(self, robot: int, plan: Plan) -> None:
         """Let a robot follow its plan from its beginning."""
         self._states[robot] = OrderState(plan=plan)
-        self.slots.put(robot, plan.padded(self._limits.way_points, self._dtype))
+        told = plan.padded(self._limits.rows(plan.kind), self._dtype)
+        self.slots.put(robot, checked(self._stages, told))
 
     def report(self, view: View) -> None:
         """Say how JointTrajectories stand; one that failed ends where the robot is."""

@@ -24,7 +24,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.checks import Limits
 from angler_mjx.session.interface import Floats, Order
-from angler_mjx.session.rejoin import Plan
+from angler_mjx.session.plan import Plan
 from angler_mjx.session.slots import Slots
 from angler_mjx.session.view import View
 
@@ -73,7 +73,7 @@ def ready(slots: Slots, view: View, robot: int, order: Order, limits: Limits, no
         return join(slots, view, robot, _without_past(order, now_s))
     order = jax.device_get(order)
     if isinstance(order, JointTrajectory):
-        return join(slots, view, robot, order)
+        return join(slots, view, robot, replace(order, found=None))
     if isinstance(order, Trajectory):
         plan = Plan(time_s=np.asarray(order.time_s), position_m=np.asarray(order.position_m))
         return plan.padded(limits.way_points, view.p.dtype)

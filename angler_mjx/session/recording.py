@@ -13,6 +13,7 @@ from typing import Any, Protocol, Self
 import jax
 import numpy as np
 
+from angler_mjx.control.joint_trajectory import LINEAR
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.scenario.scenario import Scenario
@@ -42,6 +43,25 @@ class Way:
     """[n]."""
     position_m: Floats
     """[n, 3] in W."""
+    yaw_rad: Floats
+    """[n] unwrapped."""
+
+    def arrays(self, rows: int, *, joints: bool) -> dict[str, Any]:
+        """As plans are recorded: so many rows, joined by lines.
+
+        Args:
+            rows: of the plan.
+            joints: whether the plans of the run are trajectories of joints.
+        """
+        times = np.linspace(self.time_s[0], self.time_s[-1], rows)
+        given = np.column_stack([self.position_m, self.yaw_rad])
+        place = np.column_stack([np.interp(times, self.time_s, column) for column in given.T])
+        made = {"plan_time_s": times, "plan_m": place[:, :3]}
+        if joints:
+            still = np.zeros_like(place)
+            made |= {"plan_yaw_rad": place[:, 3], "plan_degree": np.full(rows, LINEAR)}
+            made |= {"plan_velocity": still, "plan_acceleration": still}
+        return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,12 +201,11 @@ class SessionRecording:
         joined: Sample = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *self._samples)
         kept = jax.tree.map(np.array, harvest.constants(inside.worlds, recorded=True))
         for robot, way in self._ways.items():
+            kept.planned[0, robot] = True
             # In as many rows as the planner's paths have.
-            times = np.linspace(way.time_s[0], way.time_s[-1], kept.plan_time_s.shape[-1])
-            kept.planned[0, robot], kept.plan_time_s[0, robot] = True, times
-            for axis in range(3):
-                along = np.interp(times, way.time_s, way.position_m[:, axis])
-                kept.plan_m[0, robot, :, axis] = along
+            rows = kept.plan["plan_time_s"].shape[-1]
+            for name, values in way.arrays(rows, joints="plan_degree" in kept.plan).items():
+                kept.plan[name][0, robot] = values
         return FinishedTile(
             first=self._world,
             kept=1,
@@ -210,7 +229,8 @@ class SessionRecording:
         environment = tile.constants.environment
         first = tile.parts[0]
         sizes = sizes_of(first, lead=2)
-        if environment is None or tile.constants.plan_time_s is None:
+        plan = tile.constants.plan
+        if environment is None or plan is None:
             raise RunError("the session keeps no environment to record")
         shape = Shape(
             worlds=self._world + 1,
@@ -218,8 +238,9 @@ class SessionRecording:
             robots=sizes["robot"],
             thrusters=sizes["thruster"],
             obstacles=sizes["obstacle"],
-            plan_points=tile.constants.plan_time_s.shape[-1],
+            plan_points=plan["plan_time_s"].shape[-1],
             estimated=first.belief is not None,
+            jointed="plan_degree" in plan,
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,

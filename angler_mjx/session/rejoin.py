@@ -6,17 +6,15 @@ looked at: the plan's own times do not hold any more either. The robot sets out 
 has along its way, and takes up the plan's from there.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning import lattice
 from angler_mjx.session.interface import Floats
+from angler_mjx.session.plan import Plan
 from angler_mjx.world.environment import Environment
 
 LOOKS = 64
@@ -24,61 +22,6 @@ LOOKS = 64
 SHARES = (1.0, 0.75, 0.5)
 """Of the clearance, that the first straight piece must keep: a robot that was driven close to rock
 may leave it at its own distance. Half a bounding sphere is more than half a hull's width."""
-
-ACCELERATION_MPS2 = 0.25
-"""At which the plan's speed is taken up."""
-EASING_POINTS = 8
-"""Way-points on which it is."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
-    """Way-points of one robot, as far as they are still to be gone."""
-
-    time_s: Floats
-    """[n] from 0."""
-    position_m: Floats
-    """[n, 3]."""
-
-    def at(self, time_s: Any) -> Floats:
-        """Positions [..., 3] at times [...]."""
-        points = [np.interp(time_s, self.time_s, self.position_m[:, i]) for i in range(3)]
-        found: Floats = np.stack(points, axis=-1)
-        return found
-
-    def eased(self, share: float, speed_mps: float) -> "Plan":
-        """The same way, begun at a share of its speed that grows to the whole evenly.
-
-        The plan's time t goes by as t = r s + (1 - r) s^2 / (2 T) for s < T, and as fast as the
-        new time s from then on.
-
-        Args:
-            share: r.
-            speed_mps: that the plan begins with.
-        """
-        rest = 1.0 - share
-        ramp = rest * speed_mps / ACCELERATION_MPS2
-        if ramp < 1e-3:
-            return self
-        s = np.linspace(0.0, ramp, EASING_POINTS + 1)[1:]
-        t = share * s + rest * s**2 / (2.0 * ramp)
-        begun = np.minimum(self.time_s, t[-1])
-        root = np.sqrt(share**2 + 2.0 * rest * begun / ramp)
-        corners = (root - share) * ramp / rest + (self.time_s - begun)
-        time, first = np.unique(np.concatenate([corners, s]), return_index=True)
-        place = np.concatenate([self.position_m, self.at(t)])
-        return Plan(time_s=time, position_m=place[first])
-
-    def padded(self, rows: int, dtype: Any) -> Trajectory:
-        """As the controllers take it."""
-        more = rows - self.time_s.size
-        return Trajectory(
-            time_s=jnp.asarray(np.pad(self.time_s, (0, more), mode="edge"), dtype),
-            position_m=jnp.asarray(
-                np.pad(self.position_m, ((0, more), (0, 0)), mode="edge"), dtype
-            ),
-            found=jnp.asarray(True),
-        )
 
 
 class Ways:
@@ -96,6 +39,7 @@ class Ways:
         left_s: float,
         clearance_m: float,
         speed_mps: float,
+        yaw_rad: float = 0.0,
     ) -> Plan | None:
         """From a point back to a plan and on along it; None where no way is found.
 
@@ -106,6 +50,7 @@ class Ways:
             left_s: how far along it was when it left, s of the plan's time.
             clearance_m: to keep from everything that does not move.
             speed_mps: on the way back.
+            yaw_rad: the robot's heading, for plans that have headings.
         """
         end = float(plan.time_s[-1])
         times = np.linspace(min(left_s, end), end, LOOKS)
@@ -119,14 +64,10 @@ class Ways:
             if around is None:
                 return None
             corners, join = around
-        later = plan.time_s > times[join] + 1e-6
         way = np.array([p, *corners, points[join]])
         legs = np.linalg.norm(np.diff(way, axis=0), axis=1) / speed_mps
         arrive = np.concatenate([[0.0], np.cumsum(legs)])
-        whole = Plan(
-            time_s=np.concatenate([arrive, plan.time_s[later] - times[join] + arrive[-1]]),
-            position_m=np.concatenate([way, plan.position_m[later]]),
-        )
+        whole = plan.after(way, arrive, float(times[join]), yaw_rad)
         ahead = (whole.at(0.1) - p) / 0.1
         along = float(velocity @ ahead) / max(float(ahead @ ahead), 1e-6)
         return whole.eased(float(np.clip(along, 0.0, 1.0)), speed_mps)

@@ -17,8 +17,8 @@ import numpy as np
 
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
+from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams, Stages
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.record import Belief
 
@@ -41,7 +41,7 @@ class Known:
     """[] since the start."""
     goal_m: jax.Array
     """[R, 3] in W."""
-    path: Trajectory
+    path: Plan
     """As the planner made them, before the start."""
     params: ControlParams
     """Their vehicles as their controllers know them."""

@@ -6,11 +6,11 @@ from typing import Any, Literal
 
 import jax
 
-from angler_mjx.control import stages
+from angler_mjx.control import plans, stages
 from angler_mjx.control.measurements import NavigationCarry
 from angler_mjx.control.navigation import NavigationParams
+from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams, Memory, Stages
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sensing.readings import SensorCarry
@@ -98,7 +98,8 @@ class World:
     body: BodyInertia
     """Empty where the fleet has no multibody models."""
     control: ControlParams
-    path: Trajectory
+    path: Plan
+    """What the robots are told, if nothing else commands them; all of one type."""
     cell_neighbours: jax.Array | None = None
     """int32 [nx + 2, ny + 2, nz + 2] `clearance.cell_neighbours`, packed once for all segments
     where the engine looks cells up in it. Engines called without it pack for each segment."""
@@ -106,6 +107,11 @@ class World:
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
     """uint32 [2] key of the world's policy; None where the simulator has none."""
+
+    @property
+    def planned(self) -> jax.Array:
+        """Bool [n_robot] whether the planner found a way; the others are told to hold."""
+        return plans.found(self.path)
 
 
 @jax.tree_util.register_dataclass

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError, RunError, size
 
 AXIS = "worlds"
 EACH = PartitionSpec(AXIS)
@@ -119,14 +119,14 @@ def largest_tile(tile: int, needed: int, limit: int) -> int:
 def too_large(tile: int, needed: int | None, limit: int, cause: str) -> RunError:
     """The error that says what would fit."""
     fits = 0 if needed is None else min(largest_tile(tile, needed, limit), tile - 1)
-    wants = "" if needed is None else f", {needed / 1e9:.3g} GB a device are needed"
+    wants = "" if needed is None else f", {size(needed)} a device are needed"
     advice = (
         f"the largest tile that fits is about {fits} worlds"
         if fits
         else f"not one world is sure to fit; try a tile smaller than {tile}"
     )
     return RunError(
-        f"--tile {tile}: out of device memory ({cause}): a device has {limit / 1e9:.3g} GB{wants}; "
+        f"--tile {tile}: out of device memory ({cause}): a device has {size(limit)}{wants}; "
         f"{advice}; the tile of an interrupted run cannot change, so begin a new one for that"
     )
 

@@ -1,7 +1,8 @@
-"""Worlds from their indices: drawn, furnished and planned."""
+"""Worlds from their indices: drawn and furnished, and planned by planners on the device."""
 
 import operator
 from collections.abc import Callable
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any
 
@@ -10,9 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.clearance import cell_neighbours
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.joint_trajectory import hold as hold_joints
+from angler_mjx.control.trajectory import hold
 from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
+from angler_mjx.planning.asking import ask
+from angler_mjx.planning.planner import Path, PathShape
+from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.state import World
@@ -22,6 +30,9 @@ from angler_mjx.world.config import WorldRecipe, resolve
 AT_ONCE = 4096
 """Worlds drawn and planned in one go. 16,384 at once were a tenth faster on an H200, but took 209 s
 to compile instead of 39 s, and memory grows with the planner's history."""
+
+PLANNING = 0x504C414E
+"""Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
 
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
@@ -46,21 +57,32 @@ def key_number(name: str, value: Any) -> np.uint32:
     return np.uint32(number)
 
 
-def preparer(scenario: Scenario, tile: int, *, policy: bool = False) -> Prepare:
+def preparer(
+    scenario: Scenario,
+    spec: PlannerSpec | None,
+    tile: int,
+    *,
+    shape: PathShape,
+    policy: bool = False,
+) -> Prepare:
     """The function that makes a tile of worlds.
 
     Args:
         scenario: whose worlds.
+        spec: the planner, if it plans on the device; without one robots are told to hold their
+            starts.
         tile: how many at once.
+        shape: of the paths.
         policy: whether a policy is to command them, which needs a key in each.
     """
-    planner = grid_planner.GridPlannerConfig(
-        horizon_s=scenario.time.horizon_s, margin_m=scenario.planner.margin_m
-    )
     recipe = resolve(scenario.world)
+    built_in = None if spec is None or not spec.reference.on_device else _grid(scenario, spec)
 
-    def prepare(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
-        one = partial(_one_world, scenario, recipe, planner, policy, kinds, seed)
+    def furnished(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
+        return _one_world(scenario, recipe, shape, built_in, policy, kinds, seed, index)
+
+    def drawn(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
+        one = partial(furnished, kinds, seed)
         if tile == 1:  # batching a single world makes tracing and compiling take twice as long
             alone: World = jax.tree.map(lambda leaf: leaf[None], one(first[0]))
             return alone
@@ -70,13 +92,102 @@ def preparer(scenario: Scenario, tile: int, *, policy: bool = False) -> Prepare:
         worlds: World = jax.lax.map(one, index, batch_size=AT_ONCE)
         return worlds
 
-    return prepare
+    if spec is None or built_in is not None:
+        return drawn
+    planner = spec.make()
+
+    def planned(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
+        worlds = drawn(kinds, seed, first)
+        problems = ask_all(scenario, worlds, seed, first)
+        return with_paths(worlds, planner.plan_batch(problems), spec.reference.name, shape)
+
+    return planned
+
+
+def ask_all(scenario: Scenario, worlds: World, seed: jax.Array, first: jax.Array) -> Problem:
+    """The problems of a tile of worlds, [world] leading; to be traced.
+
+    Args:
+        scenario: whose worlds.
+        worlds: drawn.
+        seed: [] of the run.
+        first: [1] index of the first world.
+    """
+    count = worlds.variant.shape[0]
+    index = first[0] + jnp.arange(count, dtype=jnp.uint32)
+    seeds = jax.vmap(lambda i: _planner_seed(seed, i))(index)
+    about = scenario.planner
+
+    def one(world: World, number: jax.Array) -> Problem:
+        return ask(
+            world,
+            number,
+            scenario.sim_spec(),
+            about.knows.knows(),
+            scenario.time.horizon_s,
+            about.deadline_s,
+        )
+
+    return jax.vmap(one)(worlds, seeds)
+
+
+def with_paths(worlds: World, path: Path, name: str, shape: PathShape) -> World:
+    """Worlds whose robots are told other paths.
+
+    Args:
+        worlds: [world] leading.
+        path: [world, robot] leading.
+        name: of the planner, for messages.
+        shape: that they must have.
+
+    Raises:
+        ConfigError: the paths have other shapes.
+    """
+    if isinstance(path, JointTrajectory) != shape.joints:
+        wanted = "JointTrajectory" if shape.joints else "Trajectory"
+        raise ConfigError(f"planner {name}: gives {type(path).__name__}; {wanted} is flown here")
+    lead = worlds.variant.shape
+    for field in fields(path):
+        leaf = getattr(path, field.name)
+        if not hasattr(leaf, "shape"):
+            continue
+        if leaf.shape[:2] != lead or (
+            field.name == "time_s" and leaf.shape != (*lead, shape.points)
+        ):
+            raise ConfigError(
+                f"planner {name}: gives {field.name} of the shape {leaf.shape}; paths must have "
+                f"[world, robot] = {list(lead)} leading, and {shape.points} points (planner.points)"
+            )
+    return replace(worlds, path=path)
+
+
+def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
+    """What a planner draws from in one world; independent of what the world is drawn from."""
+    key = jax.random.fold_in(jax.random.key(seed), index)
+    return jax.random.bits(jax.random.fold_in(key, PLANNING), dtype=jnp.uint32)
+
+
+def _grid(scenario: Scenario, spec: PlannerSpec) -> grid_planner.GridPlannerConfig:
+    knows = scenario.planner.knows
+    for what in ("obstacles", "current"):
+        if getattr(knows, what) != "nothing":
+            raise ConfigError(
+                f'planner.knows.{what} = "{getattr(knows, what)}": the planner grid plans in still '
+                'water without moving obstacles; take "nothing", or another planner'
+            )
+    return grid_planner.GridPlannerConfig(
+        horizon_s=scenario.time.horizon_s,
+        margin_m=scenario.planner.margin_m,
+        n_point=scenario.planner.points,
+        **spec.settings,
+    )
 
 
 def _one_world(
     scenario: Scenario,
     recipe: WorldRecipe,
-    planner: grid_planner.GridPlannerConfig,
+    shape: PathShape,
+    planner: grid_planner.GridPlannerConfig | None,
     policy: bool,
     kinds: fleet.Fleet,
     seed: jax.Array,
@@ -93,9 +204,15 @@ def _one_world(
         scenario.time.horizon_s,
         scenario.water.density_kgpm3,
     )
-    path = grid_planner.plan(
-        environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
-    )
+    path: Path
+    if shape.joints:
+        path = hold_joints(environment.start_m, environment.start_yaw_rad, shape.points)
+    elif planner is None:
+        path = hold(environment.start_m, shape.points)
+    else:
+        path = grid_planner.plan(
+            environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
+        )
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
     of_robot = children(of_senses, variant.shape[0])
     looked_up = scenario.engine == "fused"

@@ -21,6 +21,9 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.planner import Path, PathShape
+from angler_mjx.planning.problem import Name, Problem
+from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
@@ -29,7 +32,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
-from angler_mjx.simulator import cache
+from angler_mjx.simulator import cache, hosted
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.compiling import CompileTime, Program, Together
 from angler_mjx.simulator.devices import (
@@ -41,7 +44,8 @@ from angler_mjx.simulator.devices import (
     too_large,
     tree_bytes,
 )
-from angler_mjx.simulator.prepare import key_number, preparer
+from angler_mjx.simulator.hosted import Drawn, PlanNotes
+from angler_mjx.simulator.prepare import ask_all, key_number, preparer, with_paths
 from angler_mjx.vehicles import library
 from angler_mjx.world import generate
 from angler_mjx.world.config import resolve
@@ -79,6 +83,7 @@ class Simulator:
         devices: number of devices.
         samples: stored samples in one segment.
         steps_per_sample: control steps from one to the next.
+        paths: what the robots' paths are like.
     """
 
     def __init__(
@@ -88,6 +93,8 @@ class Simulator:
         tile: int | None = None,
         devices: int | None = 1,
         policy: Policy | None = None,
+        workers: int | None = None,
+        paths: PathShape | None = None,
     ) -> None:
         """Read the vehicles and put the functions together; nothing is compiled yet.
 
@@ -96,6 +103,9 @@ class Simulator:
             tile: worlds in one call; the scenario's, or else the device's default.
             devices: devices to spread tiles over; all of this process if None.
             policy: that commands the robots in every control step, instead of their paths.
+            workers: processes that plan, where the planner is one of the host; one for each
+                processor if left out. Changes no byte of the results.
+            paths: what those that `with_paths` will give are like, where no planner is to be asked.
 
         Raises:
             ConfigError: a vehicle file has faults, the fleet does not fit the world's cells, or
@@ -121,7 +131,16 @@ class Simulator:
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
         generate.check_fleet(resolve(scenario.world), radius)
-        self._prepare_tile = preparer(scenario, self.tile, policy=policy is not None)
+        self._spec_of_planner = None if paths else scenario.planner.chosen()
+        self.paths = paths or hosted.shape_of(self._spec_of_planner, scenario.planner.points)
+        self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
+        self._prepare_tile = preparer(
+            scenario,
+            None if self._planners else self._spec_of_planner,
+            self.tile,
+            shape=self.paths,
+            policy=policy is not None,
+        )
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
@@ -138,6 +157,9 @@ class Simulator:
         self._compiled = False
         self._prepare: Callable[..., World] = self._spread(
             self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
+        )
+        self._ask: Callable[..., Problem] = self._spread(
+            partial(ask_all, scenario), EACH, SAME, EACH
         )
         self._reset: Callable[..., WorldState] = self._spread(
             partial(self._engine.reset, self.spec), SAME, EACH, *driver
@@ -255,14 +277,113 @@ class Simulator:
         Raises:
             ConfigError: as `worlds`.
         """
-        number = key_number("seed", self.scenario.seed if seed is None else seed)
+        return self.finish(self.begin(firsts, seed=seed))[0]
+
+    @property
+    def planner(self) -> PlannerSpec | None:
+        """That plans; None where paths are given."""
+        return self._spec_of_planner
+
+    @property
+    def hosted(self) -> bool:
+        """Whether worlds are planned by processes of the host."""
+        return self._planners is not None
+
+    def begin(
+        self, firsts: Sequence[int], *, seed: int | None = None, kept: Sequence[int] | None = None
+    ) -> Drawn:
+        """Begin with a wave: draw its worlds, and hand their problems to who plans on the host.
+
+        Other arguments and errors as in `wave`. `finish` gives the worlds; in between the device
+        can fly others.
+
+        Args:
+            firsts: as in `wave`.
+            seed: as in `wave`.
+            kept: how many worlds of each tile will be looked at; nothing on the host is planned for
+                the others.
+        """
+        run = self.scenario.seed if seed is None else seed
+        number = key_number("seed", run)
         indices = [key_number("first", first) for first in firsts]
         # Put in their places, as `compile` says they are: otherwise it is another program.
         numbers = jax.device_put(
             (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        return self._gate.own(self._prepare(self.fleet, *numbers))
+        worlds = self._gate.own(self._prepare(self.fleet, *numbers))
+        if self._planners is None:
+            return Drawn(worlds=worlds)
+        names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
+        asked = hosted.one_by_one(self._ask(worlds, *numbers), names)
+        kept = [self.tile] * len(firsts) if kept is None else kept
+        wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
+        return Drawn(worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted}))
+
+    def finish(self, drawn: Drawn) -> tuple[World, PlanNotes | None]:
+        """The worlds of a wave that was begun, planned.
+
+        Returns:
+            As `wave`, and how they were planned, where that was not on the device.
+
+        Raises:
+            RunError: the planner cannot be made.
+        """
+        if self._planners is None:
+            return drawn.worlds, None
+        held = jax.device_get(drawn.worlds.path)
+        path, notes = hosted.gather(self._planners.finish(drawn.tickets), held)
+        return self.with_paths(drawn.worlds, path), notes
+
+    def problems(self, first: int = 0, count: int = 1, *, seed: int | None = None) -> list[Problem]:
+        """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
+
+        Args:
+            first: global index of the first world.
+            count: how many, at most a tile.
+            seed: instead of the scenario's.
+
+        Raises:
+            ConfigError: as `worlds`.
+        """
+        if not 0 < count <= self.tile:
+            raise ConfigError(f"count = {count}: must be 1 to {self.tile}, the worlds of a tile")
+        run = self.scenario.seed if seed is None else seed
+        number, index = key_number("seed", run), key_number("first", first)
+        numbers = jax.device_put(
+            (number, np.full(self.devices, index, np.uint32)),
+            (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
+        )
+        names = [self._name(int(run), first + i) for i in range(count)]
+        worlds = self._prepare(self.fleet, *numbers)
+        return hosted.one_by_one(self._ask(worlds, *numbers), names)
+
+    def with_paths(self, worlds: World, path: Path) -> World:
+        """Worlds whose robots are told other paths.
+
+        Args:
+            worlds: of this simulator.
+            path: arrays of NumPy or JAX, [devices * tile, robot] leading.
+
+        Raises:
+            ConfigError: the paths have another shape than the simulator's.
+        """
+        there = jax.device_put(path, NamedSharding(self._mesh, EACH))
+        return with_paths(worlds, there, self.scenario.planner.name, self.paths)
+
+    def _name(self, seed: int, world: int) -> Name:
+        return Name(
+            scenario=self.scenario.name,
+            preset=self.scenario.world.preset,
+            seed=seed,
+            world=world,
+            digest=self.scenario.digest(),
+        )
+
+    def close(self) -> None:
+        """End the processes that plan, where there are any."""
+        if self._planners is not None:
+            self._planners.close()
 
     def adopt(self, worlds: World) -> World:
         """Worlds with the parameters that this simulator's fleet gives to their variants.

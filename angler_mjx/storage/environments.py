@@ -107,7 +107,7 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             chunks=(min(tile, count), *tail),
             dtype=np.dtype(leaf.dtype),
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes={"unit": _unit(name)},
+            attributes={"unit": unit(name)},
             dimension_names=["world", *_dims(name, len(tail))],
         )
 
@@ -280,9 +280,9 @@ def open_file(path: Path) -> zarr.Group:
     return group
 
 
-def leaves(environment: Environment) -> dict[str, Any]:
-    """Arrays of an environment by their names in a group."""
-    found = jax.tree_util.tree_flatten_with_path(environment)[0]
+def leaves(tree: Any) -> dict[str, Any]:
+    """Arrays of an environment, or another dataclass, by their names in a group."""
+    found = jax.tree_util.tree_flatten_with_path(tree)[0]
     return {"/".join(_word(step) for step in path): leaf for path, leaf in found}
 
 
@@ -290,7 +290,8 @@ def _word(step: Any) -> str:
     return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)
 
 
-def _unit(name: str) -> str:
+def unit(name: str) -> str:
+    """Unit of an array, by the end of its name."""
     last = name.rsplit("/", 1)[-1]
     ends = [end for end in _UNITS if last.endswith(end)]
     return _UNITS[max(ends, key=len)] if ends else "1"

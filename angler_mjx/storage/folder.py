@@ -20,7 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import zarr
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.files import parse
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.storage import atomic, claims, environments, inputs, layout, results
@@ -309,6 +309,6 @@ def require_space(out: Path, needed_bytes: int) -> None:
     free = shutil.disk_usage(place).free
     if needed_bytes > free:
         raise RunError(
-            f"--out {out}: the trajectories need up to {needed_bytes / 1e9:.2f} GB, "
-            f"{free / 1e9:.2f} GB are free; lower --record-hz (0 stores none) or --worlds"
+            f"--out {out}: the trajectories need up to {size(needed_bytes)}, "
+            f"{size(free)} are free; lower --record-hz (0 stores none) or --worlds"
         )

@@ -6,12 +6,15 @@ from functools import partial
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.control.plans import points_m
 from angler_mjx.errors import RunError
 from angler_mjx.sim.record import FIELDS, STATES, Field, Sample
 from angler_mjx.sim.state import Outcome, Tally, World, WorldState
-from angler_mjx.storage.layout import END
+from angler_mjx.simulator.hosted import PlanNotes
+from angler_mjx.storage.layout import END, plan_arrays
 from angler_mjx.storage.results import TileResult
 from angler_mjx.world.environment import Environment
 
@@ -28,10 +31,14 @@ class Constants:
     redraws: jax.Array
     variant: jax.Array
     planned: jax.Array
+    plan_length_m: jax.Array
+    """[tile, r] of the lines between a path's points."""
+    plan_end_s: jax.Array
+    """[tile, r] when a path is over."""
     environment: Environment | None
     """None where nothing is recorded, as the plans."""
-    plan_time_s: jax.Array | None
-    plan_m: jax.Array | None
+    plan: dict[str, jax.Array] | None
+    """By the names of their arrays; see `storage.layout`."""
 
 
 @jax.tree_util.register_dataclass
@@ -75,6 +82,8 @@ class FinishedTile:
     end: End
     parts: list[Sample]
     """Samples of its segments, until all robots had ended; empty where nothing is recorded."""
+    notes: PlanNotes | None = None
+    """How its worlds were planned, where that was not on the device."""
 
 
 def constants(worlds: World, *, recorded: bool) -> Constants:
@@ -83,11 +92,18 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
         valid=worlds.environment.valid,
         redraws=worlds.environment.redraws,
         variant=worlds.variant,
-        planned=worlds.path.found,
+        planned=worlds.planned,
+        plan_length_m=_length(points_m(worlds.path)),
+        plan_end_s=worlds.path.time_s[..., -1],
         environment=worlds.environment if recorded else None,
-        plan_time_s=worlds.path.time_s if recorded else None,
-        plan_m=worlds.path.position_m if recorded else None,
+        plan=plan_arrays(worlds.path) if recorded else None,
     )
+
+
+@jax.jit
+def _length(points: jax.Array) -> jax.Array:
+    leg = points[..., 1:, :] - points[..., :-1, :]
+    return jnp.sum(jnp.sqrt(jnp.sum(leg * leg, axis=-1)), axis=-1)
 
 
 def end(state: WorldState, *, recorded: bool) -> End:
@@ -147,6 +163,9 @@ def tile_result(tile: FinishedTile) -> TileResult:
         touched_index=tally.touched_index,
         impact_speed_mps=tally.impact_speed_mps,
         p=np.asarray(tile.end.p)[:kept],
+        plan_length_m=np.asarray(tile.constants.plan_length_m)[:kept],
+        plan_end_s=np.asarray(tile.constants.plan_end_s)[:kept],
+        notes=None if tile.notes is None else tile.notes.rows(slice(kept)),
         redraws=np.asarray(tile.constants.redraws)[:kept],
     )
 
@@ -167,8 +186,8 @@ def arrays(tile: FinishedTile, samples: int) -> Arrays:
         made[f"{END}/step"] = partial(_rows, tile.end.last.step)
         for field in STATES:
             made[f"{END}/{field.about.array}"] = partial(_rows, field.of(tile.end.last))
-    made["plan_time_s"] = lambda worlds: np.asarray(tile.constants.plan_time_s)[worlds]
-    made["plan_m"] = lambda worlds: np.asarray(tile.constants.plan_m)[worlds]
+    for name, values in (tile.constants.plan or {}).items():
+        made[name] = partial(_rows, values)
     return made
 
 

@@ -23,7 +23,7 @@ from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.vehicles import library
 
 FOLDER, INDEX = "inputs", "inputs.json"
-VEHICLE, THRUSTER = "vehicle", "thruster"
+VEHICLE, THRUSTER, PLANNER = "vehicle", "thruster", "planner"
 
 type Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
@@ -34,7 +34,7 @@ class Input(FileModel):
     """A file that a run used."""
 
     role: Annotated[str, Field(pattern="^[a-z_]+$")]
-    """vehicle, thruster, plan, parameters."""
+    """vehicle, thruster, planner, plan, parameters."""
     named: str
     """As the scenario, the vehicle file or the command line named it."""
     source: str
@@ -154,7 +154,15 @@ def require_unchanged(run: Path, *, flag: str) -> None:
     Raises:
         ConfigError: naming them.
     """
-    used = {(one.role, one.named): one.sha256 for one in read_inputs(run)}
+    kept = read_inputs(run)
+    used = {(one.role, one.named): one.sha256 for one in kept}
+    planners = [one for one in kept if one.role == PLANNER]
+    for one in planners:
+        if _find(PLANNER, one.named, Path(one.source)).sha256 != one.sha256:
+            raise ConfigError(
+                f"{flag}: {one.source} was edited since the run began (what it was lies in "
+                f"{run / FOLDER}): put the old file back, or begin a new run"
+            )
     edited = [named for named in copies(run) if _state(named, used) == "edited"]
     if edited:
         raise ConfigError(

@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
+from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.control.plans import Plan, course, of_robot, points_m
+from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES
 
@@ -16,6 +20,8 @@ END = "end"
 """Group of the one state of each world that comes after its last sample."""
 ENVIRONMENT = "environment"
 TIME = "time_s"
+
+YAW = VEHICLE_JOINTS.index("yaw")
 
 MOST = 10**7
 """Of a dimension of one world: what claims more is damaged."""
@@ -32,6 +38,7 @@ class Kind:
     dtype: Any = np.float32
 
 
+_JOINT = {"joint": len(VEHICLE_JOINTS)}
 _STEP = Kind(
     dims=(),
     unit="1",
@@ -42,6 +49,27 @@ _PLAN = {
     "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
     "plan_m": Kind(dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"),
 }
+_JOINTS = ("robot", "way_point", "joint")
+MOTION = {
+    "plan_yaw_rad": Kind(
+        dims=("robot", "way_point"), unit="rad", text="heading at each way-point, 0 = east"
+    ),
+    "plan_velocity": Kind(
+        dims=_JOINTS,
+        unit="m/s, rad/s",
+        text="of x, y, z and heading at each way-point, W",
+    ),
+    "plan_acceleration": Kind(
+        dims=_JOINTS, unit="m/s^2, rad/s^2", text="likewise; 0 where the segments do not use it"
+    ),
+    "plan_degree": Kind(
+        dims=("robot", "way_point"),
+        unit="1",
+        text="of the polynomial from each way-point on: 1, 3 or 5",
+        dtype=np.uint8,
+    ),
+}
+"""Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
 
 ARRAYS: dict[str, Kind] = {
     **{
@@ -64,6 +92,7 @@ ARRAYS: dict[str, Kind] = {
         for field in STATES
     },
     **_PLAN,
+    **MOTION,
 }
 """Arrays [world, ...] by their names in the group, in the order in which they are made."""
 
@@ -71,23 +100,26 @@ EARLIER = {"pwm_us": np.uint16}
 """Types that runs of version 0.1.0 have; they have no end either."""
 
 
-def names(sizes: Mapping[str, int], *, estimated: bool) -> list[str]:
+def names(sizes: Mapping[str, int], *, estimated: bool, jointed: bool = False) -> list[str]:
     """Arrays of a run; those in which nothing could lie are left out.
 
     Args:
         sizes: of the dimensions that differ from run to run.
         estimated: whether any robot's controllers were told something other than the truth.
+        jointed: whether the plans are trajectories of joints.
     """
     return [
         name
         for name, kind in ARRAYS.items()
-        if (estimated or not name.startswith(f"{ESTIMATE}/")) and 0 not in tail(kind, sizes)
+        if (estimated or not name.startswith(f"{ESTIMATE}/"))
+        and (jointed or name not in MOTION)
+        and 0 not in tail(kind, sizes)
     ]
 
 
 def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a kind of array after the worlds."""
-    return tuple({**SIZES, **sizes}[dim] for dim in kind.dims)
+    return tuple({**SIZES, **_JOINT, **sizes}[dim] for dim in kind.dims)
 
 
 def check(
@@ -113,7 +145,8 @@ def check(
         sizes[dim] = _size(nodes, name, -1, where)
     sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
     ended = any(name.startswith(f"{END}/") for name in nodes)
-    for name in names(sizes, estimated=estimated):
+    jointed = not MOTION.keys().isdisjoint(nodes)
+    for name in names(sizes, estimated=estimated, jointed=jointed):
         if name.startswith(f"{END}/") and not ended:
             continue
         if name not in nodes:
@@ -137,3 +170,52 @@ def _size(nodes: Mapping[str, Any], name: str, axis: int, where: str) -> int:
     if not 1 <= size <= MOST:
         raise ConfigError(f"{where}/{name}: has the shape {shape}; copy its zarr.json again")
     return size
+
+
+def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
+    """The arrays of a plan by their names here, with its leading axes."""
+    made = {"plan_time_s": plan.time_s, "plan_m": points_m(plan)}
+    if isinstance(plan, JointTrajectory):
+        made |= {
+            "plan_yaw_rad": plan.position[..., YAW],
+            "plan_velocity": plan.velocity,
+            "plan_acceleration": plan.acceleration,
+            "plan_degree": plan.degree,
+        }
+    return made
+
+
+def courses(stored: Mapping[str, Any], world: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Where the plan of each robot of a world leads, for pictures: see `control.plans.course`."""
+    robots = stored["plan_time_s"].shape[1]
+    plan = read_plan(stored, world, np.ones(robots, bool))
+    return [course(of_robot(plan, i)) for i in range(robots)]
+
+
+def read_plan(stored: Mapping[str, Any], world: int, found: Any) -> Plan:
+    """The plan of a world, the same numbers that were flown, in float32.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        found: bool [R] whether the planner found a way for each robot.
+
+    Returns:
+        Arrays of NumPy, [R] leading.
+    """
+    given: dict[str, Any] = {
+        "time_s": np.asarray(stored["plan_time_s"][world]),
+        "found": np.asarray(found, bool),
+    }
+    points: Any = np.asarray(stored["plan_m"][world])
+    if "plan_degree" not in stored:
+        return Trajectory(position_m=points, **given)
+    yaw = np.asarray(stored["plan_yaw_rad"][world])
+    position: Any = np.concatenate([points, yaw[..., None]], axis=-1)
+    given |= {
+        "velocity": np.asarray(stored["plan_velocity"][world]),
+        "acceleration": np.asarray(stored["plan_acceleration"][world]),
+        "degree": np.asarray(stored["plan_degree"][world], np.int32),
+        "commanded": np.ones((len(points), len(VEHICLE_JOINTS)), bool),
+    }
+    return JointTrajectory(joints=VEHICLE_JOINTS, position=position, **given)

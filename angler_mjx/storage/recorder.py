@@ -53,6 +53,8 @@ class Shape:
     plan_points: int
     estimated: bool = False
     """Whether any robot's controllers were told something other than the truth."""
+    jointed: bool = False
+    """Whether the plans are trajectories of joints, with headings and velocities."""
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -67,7 +69,7 @@ class Shape:
 
     def names(self) -> list[str]:
         """Arrays of the run; see `layout`."""
-        return layout.names(self.sizes, estimated=self.estimated)
+        return layout.names(self.sizes, estimated=self.estimated, jointed=self.jointed)
 
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""

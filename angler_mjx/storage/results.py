@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from angler_mjx.sim.state import Outcome, Touched
+from angler_mjx.simulator.hosted import PlanNotes, status_of
 from angler_mjx.storage import intervals
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
@@ -44,7 +45,16 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ),
     ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; null without one"),
     ("redraws", pa.int32(), "1", "drawings thrown away before this world"),
+    ("planning_s", pa.float32(), "s", "planner's time for the world; null on the device"),
+    ("plan_status", pa.string(), "", "how planning ended, see docs/planners.md"),
+    ("plan_reason", pa.string(), "", "why the robot has no path; null if it has one, or unknown"),
+    ("plan_length_m", pa.float32(), "m", "planned way; null without a path"),
+    ("plan_end_s", pa.float32(), "s", "when the path is over; null without a path"),
+    ("late_s", pa.float32(), "s", "arrival after the end of the path; null if not reached"),
 )
+
+_SINCE_PLANNERS = 6
+"""Columns at the end that runs before there was a choice of planners lack."""
 
 MISSING = (
     "time_to_goal_s",
@@ -54,8 +64,15 @@ MISSING = (
     "failure_y_m",
     "failure_z_m",
     "impact_speed_mps",
+    "planning_s",
+    "plan_length_m",
+    "plan_end_s",
+    "late_s",
 )
 """Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
+
+UNSAID = ("plan_status", "plan_reason")
+"""Columns of text in which there may be none."""
 
 EPISODE_SCHEMA = pa.schema(
     [
@@ -88,6 +105,10 @@ class TileResult:
     impact_speed_mps: np.ndarray
     p: np.ndarray
     """[w, r, 3] where each robot was at the end."""
+    plan_length_m: np.ndarray
+    plan_end_s: np.ndarray
+    notes: PlanNotes | None
+    """None where worlds were planned on the device."""
     redraws: np.ndarray
     """int [w]."""
 
@@ -136,7 +157,30 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         "impact_speed_mps": _known(result.impact_speed_mps.reshape(-1)),
         "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
     }
-    return pa.table(columns, schema=EPISODE_SCHEMA)
+    return pa.table({**columns, **_plan_columns(result, end, reached)}, schema=EPISODE_SCHEMA)
+
+
+def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> dict[str, Any]:
+    """What the plans were; [w * r] values each."""
+    robots, notes = result.outcome.shape[1], result.notes
+    planned = result.planned.reshape(-1)
+    over = np.where(planned, result.plan_end_s.reshape(-1), np.nan)
+    if notes is None:
+        seconds = np.full(planned.shape, np.nan)
+        status = np.repeat(status_of(result.planned), robots).tolist()
+        reason = [None] * planned.size
+    else:
+        seconds = np.repeat(notes.planning_s, robots)
+        status = np.repeat(notes.status, robots).tolist()
+        reason = [text or None for text in notes.reason.reshape(-1)]
+    return {
+        "planning_s": _known(seconds),
+        "plan_status": status,
+        "plan_reason": pa.array(reason, pa.string()),
+        "plan_length_m": _known(np.where(planned, result.plan_length_m.reshape(-1), np.nan)),
+        "plan_end_s": _known(over),
+        "late_s": _known(np.where(reached, end - over, np.nan)),
+    }
 
 
 def _known(values: np.ndarray) -> pa.Array:
@@ -150,6 +194,7 @@ def checked(table: pa.Table) -> pa.Table:
     Raises:
         ValueError: they are something else.
     """
+    table = _with_plans(table)
     if table.schema.names != EPISODE_SCHEMA.names or table.schema.types != EPISODE_SCHEMA.types:
         raise ValueError(f"holds the columns {', '.join(table.schema.names)}")
     table.validate(full=True)
@@ -160,12 +205,22 @@ def checked(table: pa.Table) -> pa.Table:
         if field.name in MISSING:
             known = pc.fill_null(pc.is_finite(column), False)
             column = pc.if_else(known, column, pa.scalar(None, field.type))
-        elif column.null_count:
+        elif column.null_count and field.name not in UNSAID:
             raise ValueError(f"has nulls in {field.name}")
         table = table.set_column(at, field, column)
     unknown = set(table["outcome"].unique().to_pylist()) - set(OUTCOMES)
     if unknown:
         raise ValueError(f"knows outcomes that are none: {', '.join(sorted(unknown))}")
+    return table
+
+
+def _with_plans(table: pa.Table) -> pa.Table:
+    """Rows with the columns that older runs lack, empty."""
+    if table.schema.names != EPISODE_SCHEMA.names[:-_SINCE_PLANNERS]:
+        return table
+    for name in EPISODE_SCHEMA.names[-_SINCE_PLANNERS:]:
+        field = EPISODE_SCHEMA.field(name)
+        table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     return table
 
 

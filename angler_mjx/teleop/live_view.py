@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import jax
 import numpy as np
 
+from angler_mjx.control import plans
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.session.batch import Inside
 from angler_mjx.session.interface import Floats, Observation, RobotStatus, Session
@@ -119,7 +120,7 @@ class LiveView:
                 i,
                 f"{self._space}/{robot.name}",
                 goal_m=np.asarray(self._world.environment.goal_m[i]),
-                plan_m=np.asarray(path.position_m[i]),
+                plan_m=plans.course(plans.of_robot(path, i))[1],
             )
         lens = rr.Pinhole(
             fov_y=1.0,

@@ -1,4 +1,4 @@
-"""For those who test: conformance suites of sessions, and the referee of runs.
+"""For those who test: conformance suites of sessions and planners, and the referee of runs.
 
 Plain functions, for any test runner. The names here are loaded when they are first used: the
 referee (`angler_mjx.testing.referee`) needs neither JAX nor the simulator.
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         check_session,
     )
     from angler_mjx.testing.driving import Bounds
+    from angler_mjx.testing.planner_checks import check_planner
 
 __all__ = [
     "CHECKS",
@@ -25,13 +26,17 @@ __all__ = [
     "NonConformanceError",
     "Result",
     "Skipped",
+    "check_planner",
     "check_session",
 ]
+
+_HOME = {"Bounds": "driving", "check_planner": "planner_checks"}
+"""Of the names that are not in `conformance`."""
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from where it is defined."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = "driving" if name == "Bounds" else "conformance"
+    home = _HOME.get(name, "conformance")
     return getattr(import_module(f"angler_mjx.testing.{home}"), name)

@@ -10,6 +10,7 @@ import pyarrow.compute as pc
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage import environments as store
+from angler_mjx.storage import layout
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
 from angler_mjx.storage.results import end_time_s
@@ -40,7 +41,7 @@ class RobotTrack:
     current_mps: np.ndarray
     """[T, 3] water velocity at the robot, W."""
     plan_m: np.ndarray
-    """[n, 3] way-points, padding dropped."""
+    """[n, 3] places joined by lines: way-points, padding dropped; of bent segments several."""
     start_m: np.ndarray
     """[3]."""
     goal_m: np.ndarray
@@ -113,7 +114,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
     time = np.asarray(stored["time_s"])
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
     robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
-    plan_time, plan = stored["plan_time_s"][world], stored["plan_m"][world]
+    courses = layout.courses(stored, world)
     tracks = tuple(
         RobotTrack(
             index=i,
@@ -124,7 +125,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
             end_time_s=end_time_s(row),
             failure_pair=row["failure_pair"],
             failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"], float),
-            plan_m=plan[i][np.r_[True, np.diff(plan_time[i]) > 0]],
+            plan_m=courses[i][1],
             start_m=np.asarray(environment.start_m[i]),
             goal_m=np.asarray(environment.goal_m[i]),
             **{name: values[:, i] for name, values in robots.items()},

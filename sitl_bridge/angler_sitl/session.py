@@ -18,7 +18,7 @@ from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session import checks, fleet_facts, paths, presence
-from angler_mjx.session.batch import POINTS, START_TOLERANCE, WAY_BACK, Inside
+from angler_mjx.session.batch import POINTS, START_TOLERANCE, Inside
 from angler_mjx.session.checks import Limits, Place
 from angler_mjx.session.interface import (
     Observation,
@@ -230,8 +230,9 @@ class SitlSession:
         clearance = info.radius_m + self._scenario.planner.margin_m - paths.SLACK_M
         seen, speed = self._sight.seen, info.cruise_speed_mps
         p, velocity = np.asarray(seen.p[robot], float), paths.over_ground(seen, robot)
-        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed)
-        if back is None or back.time_s.size > self._limits.way_points:
+        yaw = float(seen.yaw_rad[robot])
+        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed, yaw)
+        if back is None or back.time_s.size > self._limits.rows(back.kind):
             raise ConfigError(
                 f"{info.name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
                 f"{p[2]:.2f}) m; bring it nearer"
@@ -250,8 +251,7 @@ class SitlSession:
 
     @property
     def _limits(self) -> Limits:
-        most = self._facts.way_points + WAY_BACK
-        return Limits(start_tolerance=self._start_tolerance, points=self._points, way_points=most)
+        return self._facts.limits(self._points, self._start_tolerance)
 
     def _go_on(self) -> None:
         """One control period: decide, send, step, judge."""

@@ -5,7 +5,7 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from angler_mjx.errors import SHOWN, ConfigError, escaped, shown
+from angler_mjx.errors import SHOWN, ConfigError, escaped, shown, size
 from angler_mjx.files import FileModel, json_of, parse, read_json, read_text, read_toml
 
 
@@ -134,6 +134,11 @@ def test_a_file_of_another_kind_is_not_told_fault_by_fault():
 )
 def test_how_values_are_shown(value, text):
     assert shown(value) == text
+
+
+def test_a_size_is_never_nought_point_nought_gigabytes():
+    said = [size(n) for n in (0, 999, 1000, 1_843_200, 3.46e9, 1.2e12)]
+    assert said == ["0 bytes", "999 bytes", "1 kB", "1.84 MB", "3.46 GB", "1.2e+03 GB"]
 
 
 def test_no_value_is_shown_in_full_length():

@@ -1,6 +1,9 @@
 """A scenario as a command line gives it: a file, and flags that replace keys of it."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario
@@ -26,3 +29,27 @@ def scenario_given(name_or_path: str, **flags: Any) -> "Scenario":
 def flag(key: str) -> str:
     """The flag of a key: ``--record-hz`` of ``time.record_hz``."""
     return "--" + key.rpartition(".")[2].replace("_", "-")
+
+
+def planner_given(name: str | None) -> dict[str, str] | None:
+    """The scenario's table of a planner that a flag names; a file's path from the working folder.
+
+    Settings of the scenario's own planner stay with it.
+    """
+    if name is None:
+        return None
+    path, colon, qualname = name.rpartition(":")
+    if colon and path.endswith(".py"):
+        name = f"{Path(path).absolute()}:{qualname}"
+    return {"name": name}
+
+
+def at_least_one(key: str, value: int | None) -> int | None:
+    """A number of processes from a flag.
+
+    Raises:
+        ConfigError: it is below 1.
+    """
+    if value is not None and value < 1:
+        raise ConfigError(f"{flag(key)} {value}: must be at least 1")
+    return value

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import lanes
+from angler_mjx.control import plans
 from angler_mjx.control.stack import Command, ControlParams
 from angler_mjx.engines.lanes import pairs
 from angler_mjx.engines.lanes.layout import (
@@ -187,7 +188,9 @@ class OfGroup(Everywhere):
     @property
     def command(self) -> Any:
         """See `phase.Here`."""
-        return self.given.path if self.said is None else self.said
+        if self.said is not None:
+            return self.said
+        return plans.checked(self.spec.stages, self.given.path)
 
     @property
     def goal_m(self) -> Any:

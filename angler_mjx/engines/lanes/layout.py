@@ -10,11 +10,12 @@ import numpy as np
 
 from angler_kernels import clearance, lanes
 from angler_kernels.lanes.planes import is_table
+from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams, Memory
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.engines.lanes import judge as lane_judge
 from angler_mjx.engines.lanes import steps as lane_steps
 from angler_mjx.engines.lanes.steps import Cells
+from angler_mjx.errors import RunError
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import start
 from angler_mjx.sim.aboard import Minds
@@ -22,6 +23,9 @@ from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
+
+MOST = 2**31
+"""Numbers of an array whose places can still be counted."""
 
 
 @jax.tree_util.register_dataclass
@@ -50,7 +54,7 @@ class Given:
 
     group: Group
     params: ControlParams
-    path: Trajectory
+    path: Plan
     goal_m: Any
 
 
@@ -137,6 +141,11 @@ def to_lanes(tree: Any, lead: int) -> Any:
 def _table(leaf: jax.Array, lead: int) -> lanes.Table:
     """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]."""
     tail = leaf.shape[lead:]
+    if leaf.size >= MOST:
+        raise RunError(
+            f"lanes count places in 31 bits, and an array of this tile has {leaf.size} numbers "
+            f"({', '.join(map(str, leaf.shape))}): use a tile {leaf.size // MOST + 1} times smaller"
+        )
     size = int(np.prod(tail))
     flat = leaf.reshape(-1)
     body = np.arange(leaf.size // size, dtype=np.int32).reshape(leaf.shape[:lead])

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from angler_mjx.control import plans
 from angler_mjx.control.stack import ControlParams
 from angler_mjx.engines.lanes import judge as lane_judge
 from angler_mjx.engines.lanes.search import Met, Others
@@ -126,7 +127,9 @@ class OfGroup(Program):
     @property
     def command(self) -> Any:
         """See `phase.Here`."""
-        return self.slot("command") if "command" in self._places else self._constants.path
+        if "command" in self._places:
+            return self.slot("command")
+        return plans.checked(self.spec.stages, self._constants.path)
 
     @property
     def goal_m(self) -> Any:

@@ -9,8 +9,8 @@ import numpy as np
 
 from angler_kernels import lanes
 from angler_kernels.lanes.planes import Layout, Shelf
+from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.engines.lanes.layout import grid_shape, packed_cells
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.engines.triton import launch as triton
@@ -27,7 +27,7 @@ class RobotConstants:
     """Of one robot."""
 
     variant: Any
-    path: Trajectory
+    path: Plan
     goal_m: Any
     cruise_speed_mps: Any
 

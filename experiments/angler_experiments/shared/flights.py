@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.control import plans
 from angler_mjx.engines import base as engines
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.fleet import Fleet
@@ -154,8 +155,8 @@ def _flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -
         "start_m": drawn.start_m,
         "goal_m": drawn.goal_m,
         "redraws": drawn.redraws,
-        "planned": worlds.path.found,
-        "plan_m": worlds.path.position_m,
+        "planned": worlds.planned,
+        "plan_m": plans.points_m(worlds.path),
         "plan_s": worlds.path.time_s,
     }
     ends = ("outcome", "end_time_s", "path_length_m", "energy_j", "touched", "touched_index")

@@ -52,8 +52,8 @@ def way(session: Session, robot: int, goal: JointGoal) -> Way:
     here = [*p.tolist(), float(quaternion.yaw(q))]
     made = joint_goal.build(goal, joints=VEHICLE_JOINTS, position=here)
     times = np.linspace(0.0, float(made.time_s[-1]), WAY_POINTS)
-    points = jax.vmap(sample, (None, 0))(made, jnp.asarray(times)).position
-    return Way(time_s=goal.stamp_s + times, position_m=np.asarray(points)[:, :3])
+    points = np.asarray(jax.vmap(sample, (None, 0))(made, jnp.asarray(times)).position)
+    return Way(time_s=goal.stamp_s + times, position_m=points[:, :3], yaw_rad=points[:, 3])
 
 
 def check(session: Session, goals: dict[int, JointGoal]) -> None:

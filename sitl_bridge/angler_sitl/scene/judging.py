@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.engines.mjx import OneWorld
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import robot
@@ -42,7 +43,7 @@ class Judging:
 
     def constants(self, world: World) -> Arrays:
         """What has to be known of a world; [1] leads there."""
-        return self.world.put(world)
+        return self.world.put(_unplanned(world))
 
     def begin(self, state: WorldState) -> Arrays:
         """A state as the step takes it; [1] leads there."""
@@ -60,10 +61,10 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
     Args:
         spec: settings.
         motion: of the vehicles.
-        world: [1] leads; another of the same scenario has the same shapes.
+        world: [1] leads; another of the same scenario has the same shapes, but for its plans.
         state: [1] leads.
     """
-    of_world, of_state = Flat.of(world), Flat.of(state)
+    of_world, of_state = Flat.of(_unplanned(world)), Flat.of(state)
     thrusters = world.control.vehicle.B.shape[-1]
     like = motion.told(motion.begin(state.vehicles))
 
@@ -89,6 +90,17 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
     lowered = jax.jit(step).lower(of_world.like, of_state.like, like, inputs)
     compiled: Any = lowered.compile(ONE_THREAD)
     return Judging(step=compiled, world=of_world, state=of_state, record=records[-1])
+
+
+def _unplanned(world: World) -> World:
+    """A world [1] without its plans: nobody judges by them, and they have any type and length."""
+    robots, real = world.variant.shape, world.environment.start_m.dtype
+    nothing: dict[str, Any] = {
+        "time_s": np.zeros((*robots, 0), real),
+        "position_m": np.zeros((*robots, 0, 3), real),
+        "found": np.zeros(robots, bool),
+    }
+    return replace(world, path=Trajectory(**nothing))
 
 
 def judge(

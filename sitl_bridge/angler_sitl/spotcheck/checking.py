@@ -79,6 +79,7 @@ def check(
         progress.doing("drawing the worlds again")
         worlds = scenes.draw(found.run.scenario, [pick.world for pick in found.picks])
         found = replace(found, likeness=_likeness(found, worlds))
+        worlds = {index: scenes.planned(found.run, index, one) for index, one in worlds.items()}
         _fly_all(found, worlds, left, out, progress)
         complete = True
     except KeyboardInterrupt:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from angler_mjx.storage import layout
 from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing import style
 from angler_sitl.spotcheck.flight import RECORDED, Flight
@@ -73,8 +74,7 @@ def _column(
     found: Found, world: int, robot: int, flights: dict[str, Flight], panels: Sequence[Axes]
 ) -> None:
     stored: Any = found.run.trajectories
-    plan_time, plan = stored["plan_time_s"][world, robot], stored["plan_m"][world, robot]
-    way = plan[np.r_[True, np.diff(plan_time) > 0]]
+    way = layout.courses(stored, world)[robot][1]
     row = next(iter(flights.values())).rows[robot]
     panels[0].set_title(f"robot {robot}: {row['vehicle']},\n{row['parameter_set']}", fontsize=9.0)
     for panel, (plane, *labels) in zip(panels, _PLANES, strict=False):

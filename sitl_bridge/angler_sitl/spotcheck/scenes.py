@@ -1,17 +1,22 @@
-"""The worlds of a run made again from its scenario and seed, and held against what it recorded."""
+"""The worlds of a run made again from its scenario and seed, and held against what it recorded.
+
+Plans are not made again: whatever planned them, those that the run recorded are flown.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
 import numpy as np
+import pyarrow.compute as pc
 
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import environments as store
+from angler_mjx.storage import layout
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
 
@@ -25,7 +30,7 @@ class Likeness:
     """How like a world made again is to the one recorded."""
 
     arrays: int
-    """Compared, plans included."""
+    """Compared."""
     identical: int
     """Of these, the same byte by byte."""
     difference: float
@@ -54,6 +59,27 @@ def draw(scenario: Scenario, indices: Sequence[int]) -> dict[int, World]:
     return {index: simulator.worlds(index) for index in indices}
 
 
+def planned(run: Run, index: int, worlds: World) -> World:
+    """A world with the plans that a run recorded of it.
+
+    Args:
+        run: with trajectories.
+        index: of the world.
+        worlds: made again; [1] leads.
+
+    Raises:
+        ConfigError: what the run recorded is damaged.
+    """
+    rows = run.episodes.filter(pc.field("world") == index)
+    stored: Any = run.trajectories
+    with reading(run.path / TRAJECTORIES):
+        plan = layout.read_plan(stored, index, rows["planned"].to_numpy(zero_copy_only=False))
+    # Where the other arrays are: a plan that lay elsewhere would have programs compiled once more.
+    place = getattr(worlds.variant, "sharding", None)
+    path: Any = jax.tree.map(lambda leaf: jax.device_put(leaf[None], place), plan)
+    return replace(worlds, path=path)
+
+
 def compare(run: Run, index: int, worlds: World) -> Likeness:
     """Hold a world against what a run recorded of it.
 
@@ -73,7 +99,6 @@ def compare(run: Run, index: int, worlds: World) -> Likeness:
 def _compare(run: Run, index: int, worlds: World) -> Likeness:
     stored: Any = run.trajectories
     made = {f"environment/{name}": leaf for name, leaf in store.leaves(worlds.environment).items()}
-    made["plan_time_s"], made["plan_m"] = worlds.path.time_s, worlds.path.position_m
     identical, worst, where = 0, 0.0, ""
     for name, leaf in made.items():
         now = np.asarray(leaf)[0]
@@ -128,5 +153,7 @@ def cut(worlds: World, like: World, robots: int) -> World:
     def first(leaf: jax.Array, shape: jax.Array) -> jax.Array:
         return leaf[tuple(slice(0, n) for n in shape.shape)]
 
-    made: World = jax.tree.map(first, worlds, like)
+    # Not as the planner of the scenario would give them.
+    path = jax.tree.map(lambda leaf: leaf[:, :robots], worlds.path)
+    made: World = jax.tree.map(first, replace(worlds, path=path), replace(like, path=path))
     return made

@@ -119,7 +119,7 @@ def test_scenarios_alone_lists_them(capsys):
 
 def test_public_names_are_in_dir():
     assert set(angler_mjx.__all__) <= set(dir(angler_mjx))
-    assert len(angler_mjx.__all__) == 18
+    assert len(angler_mjx.__all__) == 25
 
 
 CACHE = """

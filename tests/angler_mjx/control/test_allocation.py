@@ -313,3 +313,27 @@ def test_on_lanes_it_is_the_same(faulty, methods):
     pwm, _ = methods["allocate_to_limits"](demands(LARGE))
     # float64 on signals of 1e3 us.
     np.testing.assert_allclose(ours.pwm_us, pwm[4], rtol=0, atol=1e-8)
+
+
+def test_what_a_full_thruster_has_no_room_for_is_left_out_and_not_undone():
+    """Three thrusters of 50 N: roll fills the first two, heave asks for a hair more of them.
+
+    Filled, a thruster may stand a rounding beyond its end. What the heave asks of it is less than
+    that rounding: met "as far as it fits" it would be asked for backwards, and with it the third
+    thruster, which gives all of its 40 N to heave.
+    """
+    most, hair, n = 50.0, 1.2e-4, 64
+    heave, roll = np.array([hair, hair, 40.0]), np.array([1.0, 1.0, 0.0])
+    given = allocation.AllocationParams(
+        B_inverse=jnp.asarray(np.stack([0 * roll, 0 * roll, heave, roll, 0 * roll, 0 * roll], 1)),
+        thrust_n=jnp.linspace(-most, most, 201),
+        B=jnp.zeros((6, 3)),
+        mode=jnp.array([1.0, -1.0, 0.0]),
+        mode_of=jnp.array([0, 0, 2], jnp.int32),
+    )
+    tau = jnp.zeros((n, 6)).at[:, 2].set(1.0).at[:, 3].set(jnp.linspace(60.0, 90.0, n))
+    for how in (allocation.allocate, allocation.allocate_to_limits):
+        pwm = jax.vmap(how, (None, 0))(given, BodyWrench(tau=tau)).pwm_us
+        # Neutral, or what is met of the heave: never astern.
+        assert pwm[:, 2].min() >= 1500.0
+        np.testing.assert_allclose(pwm[:, :2], 1900.0, atol=0.01)

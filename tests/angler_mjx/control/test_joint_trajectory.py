@@ -154,6 +154,21 @@ def test_joints_that_are_not_named_stay_where_they_are_in_any_order_of_names():
     np.testing.assert_array_equal(np.asarray(state.position[:, 3]), np.float32(here[3]))
 
 
+def test_joints_that_are_not_named_stay_along_quintics_too():
+    here = np.array([1.0, 2.0, -3.0, 0.5])
+    state = sample_many(made(goal(5, joints=("z", "x")), position=here), jnp.asarray(WITHIN))
+    np.testing.assert_array_equal(state.position[:, 1], here[1])
+    np.testing.assert_array_equal(state.velocity[:, [1, 3]], 0)
+    np.testing.assert_array_equal(state.acceleration[:, [1, 3]], 0)
+
+
+def test_degrees_are_the_numbers_that_are_documented():
+    for degree in (1, 3, 5):
+        np.testing.assert_array_equal(made(goal(degree)).degree[:4], degree)
+        # From rest, which is known to every derivative: as much as the first point says.
+        assert made(goal(degree, time=TIME + 1.0)).degree[0] == degree
+
+
 def test_yaw_goes_the_short_way_and_has_no_steps():
     yaw = np.array([3.0, -3.0, 2.5, -2.5, 0.0])
     message = goal(1, joints=("yaw",), p=yaw[:, None])
@@ -265,12 +280,23 @@ def test_a_replacement_of_two_points_ends_its_join_with_the_speed_of_the_line(jo
     np.testing.assert_allclose(joined.velocity[1], P[1, :n] - P[0, :n], rtol=1e-6)
 
 
-def test_gradient_of_a_join_is_finite_where_no_line_follows():
+def test_a_join_ends_as_its_own_segment_does_whatever_comes_after():
+    """The first point has a velocity, the second has none: a cubic to the first, then a line."""
+    points = list(goal(3, time=TIME + 1.0).points)
+    points[1] = replace(points[1], velocities=())
+    new = made(replace(goal(3), points=tuple(points)))
+    np.testing.assert_array_equal(new.degree[:2], [3, 1])
+    joined = join_at(made(goal(1)), jnp.array(2.1), new)
+    np.testing.assert_array_equal(joined.velocity[1], np.float32(V[0]))
+
+
+def test_where_no_line_follows_a_join_ends_at_rest_wherever_its_point_is():
     def total(position):
         return replace_at(old, jnp.array(2.1), replace(new, position=position)).velocity.sum()
 
     old, new = made(goal(1)), made(goal(1, time=TIME[:1] + 1.0))
-    assert np.all(np.isfinite(jax.grad(total)(new.position)))
+    # The rows after the point only fill up: their places are not read as a way.
+    np.testing.assert_array_equal(jax.grad(total)(new.position), 0)
 
 
 def test_a_path_goes_to_joints_and_back():
@@ -370,6 +396,20 @@ STANDINGS = {
 def test_tolerances_mean_what_they_mean_in_ros(case):
     place, limits, code = STANDINGS[case]
     assert stands(*place, **limits) == code
+
+
+@pytest.mark.parametrize(
+    ("off", "code"), [(0.05, ResultCode.ACTIVE), (0.2, ResultCode.PATH_TOLERANCE_VIOLATED)]
+)
+def test_an_error_of_acceleration_is_that_against_the_reference(off, code):
+    """On a quintic, where the reference has one of its own."""
+    path = made(goal(5))
+    now = jax.tree.map(lambda x: jnp.asarray(x[0]), sample_many(path, jnp.array([2.0])))
+    assert abs(now.acceleration[0]) > 0.5
+    allowed = tolerances(VEHICLE_JOINTS, path={"x": JointTolerance(acceleration=0.1)})
+    for sign in (1, -1):
+        measured = replace(now, acceleration=now.acceleration.at[0].add(sign * off))
+        assert judge(path, allowed, jnp.array(2.0), measured, jnp.int32(ResultCode.ACTIVE)) == code
 
 
 def test_codes_are_those_of_ros():
@@ -485,6 +525,15 @@ def test_what_cannot_be_followed_is_refused_by_name(case):
     assert caught.value.code == code
     for word in ["robot 2", *words]:
         assert word in str(caught.value)
+
+
+def test_only_what_may_be_left_out_is_said_to_be():
+    message = moved(3, positions=(0.0,), velocities=(0.0, 1.0))
+    with pytest.raises(GoalError) as caught:
+        validate(message, robot="2", joints=VEHICLE_JOINTS, position=P[0])
+    _, positions, velocities = str(caught.value).splitlines()
+    assert positions.endswith("give one for each joint_name")
+    assert velocities.endswith("give one for each joint_name, or none")
 
 
 def test_what_can_be_followed_is_not_refused():

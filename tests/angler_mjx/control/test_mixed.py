@@ -159,6 +159,42 @@ def test_who_wants_it_is_told_what_the_thrusters_gave_and_nothing_where_it_begin
             np.testing.assert_array_equal(action.demanded.tau, told if wants else 7.0)
 
 
+def test_two_stages_that_want_it_are_told_as_one_is(robot):
+    """The lower one is used whenever the upper one is: that it wants it too takes nothing back."""
+    known, at = robot
+    tau = jnp.array([3.0, -2.0, 1.0, 0.0, 0.0, 0.3])
+
+    def begin(estimate, yaw_rad):
+        return ()
+
+    def passes(gains, carry, given, command):
+        return carry, command
+
+    def pushes(gains, carry, given, command):
+        return carry, BodyWrench(tau=tau)
+
+    made = (
+        *(
+            stack.Stage(
+                name=f"wants {gives.__name__}",
+                takes=(BodyTwist,),
+                gives=gives,
+                step=step,
+                reset=begin,
+                wants_realised=True,
+            )
+            for gives, step in ((BodyTwist, passes), (BodyWrench, pushes))
+        ),
+        *stages.build(["pseudo_inverse"], {})[0],
+    )
+    memory = stack.Memory(stages=((), (), ()), realised=BodyWrench(tau=jnp.full(6, 9.0)))
+    command = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(COMMANDS[4],))
+    gains = [stage.gains() for stage in made]
+    action = mixed.step(made, gains, known, memory, at, command, *WATER)
+    # Well within what the thrusters give, of which each may miss 0.005 N in its dead band.
+    np.testing.assert_allclose(action.memory.realised.tau, tau, atol=8 * 0.005)
+
+
 def test_a_command_that_no_stage_takes_is_refused(robot):
     made, gains, _ = of("ardusub")
     told = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(PATH, COMMANDS[4]))

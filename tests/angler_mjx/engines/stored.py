@@ -39,7 +39,8 @@ def store(path, scene, members, after, samples):
         robots=robots,
         thrusters=samples.pwm_us.shape[-1],
         obstacles=samples.obstacle_p.shape[2],
-        plan_points=tile.constants.plan_time_s.shape[-1],
+        plan_points=tile.constants.plan["plan_time_s"].shape[-1],
+        jointed="plan_degree" in tile.constants.plan,
     )
     environment = tile.constants.environment
     place = path / "trajectories.zarr"

@@ -4,6 +4,7 @@ In float64 rounding has no room to grow, so what is left to see is the equations
 differs is measured by `angler_experiments.engine_parity`, on whole episodes.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -11,11 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.control.joint_trajectory import from_path
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.testing import referee
 
 from .. import declared
+from ..compiling import quickly
 from .stored import store
 
 # Asked for; found is 1e-13, on numbers of up to 1e3 (forces) and after 1,000 physics steps.
@@ -27,12 +30,29 @@ TOLERANCE = 1e-9
     params=[
         "closed loop",
         pytest.param("random signals", marks=pytest.mark.nightly(by="closed loop")),
+        pytest.param("along joints", marks=pytest.mark.nightly(by="closed loop; test_plans.py")),
     ],
 )
-def pair(request, double, play):
+def pair(request, double, jointed, play):
     """The final states, and samples of every step [steps, W, ...], of both engines."""
+    scene = jointed if request.param == "along joints" else double
     commanded = request.param == "random signals"
-    return request.param, play(double, "mjx", commanded), play(double, "fused", commanded)
+    return request.param, play(scene, "mjx", commanded), play(scene, "fused", commanded)
+
+
+@pytest.fixture(scope="module")
+def jointed(double):
+    """The worlds with plans that are trajectories of joints, of 1,024 points."""
+    path, yaw = jax.device_get((double.worlds.path, double.worlds.environment.start_yaw_rad))
+
+    def edge(leaf):
+        more = [(0, 0)] * 2 + [(0, 1024 - leaf.shape[2])] + [(0, 0)] * (leaf.ndim - 3)
+        return np.pad(leaf, more, mode="edge")
+
+    many = replace(path, time_s=edge(path.time_s), position_m=edge(path.position_m))
+    with jax.enable_x64(True):
+        joints = jax.device_get(quickly(jax.vmap(jax.vmap(from_path)))(many, yaw))
+    return replace(double, worlds=replace(double.worlds, path=joints))
 
 
 def assert_close(deviation, key, ours, theirs):
@@ -48,7 +68,8 @@ def assert_close(deviation, key, ours, theirs):
 
 def test_states_and_samples_are_those_of_mjx(pair, deviation):
     name, theirs, ours = pair
-    assert_close(deviation, f"fused.{name.replace(' ', '_')}", ours, theirs)
+    key = "random_signals" if name == "random signals" else "closed_loop"
+    assert_close(deviation, f"fused.{key}", ours, theirs)
 
 
 def test_samples_have_the_declared_shapes(pair, double):
@@ -66,11 +87,10 @@ def test_the_worlds_are_worth_comparing(pair, double):
     assert np.median(after.tally.path_length_m) > 1.0
     ends = set(np.unique(after.tally.outcome))
     common = {Outcome.RUNNING, Outcome.COLLISION_DYNAMIC}
-    wanted = {
-        "closed loop": {*common, Outcome.REACHED, Outcome.COLLISION_STATIC},
-        "random signals": {*common, Outcome.OUT_OF_BOUNDS},
-    }
-    assert wanted[name] <= ends
+    wanted = {*common, Outcome.REACHED, Outcome.COLLISION_STATIC}
+    if name == "random signals":
+        wanted = {*common, Outcome.OUT_OF_BOUNDS}
+    assert wanted <= ends
     assert Touched.OBSTACLE in np.unique(after.tally.touched)
     if name == "random signals":
         # It turns over: attitudes far from level.
@@ -81,15 +101,17 @@ def test_the_worlds_are_worth_comparing(pair, double):
 
 
 @pytest.mark.parametrize("engine", ["mjx", "fused"])
-def test_the_referee_agrees_with_every_account(engine, pair, double, members, tmp_path):
+def test_the_referee_agrees_with_every_account(engine, pair, double, jointed, members, tmp_path):
     """Outcomes, times, ways, energies, distances and touches, worked out anew from the samples.
 
     Stored in float32, judged in float64, and decided in float64: nothing is left to rounding but
     what lies within it.
     """
-    _, mjx, fused = pair
+    name, mjx, fused = pair
     after, samples = {"mjx": mjx, "fused": fused}[engine]
-    path = store(tmp_path / "run", double, members, after, samples)
+    scene = jointed if name == "along joints" else double
+    path = store(tmp_path / "run", scene, members, after, samples)
+    assert (path / "trajectories.zarr" / "plan_degree").exists() == (name == "along joints")
     verdict = referee.judge(path)
     assert [one.line() for one in verdict.differences] == []
     assert verdict.robots == after.tally.outcome.size

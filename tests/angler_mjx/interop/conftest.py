@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import zarr
 
-from ..viewing.conftest import make_run, make_scene
+from ..viewing.conftest import make_motion, make_run, make_scene
 
 
 @pytest.fixture(scope="session")
@@ -24,3 +24,14 @@ def run(tmp_path_factory):
 def scene_maker():
     """Makes the scene of a seed again; world i of the run has seed i."""
     return make_scene
+
+
+@pytest.fixture(scope="session")
+def jointed(tmp_path_factory):
+    """A run whose plans have headings and velocities, and these; nobody moves in it."""
+    motion = make_motion(1)
+    path = tmp_path_factory.mktemp("interop") / "jointed"
+    made = make_run(path, [make_scene(0)], 1, motion)
+    group = zarr.open_group(made.path / "trajectories.zarr", mode="r+")
+    group["p_m"][:] = np.nan
+    return made, motion

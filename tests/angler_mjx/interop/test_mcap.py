@@ -9,6 +9,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from angler_mjx.cli.main import main
+from angler_mjx.control.plans import PIECES
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.interop import mcap
 from angler_mjx.interop.ros_definitions import FIELDS, definition
@@ -22,6 +23,10 @@ def bag(run, tmp_path_factory):
     """Messages [(time_ns, message)] by topic, and the connections by topic."""
     path = tmp_path_factory.mktemp("bag") / "out.mcap"
     mcap.export(run, path, WORLDS)
+    return messages(path)
+
+
+def messages(path):
     held, connections = {}, {}
     with AnyReader([path]) as reader:
         for connection, time, data in reader.messages():
@@ -129,6 +134,33 @@ def test_plans_are_the_run_without_its_padding(bag, stored, world):
         np.testing.assert_allclose(
             [seconds(one.header.stamp) for one in path.poses], when, atol=1e-9
         )
+
+
+def test_plans_with_velocities_are_joint_trajectories(jointed, tmp_path):
+    """What a reader of ROS makes of the message is the motion that was flown."""
+    run, motion = jointed
+    mcap.export(run, tmp_path / "out.mcap", [0])
+    held, _ = messages(tmp_path / "out.mcap")
+    stored = run.trajectories
+    for robot, degree in enumerate(motion["plan_degree"][0].tolist()):
+        ((_, plan),) = held[f"/world_0/robot_{robot}/joint_trajectory"]
+        assert list(plan.joint_names) == ["x", "y", "z", "yaw"]
+        times = [seconds(point.time_from_start) for point in plan.points]
+        places = np.array([point.positions for point in plan.points])
+        rates = [point.velocities.tolist() for point in plan.points]
+        place = np.column_stack([stored["plan_m"][0, robot], motion["plan_yaw_rad"][0, robot]])
+        given = motion["plan_velocity"][0, robot]
+        np.testing.assert_array_equal(places[[0, 1, -1]], place[:3])
+        np.testing.assert_array_equal(rates[:2], given[:2])
+        if degree[1] == 3:
+            assert times == [0.0, 30.0, 60.0]
+            np.testing.assert_array_equal(rates[2], given[2])
+        else:  # a line after a cubic: its end has no velocity
+            assert times == [0.0, 30.0, 60.0]
+            assert rates[2] == []
+        assert all(point.accelerations.size == 0 for point in plan.points)
+        ((_, path),) = held[f"/world_0/robot_{robot}/plan"]
+        assert len(path.poses) == 1 + 2 * PIECES
 
 
 def test_thruster_signals_are_the_run(bag, stored):

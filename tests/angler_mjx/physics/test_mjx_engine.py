@@ -2,6 +2,8 @@
 
 import subprocess
 import sys
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -143,6 +145,24 @@ def test_models_that_mjx_compiles_otherwise_are_refused(plants):
     assert "opt.timestep" in mjx_engine.build(specs)[1].fields
     specs[1].option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     with pytest.raises(ValueError, match=r"differ in MuJoCo's opt\.integrator.*fused"):
+        mjx_engine.build(specs)
+
+
+def test_arrays_of_two_shapes_are_refused_by_name(plants, monkeypatch):
+    """MuJoCo counts what its arrays hold, and the counts differ first; here they are left out."""
+
+    @dataclass(frozen=True)
+    class Uncounted:
+        dof_damping: jax.Array
+
+    sizes = iter([6, 7])
+    module = SimpleNamespace(
+        put_model=lambda model, device: Uncounted(dof_damping=jnp.zeros(next(sizes))),
+        make_data=lambda model, device: None,
+    )
+    monkeypatch.setattr(mjx_engine, "_mjx", lambda: module)
+    specs = [mjcf.to_spec(config, name, shapes=False) for config, name in plants.configs[:2]]
+    with pytest.raises(ValueError, match=r"differ in MuJoCo's dof_damping.*fused"):
         mjx_engine.build(specs)
 
 

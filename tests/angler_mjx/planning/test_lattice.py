@@ -1,15 +1,20 @@
-"""Free space, search and way back against the rules written out for every cell on its own."""
+"""Free space, search and way back against the rules written out for every cell on its own.
+
+And what is seen, met and pulled straight, against geometry.
+"""
 
 import itertools
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.planning.lattice import EDGES, free_space, line_of_sight, terrain
+from angler_mjx.planning.lattice import EDGES, free_space, line_of_sight, span_bits, terrain
+from angler_mjx.planning.pulling import pull
 from angler_mjx.planning.search import reachable
-from angler_mjx.planning.tracing import trace_back
+from angler_mjx.planning.tracing import Route, trace_back
 from angler_mjx.planning.traffic import Balls, Traffic, balls, clear_of
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
@@ -25,6 +30,10 @@ FLOOR_M = -11.0
 CLEARANCE_M = 0.6
 WAYS_BACK = 40
 """From so many places that were reached the way back is walked."""
+FAR = np.array([99.0, 99.0, 99.0, 0.1])
+"""A sphere that is in nobody's way."""
+NOBODY = np.zeros((LAYERS, OTHERS, 3)), np.full((LAYERS, OTHERS), -1.0)
+ALWAYS = np.ones(LAYERS, bool)
 
 
 def make_world(occupied, sphere):
@@ -173,11 +182,7 @@ def corridor():
     occupied = np.ones(SHAPE, bool)
     occupied[:, 0, 1] = occupied[3, :3, 1] = occupied[:, 2, 1] = False
     occupied[0, 2, 1:] = occupied[:3, 2, 4] = False
-    far = np.array([99.0, 99.0, 99.0, 0.1])
-    centre = np.zeros((LAYERS, OTHERS, 3))
-    nobody = np.full((LAYERS, OTHERS), -1.0)
-    always = np.ones(LAYERS, bool)
-    return Case(occupied, far, centre, nobody, (0, 0, 1), 0, (2, 2, 4), always)
+    return Case(occupied, FAR, *NOBODY, (0, 0, 1), 0, (2, 2, 4), ALWAYS)
 
 
 @pytest.fixture(scope="module")
@@ -221,6 +226,30 @@ def test_the_goal_is_reached_at_the_first_layer_that_it_can_be_kept_from(cases):
         assert case.found == (case.arrival is not None)
         assert case.last == (case.arrival or 0)
     assert sum(case.found for case in cases) >= len(cases) // 2
+
+
+def test_a_goal_that_can_never_be_kept_is_not_reached():
+    start = (1, 1, 1)
+    case = Case(np.zeros(SHAPE, bool), FAR, *NOBODY, start, 0, start, ~ALWAYS)
+    assert case.reached[-1].any()
+    assert not case.found
+    assert case.last == 0
+
+
+def test_a_ball_below_the_grid_takes_nothing_in_it():
+    """Its top is half a metre below the lowest cells' faces, and the floor lower still."""
+    world = replace(make_world(np.zeros(SHAPE, bool), FAR), floor_z_m=np.float32(-99.0))
+    start = np.int32([1, 1, 0])
+    under = ORIGIN + (start + 0.5) * CELL - [0.0, 0.0, 0.5 * CELL + 1.0]
+    given = (start, np.int32(0), start, ~ALWAYS, np.zeros((WAYS_BACK, 4), np.int32))
+    scattered = pack(np.zeros((LAYERS, *SHAPE), bool))
+    sets = []
+    for radius in (NOBODY[1], np.full((LAYERS, OTHERS), 0.5)):
+        centre = np.tile(under, (LAYERS, OTHERS, 1))
+        others = Balls(centre_m=np.float32(centre), radius_m=np.float32(radius))
+        sets.append(unpack(explore(world, others, *given, scattered)[2]))
+    assert sets[0][:, 1, 1, 0].all()
+    np.testing.assert_array_equal(*sets)
 
 
 def rows(route):
@@ -309,6 +338,19 @@ def test_a_way_of_as_many_steps_as_the_layers_allow():
     np.testing.assert_array_equal(done, [0, 13, 1])
 
 
+def test_who_comes_to_a_cell_only_after_a_step_does_not_meet_it():
+    """The first step there is: layers 0 and 1. From layer 2 on a ball stands where it ended."""
+    occupied = np.ones(SHAPE, bool)
+    occupied[:2, 0, 1] = False
+    goal = (1, 0, 1)
+    centre = np.tile(ORIGIN + (np.array(goal) + 0.5) * CELL, (LAYERS, OTHERS, 1))
+    radius = np.where(np.arange(LAYERS) < 2, -1.0, 0.3)[:, None].repeat(OTHERS, axis=1)
+    case = Case(occupied, FAR, centre, radius, (0, 0, 1), 0, goal, ALWAYS)
+    assert (case.found, case.last) == (True, 2)
+    met = taken(case.scene, upright=False)
+    np.testing.assert_array_equal(follow(case, case.reached, met, 0, (goal, 2)), [0, 1, 1])
+
+
 def slab(a, b, low, high):
     """Whether the segment a b meets the box from low to high; by its shares along each axis."""
     way = b - a
@@ -326,6 +368,8 @@ def test_what_is_seen_in_a_straight_line():
     a, b = (rng.uniform(ORIGIN, ORIGIN + CELL * np.array(SHAPE), (300, 3)) for _ in range(2))
     # Some along an axis, or in a plane of it.
     b[:60, 0], b[30:90, 1], b[60:120, 2] = a[:60, 0], a[30:90, 1], a[60:120, 2]
+    # Some begin or end where a coordinate is 0, which is a place like any other.
+    a[120:170, 0] = b[170:220, 0] = 0.0
 
     @quickly
     @jax.vmap
@@ -346,6 +390,14 @@ def test_what_is_seen_in_a_straight_line():
     assert (must <= found).all()
     assert (found <= may).all()
     assert 0.2 < must.mean() < 0.8
+
+
+def test_words_of_spans_hold_the_bits_from_first_to_last():
+    low, high = np.mgrid[-35:70, -35:70].reshape(2, -1)
+    words = np.asarray(span_bits(jnp.asarray(low), jnp.asarray(high)))
+    bits = np.arange(32)
+    expected = (low[:, None] <= bits) & (bits <= high[:, None])
+    np.testing.assert_array_equal(words >> bits[:, None].astype(np.uint32) & 1, expected.T)
 
 
 SPAN_S, POINTS = 20.0, 5
@@ -417,3 +469,47 @@ def test_steady_motion_is_clear_of_others_exactly_where_it_is():
     sure = np.abs(gap) > 0.02
     np.testing.assert_array_equal(found[sure], gap[sure] > 0.0)
     assert 0.3 < found.mean() < 0.8
+
+
+def round_a_wall(until_s):
+    """Half a metre a second round the end of a wall; from start over a corner to the goal.
+
+    Another robot stands on the second leg up to ``until_s``.
+    """
+    occupied = np.zeros(SHAPE, bool)
+    occupied[1, :2] = True  # x from -1.5 m to 0, y from 1 m to 4 m
+    route = Route(
+        position_m=jnp.array([[-2.25, 1.75, -8.0], [-2.25, 5.5, -8.0], [2.25, 5.5, -8.0]]),
+        arrive_s=jnp.array([0.0, 10.0, 25.0]),
+        leave_s=jnp.array([0.0, 12.0, 40.0]),
+        begin=jnp.array(1),
+        whole=jnp.array(True),
+    )
+    stands = Traffic(
+        time_s=jnp.array([[0.0, 1.0]]),
+        position_m=jnp.tile(jnp.array([0.5, 5.5, -8.0]), (1, 2, 1)),
+        reach_m=jnp.array([0.5]),
+        until_s=jnp.array([until_s]),
+    )
+    return route, run_pull(make_world(occupied, FAR), stands, route)
+
+
+@quickly
+def run_pull(world, traffic, route):
+    return pull(terrain(world), traffic, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5)
+
+
+def test_a_way_with_a_corner_is_pulled_to_its_three_points():
+    route, path = round_a_wall(until_s=-1.0)
+    assert path.found
+    # Legs of 3.75 m and 4.5 m; the straight way to the goal would lead through the wall.
+    np.testing.assert_allclose(path.time_s, [0.0, 7.5, 16.5, 16.5, 16.5], rtol=1e-6)
+    np.testing.assert_array_equal(path.position_m[:3], route.position_m)
+    np.testing.assert_array_equal(path.position_m[3:] - route.position_m[2], 0.0)
+
+
+def test_a_way_of_which_one_leg_meets_somebody_is_not_found():
+    """No search has made this timetable: it leads through who stands on its second leg."""
+    assert not round_a_wall(until_s=100.0)[1].found
+    # Who goes before it comes within reach is not met: it would after 4.5 s of the leg, at 12 s.
+    assert round_a_wall(until_s=11.0)[1].found

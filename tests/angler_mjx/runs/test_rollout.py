@@ -274,12 +274,12 @@ def test_out_of_device_memory_names_the_tile_that_fits(run, scenario, simulator,
         def __init__(self):
             self.__dict__.update(simulator.__dict__)
 
-        def wave(self, firsts, *, seed=None):
+        def begin(self, firsts, *, seed=None, kept=True):
             if firsts[0] == 4:
                 raise jax.errors.JaxRuntimeError(
                     "RESOURCE_EXHAUSTED: Out of memory allocating 1 TB"
                 )
-            return super().wave(firsts, seed=seed)
+            return super().begin(firsts, seed=seed)
 
     out = tmp_path / "small"
     with pytest.raises(RunError, match="largest tile that fits is about 1 worlds"):

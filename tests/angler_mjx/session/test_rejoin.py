@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.session.rejoin import Plan, Ways
+from angler_mjx.session.plan import Plan
+from angler_mjx.session.rejoin import Ways
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldConfig, resolve
 

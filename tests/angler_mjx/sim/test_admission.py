@@ -95,6 +95,17 @@ def test_a_variant_that_its_robot_cannot_be_is_refused(gate, scene, number):
             enter(worlds)
 
 
+@pytest.mark.parametrize("robots", [1, 5, 7])
+def test_variants_of_another_number_of_robots_are_refused(gate, scene, robots):
+    wrong = jnp.resize(scene.worlds.variant, (2, robots))
+    worlds = replace(scene.worlds, variant=wrong)
+    for enter in (gate.admit, gate.adopt):
+        with pytest.raises(
+            ConfigError, match=rf"World\.variant has the shape \(2, {robots}\): .* 6 robots"
+        ):
+            enter(worlds)
+
+
 def test_another_variant_brings_its_parameters_by_adoption(gate, scene):
     other = (scene.worlds.variant[:, 0] + 1) % 3
     worlds = edited(scene.worlds, "variant", lambda leaf: leaf.at[:, 0].set(other))

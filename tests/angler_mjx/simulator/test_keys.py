@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.planning.planner import PathShape
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator import prepare
 
@@ -63,7 +64,10 @@ def keys(tmp_path, monkeypatch):
         monkeypatch.setattr(prepare.fleet, "radius_bound", lambda _: jnp.ones(count))
         monkeypatch.setattr(prepare.generate, "generate", generate)
         monkeypatch.setattr(prepare.grid_planner, "plan", lambda *_: None)
-        make = prepare.preparer(load_scenario(file), TILE)
+        scenario = load_scenario(file)
+        make = prepare.preparer(
+            scenario, scenario.planner.chosen(), TILE, shape=PathShape(points=32)
+        )
         worlds = make(None, jnp.uint32(seed), jnp.array([first], jnp.uint32))
         return tuple(map(np.asarray, (worlds.body, worlds.environment, worlds.sensing_key)))
 

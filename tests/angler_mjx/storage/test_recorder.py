@@ -45,9 +45,13 @@ def make_tile(environment, first, kept, rng):
         redraws=None,
         variant=None,
         planned=None,
+        plan_length_m=None,
+        plan_end_s=None,
         environment=environment,
-        plan_time_s=rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),
-        plan_m=rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
+        plan={
+            "plan_time_s": rng.normal(size=(TILE, ROBOTS, 5)).astype(np.float32),
+            "plan_m": rng.normal(size=(TILE, ROBOTS, 5, 3)).astype(np.float32),
+        },
     )
     last = Last(
         step=np.full(TILE, 5, np.int32),
@@ -96,7 +100,9 @@ def test_zarr_reads_what_was_written(written):
         pwm = np.concatenate([part.pwm_us[: tile.kept] for part in tile.parts], axis=1)
         expected = np.where(np.isnan(pwm), 0, pwm)  # to the last bit: half a us is 2 % of its power
         np.testing.assert_array_equal(group["pwm_us"][here, :5], expected)
-        np.testing.assert_array_equal(group["plan_m"][here], tile.constants.plan_m[: tile.kept])
+        np.testing.assert_array_equal(
+            group["plan_m"][here], tile.constants.plan["plan_m"][: tile.kept]
+        )
 
 
 def test_the_state_after_the_last_sample_is_kept(written):

@@ -165,6 +165,9 @@ def fly(robots, rock, balls, pwm, place):
         outcome=outcome[None],
         p=last.p[None],
         redraws=np.zeros(1, int),
+        plan_length_m=np.zeros((1, n)),
+        plan_end_s=np.zeros((1, n)),
+        notes=None,
         **{
             name: getattr(tally, name)[None]
             for name in (

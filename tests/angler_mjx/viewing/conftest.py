@@ -142,8 +142,11 @@ ROWS = 4
 """Padding of plans: the last way-point again."""
 
 
-def make_run(path, scenes, worlds):
-    """Write a run folder that holds ``scenes`` as its worlds."""
+def make_run(path, scenes, worlds, motion=None):
+    """Write a run folder that holds ``scenes`` as its worlds.
+
+    ``motion`` holds what plans that are trajectories of joints have beside their way-points.
+    """
     first = scenes[0]
     path.mkdir()
     config = load_scenario("reef_fleet", worlds=worlds).model_dump(mode="json")
@@ -159,17 +162,41 @@ def make_run(path, scenes, worlds):
         thrusters=8,
         obstacles=first.obstacle_p_m.shape[1],
         plan_points=ROWS,
+        jointed=motion is not None,
     )
     recorder = Recorder.create(
         path / "trajectories.zarr", shape, environment, tile=worlds, sample_dt_s=0.2
     )
-    arrays = _arrays(scenes)
+    arrays = {**_arrays(scenes), **(motion or {})}
     recorder.write(0, {name: partial(arrays.get, name) for name in arrays}, environment)
     pq.write_table(
         pa.concat_tables([_episodes(i, scene) for i, scene in enumerate(scenes)]),
         path / "episodes.parquet",
     )
     return Run(path)
+
+
+def make_motion(worlds):
+    """Headings and velocities at the way-points of four robots; cubics, lines where it waits."""
+    rng = np.random.default_rng(4)
+    velocity = rng.normal(size=(worlds, 4, ROWS, 4)).astype(np.float32) * 0.3
+    velocity[:, :, 2:] = 0.0
+    degree = np.tile(np.uint8([3, 1, 1, 1]), (worlds, 4, 1))
+    degree[:, 1] = 3
+    return {
+        "plan_yaw_rad": rng.normal(size=(worlds, 4, ROWS)).astype(np.float32),
+        "plan_velocity": velocity,
+        "plan_acceleration": np.zeros_like(velocity),
+        "plan_degree": degree,
+    }
+
+
+@pytest.fixture(scope="session")
+def jointed(tmp_path_factory):
+    """The run with plans that have headings and velocities, and these."""
+    motion = make_motion(2)
+    path = tmp_path_factory.mktemp("runs") / "jointed"
+    return make_run(path, [make_scene(0), make_scene(1)], 2, motion), motion
 
 
 def _arrays(scenes):

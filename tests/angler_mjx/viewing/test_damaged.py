@@ -193,6 +193,17 @@ def test_an_array_that_claims_to_be_huge_is_refused_before_it_is_read(whole, tmp
         _ = Run(path).trajectories
 
 
+def test_plans_that_lack_a_part_are_refused(jointed, tmp_path):
+    whole, motion = jointed
+    assert motion.keys() <= set(whole.trajectories)
+    for name in motion:
+        path = tmp_path / name
+        shutil.copytree(whole.path, path)
+        shutil.rmtree(path / "trajectories.zarr" / name)
+        with pytest.raises(ConfigError, match=f"{name}: is missing"):
+            _ = Run(path).trajectories
+
+
 def test_a_copy_that_was_changed_is_refused(whole, tmp_path):
     path = tmp_path / "run"
     shutil.copytree(whole, path)

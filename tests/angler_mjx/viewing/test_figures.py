@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from angler_mjx.control.plans import PIECES
 from angler_mjx.errors import ConfigError
 from angler_mjx.viewing import figures, scene
 
@@ -26,6 +27,19 @@ def test_a_world_is_read_back_as_it_was_written(run, scene_maker):
             wanted.failure_pair,
         )
     jax.tree.map(np.testing.assert_array_equal, read.environment, written.environment)
+
+
+def test_plans_with_velocities_are_shown_as_they_bend(jointed, scene_maker):
+    run, motion = jointed
+    read, written = scene.read(run, 1), scene_maker(1)
+    for i, (got, robot) in enumerate(zip(read.robots, written.robots, strict=True)):
+        points = np.asarray(robot.plan_m, np.float32)
+        # Two segments of so many pieces, through the way-points; padding dropped.
+        assert got.plan_m.shape == (1 + 2 * PIECES, 3)
+        np.testing.assert_allclose(got.plan_m[::PIECES], points, atol=1e-5)
+        u, v = motion["plan_velocity"][1, i, :2, :3]
+        half = 0.5 * (points[0] + points[1]) + 30.0 / 8 * (u - v)
+        np.testing.assert_allclose(got.plan_m[PIECES // 2], half, atol=1e-5)
 
 
 def test_the_current_of_a_stored_world_is_the_one_that_was_there(run, scene_maker):

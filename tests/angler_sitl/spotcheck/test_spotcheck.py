@@ -18,6 +18,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from angler_mjx.cli.main import main
+from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, RunError
@@ -224,6 +225,24 @@ def test_a_world_is_made_again_byte_by_byte(run, world):
     assert "byte by byte" in like.text()
 
 
+def test_the_plans_that_were_recorded_are_flown(run, made, world, tmp_path):
+    """Whatever the planner of the scenario would give now; of either type, byte by byte."""
+    flown = scenes.planned(run, 1, world)
+    assert jax.tree.structure(flown) == jax.tree.structure(world)
+    np.testing.assert_array_equal(flown.path.position_m, world.path.position_m)
+    np.testing.assert_array_equal(flown.path.time_s, world.path.time_s)
+    assert np.asarray(flown.planned).all()
+    motion = made.make_motion(2)
+    jointed = made.make_run(tmp_path / "run", [made.make_scene(0), made.make_scene(1)], 2, motion)
+    path = scenes.planned(jointed, 1, world).path
+    assert isinstance(path, JointTrajectory)
+    np.testing.assert_array_equal(path.position[..., :3], world.path.position_m)
+    np.testing.assert_array_equal(path.position[0, ..., 3], motion["plan_yaw_rad"][1])
+    np.testing.assert_array_equal(path.velocity[0], motion["plan_velocity"][1])
+    np.testing.assert_array_equal(path.degree[0], motion["plan_degree"][1])
+    assert path.degree.dtype == np.int32
+
+
 def test_another_world_is_refused_and_rounding_is_told(run, world):
     with pytest.raises(RunError, match="world 0 cannot be made again"):
         scenes.compare(run, 0, world)
@@ -387,6 +406,7 @@ def test_fewer_robots_of_a_world_are_the_first_of_it(world):
     )
     cut = scenes.cut(world, short, 3)
     assert cut.variant.shape == (1, 3)
+    assert cut.path.time_s.shape == (1, 3, 4)
     np.testing.assert_array_equal(cut.environment.start_m, world.environment.start_m[:, :3])
     np.testing.assert_array_equal(cut.environment.grid.occupied, world.environment.grid.occupied)
 

@@ -180,7 +180,7 @@ def _depth(
     command: PoseTarget,
     dt: float,
 ) -> tuple[PidCarry, jax.Array, jax.Array]:
-    """Depth to the throttle [] between -1 and 1; with the filtered error of velocity []."""
+    """Depth to the throttle [], which the mixer holds; with the filtered error of velocity []."""
     error = command.position_m[2] - estimate.p[2]
     wanted = square_root(error, gains.PSC_POSZ_P, gains.WPNAV_ACCEL_Z * _CM, dt)
     wanted = jnp.clip(wanted, -gains.WPNAV_SPEED_DN * _CM, gains.WPNAV_SPEED_UP * _CM)
@@ -198,7 +198,7 @@ def _depth(
     target = gains.PSC_VELZ_P * slip / _CM
     measured = (velocity[2] - carry.velocity_mps[2]) / (dt * _CM)
     depth, output = ardusub_pid.pid(parameters, carry.depth, target, measured, carry.limited, dt)
-    return depth, slip, jnp.clip(_THROTTLE_PER_UNIT * output, -1.0, 1.0)
+    return depth, slip, _THROTTLE_PER_UNIT * output
 
 
 def _shape_yaw(

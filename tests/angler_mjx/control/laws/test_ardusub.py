@@ -39,6 +39,19 @@ def test_groups_are_scaled_as_a_whole(robots):
     assert not bool(cut)
 
 
+@pytest.mark.parametrize("kind", [0, 3], ids=["heavy", "six"])
+def test_a_throttle_beyond_its_end_is_one_at_its_end(robots, kind):
+    """Far below its depth the acceleration loop asks for more than there is."""
+    factors = ardusub_mixer.frame_factors(robots[0].B[kind])
+    for sign in (1.0, -1.0):
+        demand = jnp.array([0.3, 0.0, sign * 2.0, 0.0, 0.0, 0.0])
+        output, cut = ardusub_mixer.mix(factors, demand, 1.0)
+        full, full_cut = ardusub_mixer.mix(factors, demand.at[2].set(sign), 1.0)
+        np.testing.assert_array_equal(output, full)
+        assert bool(cut) == bool(full_cut)
+        np.testing.assert_array_equal(np.abs(output[4:6]), 1.0)
+
+
 def test_forward_gives_way_to_throttle_on_the_six_thruster_frame(robots):
     vehicles, _ = robots
     factors = ardusub_mixer.frame_factors(vehicles.B[3])

@@ -98,6 +98,20 @@ def test_a_path_of_one_point_is_held(robots, states):
     assert np.abs(twist.nu[:3]).max() < 1e-4
 
 
+def test_a_leg_of_less_than_a_second_has_its_speed_too(robots):
+    vehicle = jax.tree.map(lambda x: x[0], robots[0])
+    path = Trajectory(
+        time_s=jnp.array([0.0, 0.8, 8.8]),
+        position_m=jnp.array([[0.0, 0.0, -5.0], [0.24, 0.0, -5.0], [0.24, 4.0, -5.0]]),
+        found=jnp.asarray(True),
+    )
+    at = Estimate(p=path.position_m[0], q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
+    gains = los.LosGains(switch_radius_m=0.1)
+    _, twist = los.step(gains, vehicle, los.reset(at), at, path, DT, 1000.0, 9.81)
+    # 0.24 m in 0.8 s, straight ahead; float32.
+    np.testing.assert_allclose(twist.nu, [0.3, 0, 0, 0, 0, 0], atol=1e-6)
+
+
 def test_the_integral_steers_against_a_drift_that_nobody_holds(robots, pool):
     """A point that does what it is told plus 0.1 m/s sideways, on a long line."""
     vehicle = jax.tree.map(lambda x: x[0], robots[0])

@@ -1,0 +1,117 @@
+"""`angler plan`: plan the worlds of a scenario into a file that can be flown, here or elsewhere."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.errors import ConfigError
+
+
+def plan(
+    scenario: Annotated[str | None, tyro.conf.Positional] = None,
+    planner: str | None = None,
+    worlds: int | None = None,
+    seed: int | None = None,
+    out: Path | None = None,
+    workers: int | None = None,
+    deadline_s: float | None = None,
+    points: int | None = None,
+    resume: bool = False,
+    device: Device | None = None,
+    list_: Annotated[bool, tyro.conf.arg(name="list")] = False,
+) -> None:
+    """Plan the worlds of a scenario into a file; angler rollout --plans flies it.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        planner: That plans; the scenario's if left out. One that --list names, or FILE.py:CLASS.
+        worlds: Number of worlds; the scenario's if left out.
+        seed: Seed of the worlds; the scenario's if left out.
+        out: File of plans to make; plans/NAME.zarr if left out.
+        workers: Processes that plan, where the planner is one of the host; one for each processor
+            if left out.
+        deadline_s: Wall-clock time for each world; the scenario's if left out.
+        points: Most way-points of a path; the scenario's if left out.
+        resume: Go on with a file that was interrupted.
+        device: Where to draw the worlds; JAX's choice if left out.
+        list_: Name the planners there are, and end.
+    """
+    choose(device)
+    keep_all_programs()
+    from angler_mjx.cli.shared.given import at_least_one, planner_given, scenario_given
+    from angler_mjx.planning import register
+
+    if list_:
+        print("\n".join(register.names()))
+        return
+    if scenario is None:
+        raise ConfigError("angler plan: name a scenario; angler scenarios lists those that ship")
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.storage.plans import write as plan_writer
+
+    table = {**(planner_given(planner) or {}), "deadline_s": deadline_s, "points": points}
+    chosen = {key: value for key, value in table.items() if value is not None}
+    loaded = scenario_given(scenario, worlds=worlds, seed=seed, planner=chosen or None)
+    place = out or Path("plans") / f"{loaded.name}.zarr"
+    count = at_least_one("workers", workers)
+    simulator = Simulator(loaded, workers=count)
+    robots = len(loaded.members())
+    columns = ("worlds", BarColumn(), MofNCompleteColumn(), "{task.fields[found]}")
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task("worlds", total=loaded.worlds, found="")
+
+        def advance(done: int, planned: int) -> None:
+            bar.update(task, completed=done, found=f"{planned} paths")
+
+        try:
+            planned = plan_writer.make(place, loaded, simulator, resume=resume, advance=advance)
+        except KeyboardInterrupt:
+            bar.stop()
+            print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
+            sys.exit(130)
+        finally:
+            simulator.close()
+    print(f"{planned} of {loaded.worlds * robots} robots have a path")
+    print(place)
+
+
+def problems(
+    scenario: Annotated[str, tyro.conf.Positional],
+    worlds: int | None = None,
+    seed: int | None = None,
+    out: Path | None = None,
+    device: Device | None = None,
+) -> None:
+    """Write what planners are asked in the worlds of a scenario to a Zarr file, for anybody's use.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        worlds: Number of worlds; the scenario's if left out.
+        seed: Seed of the worlds; the scenario's if left out.
+        out: File to make; problems/NAME.zarr if left out.
+        device: Where to draw the worlds; JAX's choice if left out.
+    """
+    choose(device)
+    keep_all_programs()
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.cli.shared.given import scenario_given
+    from angler_mjx.planning.planner import PathShape
+    from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.storage.plans import problems as store
+
+    loaded = scenario_given(scenario, worlds=worlds, seed=seed)
+    place = out or Path("problems") / f"{loaded.name}.zarr"
+    simulator = Simulator(loaded, paths=PathShape(points=2))
+    columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("worlds", total=loaded.worlds)
+        store.make(place, simulator, lambda done: bar.update(task, completed=done))
+    print(place)

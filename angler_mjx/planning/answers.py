@@ -1,0 +1,260 @@
+"""What a planner on the host answered, and what of it can be flown.
+
+A planner may be anybody's. Its answer is looked at before anything flies it: who gives the wrong
+robots, NaN, jumps or what is too fast has no path for that robot, and the reason is told; the
+other robots keep theirs. Whether a path meets anything is not asked here: the flight shows it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from angler_mjx.control.joint_trajectory import (
+    CUBIC,
+    LINEAR,
+    QUINTIC,
+    VEHICLE_JOINTS,
+    JointState,
+    JointTrajectory,
+    segment,
+)
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import shown
+from angler_mjx.planning.planner import MOST_POINTS, NoPlan, Path
+from angler_mjx.planning.problem import Problem
+
+type Status = Literal["planned", "partial", "none", "timeout", "error", "died"]
+"""All robots have a path; some; none; it took too long; it threw; its process died, twice."""
+
+START_M = 0.01
+"""How far from the robot's start a path may begin."""
+
+FASTER = 0.01
+"""By what share a path may be faster than the robot's cruise speed, for rounding."""
+
+ROUNDING_M = 1e-4
+"""How much farther than that two points may lie apart: float32 of places and times."""
+
+ROUNDING_S = 1e-3
+"""How much after the horizon a path may end."""
+
+LOOKS = 32
+"""Times within a segment at which the speed along a curve is looked at."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """To one problem."""
+
+    paths: list[Path | NoPlan]
+    """One of each robot; arrays of NumPy: float32, degrees int32, ``found`` and ``commanded``
+    bool."""
+    status: Status
+    reason: str
+    """Why not all robots have a path; empty where they have."""
+    planning_s: float
+    """Wall time inside ``plan``; until it was ended where it was."""
+    extras: dict[str, float] = field(default_factory=dict)
+    """What else the planner tells of this problem, by name."""
+
+
+def answer(
+    given: Any, problem: Problem, planning_s: float, extras: Any, most_points: int = MOST_POINTS
+) -> Answer:
+    """What can be flown of what a planner gave.
+
+    Args:
+        given: what ``plan`` returned, whatever it is.
+        problem: that it was asked.
+        planning_s: wall time inside ``plan``.
+        extras: of the planner, a mapping of names to numbers; others are left out.
+        most_points: of one path.
+    """
+    paths = checked(given, problem, most_points)
+    missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
+    reasons = {reason for _, reason in missing}
+    if len(missing) == len(paths) and len(reasons) == 1:
+        reason = reasons.pop()
+    else:
+        reason = "; ".join(f"robot {i}: {reason}" for i, reason in missing)
+    status: Status = "planned" if not missing else "partial"
+    return Answer(
+        paths=paths,
+        status="none" if len(missing) == len(paths) else status,
+        reason=reason,
+        planning_s=planning_s,
+        extras=_numbers(extras),
+    )
+
+
+def failed(robots: int, status: Status, reason: str, planning_s: float) -> Answer:
+    """No robot of a team has a path, for one reason."""
+    paths: list[Path | NoPlan] = [NoPlan(reason) for _ in range(robots)]
+    return Answer(paths=paths, status=status, reason=reason, planning_s=planning_s)
+
+
+def checked(given: Any, problem: Problem, most_points: int = MOST_POINTS) -> list[Path | NoPlan]:
+    """A path of each robot that can be flown, or why there is none.
+
+    Args:
+        given: what a planner's ``plan`` returned, whatever it is.
+        problem: that it was asked, in arrays of NumPy.
+        most_points: of one path.
+    """
+    robots = problem.robots
+    if not isinstance(given, Sequence) or isinstance(given, str | bytes):
+        return [NoPlan(f"gave no list of paths but {type(given).__name__}")] * robots
+    if len(given) != robots:
+        return [NoPlan(f"gave {len(given)} paths for {robots} robots")] * robots
+    return [_path(path, problem, robot, most_points) for robot, path in enumerate(given)]
+
+
+class _RefusedError(Exception):
+    """A path cannot be flown; its text is the reason."""
+
+
+def _path(path: Any, problem: Problem, robot: int, most: int) -> Path | NoPlan:
+    try:
+        match path:
+            case NoPlan():
+                return NoPlan(str(path.reason))
+            case Trajectory():
+                kept: Path = _lines(path, most)
+            case JointTrajectory():
+                kept = _joints(path, most)
+            case _:
+                raise _RefusedError(f"no path but {type(path).__name__}")
+        _judge(kept, problem, robot)
+    except _RefusedError as refused:
+        return NoPlan(str(refused))
+    return kept
+
+
+def _lines(path: Trajectory, most: int) -> Trajectory:
+    time = _times(path.time_s, most)
+    position = _array("points", path.position_m, (len(time), 3))
+    if not bool(_array("found", path.found, (), bool)):
+        raise _RefusedError("no way was found")
+    return Trajectory(time_s=time, position_m=position, found=cast(Any, np.asarray(True)))
+
+
+def _joints(path: JointTrajectory, most: int) -> JointTrajectory:
+    if tuple(path.joints) != VEHICLE_JOINTS:
+        raise _RefusedError(f"has the joints {shown(path.joints)}, not {shown(VEHICLE_JOINTS)}")
+    time = _times(path.time_s, most)
+    shape = (len(time), len(VEHICLE_JOINTS))
+    degree = _array("degrees", path.degree, shape[:1])
+    if not np.all(np.isin(degree, (LINEAR, CUBIC, QUINTIC))):
+        raise _RefusedError("has segments of a degree that is not 1, 3 or 5")
+    return JointTrajectory(
+        joints=VEHICLE_JOINTS,
+        time_s=time,
+        position=_array("points", path.position, shape),
+        velocity=_array("velocities", path.velocity, shape),
+        acceleration=_array("accelerations", path.acceleration, shape),
+        degree=degree.astype(np.int32),
+        commanded=_array("commanded", path.commanded, shape[1:], bool),
+    )
+
+
+def _times(values: Any, most: int) -> Any:
+    time = _array("times", values, None)
+    if time.ndim != 1:
+        raise _RefusedError(f"has times of shape {list(time.shape)}, not [n]")
+    if len(time) < 2:
+        raise _RefusedError(f"has {len(time)} points; at least 2 are needed")
+    if len(time) > most:
+        raise _RefusedError(f"has {len(time)} points; at most {most} can be flown")
+    if time[0] != 0.0:
+        raise _RefusedError(f"begins at {time[0]:.3g} s, not at 0")
+    back = np.flatnonzero(np.diff(time) < 0)
+    if len(back):
+        at = back[0]
+        raise _RefusedError(
+            f"goes back in time from {time[at]:.3g} to {time[at + 1]:.3g} s at point {at + 1}"
+        )
+    return time
+
+
+def _array(name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np.float32) -> Any:
+    """As NumPy's array of a shape (None: any) and type, all finite."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "biuf":
+            raise _RefusedError(f"has {name} that are no numbers but {array.dtype}")
+        array = array.astype(kind)
+    except (TypeError, ValueError) as error:
+        raise _RefusedError(f"has {name} that are no array: {error}") from error
+    if shape is not None and array.shape != shape:
+        raise _RefusedError(f"has {name} of shape {list(array.shape)}, not {list(shape)}")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        where = f" at point {bad[0][0]}" if array.ndim else ""
+        raise _RefusedError(f"has NaN or infinite {name}{where}")
+    return array
+
+
+def _judge(path: Path, problem: Problem, robot: int) -> None:
+    """Start, end and speed of a path whose arrays are sound."""
+    time = np.asarray(path.time_s, np.float64)
+    points = path.position_m if isinstance(path, Trajectory) else path.position[:, :3]
+    place = np.asarray(points, np.float64)
+    off = np.linalg.norm(place[0] - np.asarray(problem.team.start_m)[robot])
+    if off > START_M:
+        raise _RefusedError(f"begins {off:.3g} m from the robot's start")
+    if time[-1] > problem.horizon_s + ROUNDING_S:
+        raise _RefusedError(f"ends at {time[-1]:.4g} s, after the horizon of {problem.horizon_s:g}")
+    cruise = float(np.asarray(problem.team.cruise_speed_mps)[robot])
+    span, way = np.diff(time), np.linalg.norm(np.diff(place, axis=0), axis=1)
+    over = np.flatnonzero(way > (1.0 + FASTER) * cruise * span + ROUNDING_M)
+    if len(over):
+        at = over[0]
+        if span[at] == 0.0:
+            raise _RefusedError(f"jumps {way[at]:.3g} m at {time[at]:.4g} s (point {at + 1})")
+        _too_fast(way[at] / span[at], cruise, at, time)
+    if isinstance(path, JointTrajectory):
+        _curves(path, cruise, time)
+
+
+def _curves(path: JointTrajectory, cruise: float, time: np.ndarray) -> None:
+    """Speeds within the segments that are bent."""
+    bent = np.flatnonzero((np.asarray(path.degree)[:-1] > LINEAR) & (np.diff(time) > 0))
+    if not len(bent):
+        return
+    places: list[Any] = [
+        np.asarray(values, np.float64)[:, None, :3]
+        for values in (path.position, path.velocity, path.acceleration)
+    ]
+    begin, end = (
+        JointState(position=p[rows], velocity=v[rows], acceleration=a[rows])
+        for rows in (bent, bent + 1)
+        for p, v, a in [places]
+    )
+    span: Any = (time[bent + 1] - time[bent])[:, None, None]
+    share: Any = np.linspace(0.0, 1.0, LOOKS + 1)[None, :, None]
+    degree: Any = np.asarray(path.degree)[bent][:, None, None]
+    moving = segment(begin, end, span, share, degree)
+    speed = np.linalg.norm(np.asarray(moving.velocity), axis=-1).max(axis=-1)
+    allowed = (1.0 + FASTER) * cruise + ROUNDING_M / span[:, 0, 0]
+    over = np.flatnonzero(speed > allowed)
+    if len(over):
+        _too_fast(speed[over[0]], cruise, bent[over[0]], time)
+
+
+def _too_fast(speed: float, cruise: float, at: int, time: np.ndarray) -> None:
+    raise _RefusedError(
+        f"moves at {speed:.3g} m/s after {time[at]:.4g} s (points {at} and {at + 1}); "
+        f"at most {cruise:.3g} m/s, its cruise speed"
+    )
+
+
+def _numbers(extras: Any) -> dict[str, float]:
+    if not isinstance(extras, dict):
+        return {}
+    return {
+        str(name): float(value)
+        for name, value in extras.items()
+        if isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    }

@@ -1,0 +1,61 @@
+"""Problems out of drawn worlds."""
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.planning import knowledge
+from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.problem import Problem, Team
+from angler_mjx.sim.state import SimSpec, World
+
+
+def ask(
+    world: World, seed: jax.Array, spec: SimSpec, knows: Knows, horizon_s: float, deadline_s: float
+) -> Problem:
+    """What a planner is asked in one world; ``vmap`` it for a batch.
+
+    Args:
+        world: drawn; its path is not looked at.
+        seed: uint32 [] for what the planner draws.
+        spec: of the simulation.
+        knows: what may be known.
+        horizon_s: nothing is flown after it.
+        deadline_s: wall-clock time for the problem.
+    """
+    environment, vehicle = world.environment, world.control.vehicle
+    water = spec.water
+    speed = vehicle.terminal_speed_mps
+    added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
+    # At terminal speed damping takes all the force there is; from rest the mass does.
+    force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
+    team = Team(
+        start_m=environment.start_m,
+        start_yaw_rad=environment.start_yaw_rad,
+        goal_m=environment.goal_m,
+        radius_m=vehicle.radius_m,
+        capsule_a_m=vehicle.capsule_a_m,
+        capsule_b_m=vehicle.capsule_b_m,
+        capsule_r_m=vehicle.capsule_r_m,
+        cruise_speed_mps=world.control.cruise_speed_mps,
+        terminal_speed_mps=speed,
+        acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
+    )
+    return Problem(
+        grid=environment.grid,
+        floor_z_m=environment.floor_z_m,
+        team=team,
+        obstacles=knowledge.obstacles(
+            environment,
+            knows,
+            horizon_s,
+            spec.control_dt_s,
+            water.density_kgpm3,
+            water.gravity_mps2,
+        ),
+        current=knowledge.current(environment, knows.current),
+        seed=seed,
+        horizon_s=horizon_s,
+        goal_tolerance_m=spec.goal_tolerance_m,
+        knows=knows,
+        deadline_s=deadline_s,
+    )

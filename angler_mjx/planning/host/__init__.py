@@ -1,0 +1,5 @@
+"""Planning on the host: worker processes, OMPL, and what checks edges for it.
+
+The only room that imports ompl, pinocchio, coal and numba (extra ``plan``); nothing outside it
+imports it before a planner of it is named.
+"""

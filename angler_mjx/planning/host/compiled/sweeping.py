@@ -1,0 +1,205 @@
+"""Compiled: a team of balls that all go along straight lines at once, among all there is."""
+
+import math
+
+import numpy as np
+
+from angler_mjx.planning.host.compiled.cells import ball_touches, point_gap, swept_ball_touches
+from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.packed import Fields, fields
+from angler_mjx.planning.host.compiled.segments import segment_box, segment_point, segment_segment
+
+
+@compiled
+def inside(box: np.ndarray, p: np.ndarray, i: int, reach: float) -> bool:
+    """Whether a ball is within the faces of the cube and above the floor; not, where it is NaN."""
+    for n in range(3):
+        x = p[3 * i + n]
+        if not (box[4 + n] + reach <= x <= box[7 + n] - reach):
+            return False
+    return True
+
+
+@compiled
+def segment_still(
+    row: np.ndarray, ax: float, ay: float, az: float, dx: float, dy: float, dz: float
+) -> float:
+    """Squared distance of a segment to what an obstacle is spanned by, and its own radius.
+
+    A sphere is spanned by its centre, a capsule by its axis; a box is all its own, with no radius.
+    """
+    px, py, pz = row[5], row[6], row[7]
+    if row[0] == 0.0:
+        return segment_point(ax, ay, az, dx, dy, dz, px, py, pz)
+    if row[0] == 1.0:
+        wx, wy, wz = ax - px, ay - py, az - pz
+        return segment_box(
+            row[8] * wx + row[9] * wy + row[10] * wz,
+            row[11] * wx + row[12] * wy + row[13] * wz,
+            row[14] * wx + row[15] * wy + row[16] * wz,
+            row[8] * dx + row[9] * dy + row[10] * dz,
+            row[11] * dx + row[12] * dy + row[13] * dz,
+            row[14] * dx + row[15] * dy + row[16] * dz,
+            -row[1], -row[2], -row[3], row[1], row[2], row[3],
+        )  # fmt: skip
+    hx, hy, hz = row[2] * row[14], row[2] * row[15], row[2] * row[16]
+    return segment_segment(
+        ax, ay, az, dx, dy, dz, px - hx, py - hy, pz - hz, 2.0 * hx, 2.0 * hy, 2.0 * hz
+    )
+
+
+@compiled
+def own_radius(row: np.ndarray) -> float:
+    """What an obstacle reaches beyond what it is spanned by."""
+    return 0.0 if row[0] == 1.0 else row[1]
+
+
+@compiled
+def clear_of_still(
+    still: np.ndarray,
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float,
+    reach: float,
+) -> bool:  # fmt: skip
+    """Whether a ball of radius ``reach`` from a to b meets no standing obstacle."""
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    for n in range(still.shape[0]):
+        row = still[n]
+        held = reach + row[4]
+        if segment_point(ax, ay, az, dx, dy, dz, row[5], row[6], row[7]) > held * held:
+            continue
+        asked = reach + own_radius(row)
+        if segment_still(row, ax, ay, az, dx, dy, dz) <= asked * asked:
+            return False
+    return True
+
+
+@compiled
+def clear_of_rock(
+    box: np.ndarray,
+    cells: np.ndarray,
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float,
+    reach: float,
+) -> bool:  # fmt: skip
+    """Whether a ball of radius ``reach`` from a to b, both inside the cube, meets no cell."""
+    n = box[3]
+    return not swept_ball_touches(
+        cells,
+        (ax - box[0]) * n, (ay - box[1]) * n, (az - box[2]) * n,
+        (bx - box[0]) * n, (by - box[1]) * n, (bz - box[2]) * n,
+        reach * n,
+    )  # fmt: skip
+
+
+@compiled
+def _pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether no two balls come together: closest approach of two motions in the same share."""
+    n = radius.shape[0]
+    for i in range(n):
+        for j in range(i):
+            wx, wy, wz = (
+                a[3 * i] - a[3 * j],
+                a[3 * i + 1] - a[3 * j + 1],
+                a[3 * i + 2] - a[3 * j + 2],
+            )
+            dx = b[3 * i] - b[3 * j] - wx
+            dy = b[3 * i + 1] - b[3 * j + 1] - wy
+            dz = b[3 * i + 2] - b[3 * j + 2] - wz
+            asked = radius[i] + radius[j] + keep
+            if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
+                return False
+    return True
+
+
+@compiled
+def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether all balls go from a [3 R] to b [3 R] and touch nothing; the cheap tests first."""
+    box, radius, keep = world.box, world.radius, world.keep[0]
+    n = radius.shape[0]
+    for i in range(n):
+        reach = radius[i] + keep
+        if not (inside(box, b, i, reach) and inside(box, a, i, reach)):
+            return False
+        if ball_touches(
+            cells,
+            (b[3 * i] - box[0]) * box[3],
+            (b[3 * i + 1] - box[1]) * box[3],
+            (b[3 * i + 2] - box[2]) * box[3],
+            reach * box[3],
+        ):
+            return False
+    if not _pairs_clear(radius, keep, a, b):
+        return False
+    for i in range(n):
+        ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
+        bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
+        if not clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach):
+            return False
+        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
+            return False
+    return True
+
+
+@compiled
+def edge(
+    head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> bool:
+    """One edge, a and b float64 [3 R]."""
+    return team_clear(fields(head, reals), cells, a, b)
+
+
+@compiled
+def state(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> bool:
+    """One state, p float64 [3 R]."""
+    return team_clear(fields(head, reals), cells, p, p)
+
+
+@compiled
+def edges(
+    head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> np.ndarray:
+    """Many edges, a and b float64 [n, 3 R]."""
+    world = fields(head, reals)
+    free = np.empty(a.shape[0], np.bool_)
+    for n in range(a.shape[0]):
+        free[n] = team_clear(world, cells, a[n], b[n])
+    return free
+
+
+@compiled
+def clearances(head: np.ndarray, reals: np.ndarray, cells: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Least distance [n] of any ball to anything, p float64 [n, 3 R]."""
+    world = fields(head, reals)
+    least = np.empty(p.shape[0])
+    for n in range(p.shape[0]):
+        least[n] = _team_gap(world, cells, p[n])
+    return least
+
+
+@compiled
+def _team_gap(world: Fields, cells: np.ndarray, p: np.ndarray) -> float:
+    """Least distance of any ball to anything."""
+    least = math.inf
+    for i in range(world.radius.shape[0]):
+        x, y, z, own = p[3 * i], p[3 * i + 1], p[3 * i + 2], world.radius[i]
+        least = min(least, ball_gap(world, cells, x, y, z, least + own) - own)
+        for j in range(i):
+            wx, wy, wz = x - p[3 * j], y - p[3 * j + 1], z - p[3 * j + 2]
+            apart = math.sqrt(wx * wx + wy * wy + wz * wz)
+            least = min(least, apart - own - world.radius[j])
+    return least
+
+
+@compiled
+def ball_gap(world: Fields, cells: np.ndarray, x: float, y: float, z: float, most: float) -> float:
+    """Distance of a point to what stands, or at least ``most`` where nothing is nearer."""
+    box = world.box
+    most = min(most, x - box[4], y - box[5], z - box[6], box[7] - x, box[8] - y, box[9] - z)
+    for n in range(world.still.shape[0]):
+        row = world.still[n]
+        gap = math.sqrt(segment_still(row, x, y, z, 0.0, 0.0, 0.0)) - own_radius(row)
+        most = min(most, gap)
+    if most <= 0.0:
+        return most
+    u, v, w = (x - box[0]) * box[3], (y - box[1]) * box[3], (z - box[2]) * box[3]
+    to_rock: float = point_gap(cells, u, v, w, most * box[3]) / box[3]
+    return min(most, to_rock)

@@ -1,0 +1,137 @@
+"""Whether a team can be somewhere, and go straight from there to elsewhere: compiled and exact.
+
+Each robot is the sphere about its centre of mass that holds its hull, so headings do not matter.
+An edge moves all robots at once, each along a straight line, all at the same share of it. No point
+of an edge is sampled: balls that are swept along lines are tested as a whole.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.host.compiled import sweeping
+from angler_mjx.planning.host.compiled.packed import Moving, pack
+from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
+from angler_mjx.planning.problem import Problem
+
+
+class EdgeChecker:
+    """Checks states and edges of the team of one problem.
+
+    Cells, the faces of the cube (the spheres stay within), the sea floor, obstacles that stand, and
+    the robots among each other. Nothing is called free that comes nearer than ``margin_m``; what is
+    farther than ``margin_m + SLACK_M`` is.
+
+    Attributes:
+        robots: how many of the team are checked, R.
+        edge_flat: one edge, from and to float64 [3 R] (contiguous); the fastest way in.
+        state_flat: one state, float64 [3 R].
+    """
+
+    robots: int
+    edge_flat: Callable[[np.ndarray, np.ndarray], bool]
+    state_flat: Callable[[np.ndarray], bool]
+
+    def __init__(
+        self,
+        problem: Problem,
+        *,
+        margin_m: float = 0.0,
+        robots: Sequence[int] | None = None,
+        moving: Moving = "ignored",
+    ) -> None:
+        """Make a problem ready.
+
+        Args:
+            problem: arrays of NumPy.
+            margin_m: to be kept beyond the radii, to anything and between robots.
+            robots: which of the team, in which order; all of it where left out.
+            moving: whether checks without a time take obstacles that move, as far as they are
+                known, for standing where they are at t = 0.
+
+        Raises:
+            ConfigError: the margin is negative, there is no such robot, or a number of the problem
+                is not finite.
+        """
+        self._packed = pack(problem, margin_m, robots, moving)
+        self.robots = int(self._packed.head[0])
+        self.edge_flat = partial(sweeping.edge, *self._packed)
+        self.state_flat = partial(sweeping.state, *self._packed)
+
+    def state(self, p: np.ndarray) -> bool:
+        """Whether the team can be at p [R, 3], m, W."""
+        return self.state_flat(self._one(p))
+
+    def states(self, p: np.ndarray) -> np.ndarray:
+        """Whether the team can be at each of p [n, R, 3]; bool [n]."""
+        flat = self._many(p)
+        return sweeping.edges(*self._packed, flat, flat)
+
+    def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
+        """Whether the team can go from a [R, 3] to b [R, 3], m, W."""
+        return self.edge_flat(self._one(a), self._one(b))
+
+    def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
+        return sweeping.edges(*self._packed, self._many(a), self._many(b))
+
+    def clearance(self, p: np.ndarray) -> float:
+        """Least distance of any robot's sphere to anything, m; negative where they overlap."""
+        return float(self.clearances(np.asarray(p)[None])[0])
+
+    def clearances(self, p: np.ndarray) -> np.ndarray:
+        """The same for each of p [n, R, 3]; float64 [n]."""
+        return sweeping.clearances(*self._packed, self._many(p))
+
+    def timed_edge(
+        self, robot: int, a: np.ndarray, t_a: float, b: np.ndarray, t_b: float, traffic: Traffic
+    ) -> bool:
+        """Whether one robot can go from a [3] at t_a to b [3] at t_b, s, at one speed.
+
+        Looked at are cells, faces, floor, obstacles that stand, those that move (their bounding
+        spheres along lines between the places that are known, whatever ``moving`` says), and the
+        traffic; no robot that is not in the traffic.
+
+        Args:
+            robot: its place among those that are checked.
+            a: m, W.
+            t_a: 0 or later.
+            b: where it stays the whole time, if it is a.
+            t_b: not before t_a; inf for one who stays.
+            traffic: the other robots' paths.
+        """
+        own = self._number(robot)
+        here, there = (np.ascontiguousarray(p, np.float64).reshape(3) for p in (a, b))
+        return timed_edge(*self._packed, *_flat(traffic), own, here, float(t_a), there, float(t_b))
+
+    def timed_edges(
+        self,
+        robot: int,
+        a: np.ndarray,
+        t_a: np.ndarray,
+        b: np.ndarray,
+        t_b: np.ndarray,
+        traffic: Traffic,
+    ) -> np.ndarray:
+        """The same for each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
+        own = self._number(robot)
+        here, there = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
+        begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))
+        return timed_edges(*self._packed, *_flat(traffic), own, here, begin, there, end)
+
+    def _number(self, robot: int) -> int:
+        if not 0 <= robot < self.robots:
+            raise ConfigError(f"robot = {robot}: give one of 0 to {self.robots - 1}")
+        return int(robot)
+
+    def _one(self, p: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(p, np.float64).reshape(3 * self.robots)
+
+    def _many(self, p: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(p, np.float64).reshape(-1, 3 * self.robots)
+
+
+def _flat(traffic: Traffic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return traffic.time_s, traffic.position_m, traffic.radius_m

@@ -1,0 +1,229 @@
+"""What can be chosen of each planner: what all share, and OMPL's own parameters.
+
+A parameter that is None keeps OMPL's own value; its field knows the setter and the bounds.
+"""
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from angler_mjx.errors import ConfigError
+
+type Mode = Literal["composite", "prioritised"]
+type Simplify = Literal["shortcut", "ompl", "none"]
+type Moving = Literal["timed", "still", "ignored"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """What all planners share."""
+
+    mode: Mode = "composite"
+    """All robots in one space; or one after another, the earlier ones as obstacles in time."""
+    simplify: Simplify = "shortcut"
+    """What is made of the path: straighter by this project's shortcuts; by OMPL's
+    ``PathSimplifier``; or nothing."""
+    time_limit_s: float | None = None
+    """Wall time for all of it; the problem's deadline where that is less or this is left out."""
+    edge_limit: int | None = None
+    """Edges that a search may look at before it ends with what it has; unlike the clock, the same
+    on every machine. PRM and PRMstar cannot."""
+    first: bool = False
+    """Whether planners that go on improving end with their first path."""
+    heading: bool = False
+    """Whether headings are planned too: four numbers a robot, from its heading back to it."""
+    margin_m: float = 0.05
+    """Kept between the robots' spheres and anything else."""
+    moving: Moving = "timed"
+    """Of obstacles known to move: the team waits at its starts until they are out of the way; they
+    are taken to stay where they are at t = 0; or they are not looked at."""
+    thrust_share: float = 0.8
+    """Of the speed at full thrust that may be used through the water."""
+    turn_radps: float = 0.5
+    """Fastest turn, where headings are planned."""
+    points: int = 32
+    """Most points of one path, where a current has edges cut in pieces; not more than the run's."""
+
+    @property
+    def joints(self) -> bool:
+        """Whether paths are trajectories of joints."""
+        return self.heading
+
+
+def _number(setter: str, low: float, high: float = math.inf) -> Any:
+    return field(default=None, metadata={"set": setter, "low": low, "high": high})
+
+
+def _flag(setter: str) -> Any:
+    return field(default=None, metadata={"set": setter, "low": False, "high": True})
+
+
+@dataclass(frozen=True, kw_only=True)
+class RRTConnectSettings(Common):
+    """Of RRTConnect."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    """Longest edge, in the space of the whole team; 0: a fifth of the space's extent."""
+    intermediate_states: bool | None = _flag("setIntermediateStates")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RRTSettings(Common):
+    """Of RRT."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
+    intermediate_states: bool | None = _flag("setIntermediateStates")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RRTstarSettings(Common):
+    """Of RRTstar, InformedRRTstar and SORRTstar."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
+    rewire_factor: float | None = _number("setRewireFactor", 1.0)
+    k_nearest: bool | None = _flag("setKNearest")
+    delay_collision_checking: bool | None = _flag("setDelayCC")
+    tree_pruning: bool | None = _flag("setTreePruning")
+    prune_threshold: float | None = _number("setPruneThreshold", 0.0, 1.0)
+    pruned_measure: bool | None = _flag("setPrunedMeasure")
+    informed_sampling: bool | None = _flag("setInformedSampling")
+    sample_rejection: bool | None = _flag("setSampleRejection")
+    new_state_rejection: bool | None = _flag("setNewStateRejection")
+    admissible_cost_to_come: bool | None = _flag("setAdmissibleCostToCome")
+    ordered_sampling: bool | None = _flag("setOrderedSampling")
+    batch_size: int | None = _number("setBatchSize", 1)
+    focus_search: bool | None = _flag("setFocusSearch")
+    sampling_attempts: int | None = _number("setNumSamplingAttempts", 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BITstarSettings(Common):
+    """Of BITstar."""
+
+    samples_per_batch: int | None = _number("setSamplesPerBatch", 1)
+    rewire_factor: float | None = _number("setRewireFactor", 1.0)
+    use_k_nearest: bool | None = _flag("setUseKNearest")
+    pruning: bool | None = _flag("setPruning")
+    prune_threshold: float | None = _number("setPruneThresholdFraction", 0.0, 1.0)
+    strict_queue_ordering: bool | None = _flag("setStrictQueueOrdering")
+    delay_rewiring: bool | None = _flag("setDelayRewiringUntilInitialSolution")
+    just_in_time_sampling: bool | None = _flag("setJustInTimeSampling")
+    drop_samples_on_prune: bool | None = _flag("setDropSamplesOnPrune")
+    stop_on_improvement: bool | None = _flag("setStopOnSolnImprovement")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AORRTCSettings(Common):
+    """Of AORRTC."""
+
+    range_m: float | None = _number("setRange", 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PRMSettings(Common):
+    """Of PRM."""
+
+    max_nearest_neighbors: int | None = _number("setMaxNearestNeighbors", 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PRMstarSettings(Common):
+    """Of PRMstar, which chooses its neighbours itself."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FMTSettings(Common):
+    """Of FMT and BFMT, which are begun anew with twice the samples where they find nothing."""
+
+    samples: int | None = _number("setNumSamples", 1)
+    radius_multiplier: float | None = _number("setRadiusMultiplier", 0.1)
+    nearest_k: bool | None = _flag("setNearestK")
+    cache_collision_checks: bool | None = _flag("setCacheCC")
+    heuristics: bool | None = _flag("setHeuristics")
+    extended: bool | None = _flag("setExtendedFMT")
+
+
+@dataclass(frozen=True, kw_only=True)
+class KPIECE1Settings(Common):
+    """Of KPIECE1."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    goal_bias: float | None = _number("setGoalBias", 0.0, 1.0)
+    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
+    failed_expansion_score: float | None = _number("setFailedExpansionCellScoreFactor", 0.0, 1.0)
+    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BKPIECE1Settings(Common):
+    """Of BKPIECE1."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
+    failed_expansion_score: float | None = _number("setFailedExpansionCellScoreFactor", 0.0, 1.0)
+    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LBKPIECE1Settings(Common):
+    """Of LBKPIECE1."""
+
+    range_m: float | None = _number("setRange", 0.0)
+    border_fraction: float | None = _number("setBorderFraction", 0.0, 1.0)
+    min_valid_path_fraction: float | None = _number("setMinValidPathFraction", 0.0, 1.0)
+
+
+_BOUNDS = {
+    "time_limit_s": (0.0, math.inf),
+    "edge_limit": (1, math.inf),
+    "margin_m": (0.0, math.inf),
+    "thrust_share": (0.01, 1.0),
+    "turn_radps": (0.01, math.inf),
+    "points": (2, 1024),
+}
+
+
+def parameters(settings: Common) -> dict[str, Any]:
+    """OMPL's setters and what they are given."""
+    return {
+        each.metadata["set"]: value
+        for each in fields(settings)
+        if "set" in each.metadata and (value := getattr(settings, each.name)) is not None
+    }
+
+
+def check(planner: str, settings: Common) -> None:
+    """Looks at the numbers.
+
+    Raises:
+        ConfigError: one is out of its bounds, or there is no such choice.
+    """
+    choices = {
+        "mode": ("composite", "prioritised"),
+        "simplify": ("shortcut", "ompl", "none"),
+        "moving": ("timed", "still", "ignored"),
+    }
+    for key, names in choices.items():
+        if getattr(settings, key) not in names:
+            raise ConfigError(
+                f"planner.{planner}.{key} = {getattr(settings, key)!r}: give one of "
+                + ", ".join(names)
+            )
+    if settings.edge_limit is not None and planner in ("PRM", "PRMstar"):
+        raise ConfigError(
+            f"planner.{planner}.edge_limit: it ends by the clock alone; give time_limit_s"
+        )
+    for each in fields(settings):
+        value = getattr(settings, each.name)
+        meta = each.metadata
+        low, high = _BOUNDS.get(each.name, (meta.get("low"), meta.get("high")))
+        if value is None or low is None or high is None:
+            continue
+        if not low <= value <= high:
+            raise ConfigError(
+                f"planner.{planner}.{each.name} = {value}: give {low:g} to {high:g}"
+                if high < math.inf
+                else f"planner.{planner}.{each.name} = {value}: give at least {low:g}"
+            )

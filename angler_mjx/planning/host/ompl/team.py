@@ -1,0 +1,208 @@
+"""From a problem to a motion of some of its robots, planned together.
+
+A search finds a path, shortcuts make it straighter, and it is timed. Where obstacles are known to
+move, or other robots' paths are fixed, the robots wait at their starts until the way is free; if it
+never is, another path is searched.
+"""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from angler_mjx.planning.host.edges import EdgeChecker
+from angler_mjx.planning.host.ompl import seeing
+from angler_mjx.planning.host.ompl.search import Order, Space, search
+from angler_mjx.planning.host.ompl.settings import Common, parameters
+from angler_mjx.planning.host.ompl.shortcut import shortened
+from angler_mjx.planning.host.ompl.timing import TooStrongError, limits, timed
+from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.problem import Problem
+
+SEARCH = 0.9
+"""Of the time that is left, for a search; the rest for what is made of its path."""
+
+ATTEMPTS = 20
+"""Paths that are searched where robots cannot wait until the way is free."""
+
+WAITS = 60
+"""Times of setting off that are tried, `WAIT_S` or more apart."""
+
+WAIT_S = 1.0
+
+STAYS_S = (math.inf, 2.0)
+"""How long the goal has to be free after the arrival: for ever, or this long."""
+
+
+class NoWayError(Exception):
+    """There is no path; its text says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Of some robots."""
+
+    time_s: np.ndarray
+    """[n] from 0."""
+    path: np.ndarray
+    """[n, R, d] x, y, z (and heading)."""
+    delay_s: float
+    """For which all wait before."""
+
+
+@dataclass(kw_only=True)
+class Task:
+    """What is planned, and what was noted on the way."""
+
+    planner: str
+    """OMPL's name."""
+    settings: Common
+    seed: tuple[int, ...]
+    """Of the problem; and more, for what is tried beside."""
+    end: float
+    """Of `time.perf_counter`."""
+    extras: dict[str, float] = field(default_factory=dict)
+
+    def left(self) -> float:
+        """Time that is left, s."""
+        return self.end - time.perf_counter()
+
+    def note(self, more: dict[str, float]) -> None:
+        """Adds to what was noted."""
+        for name, value in more.items():
+            self.extras[name] = self.extras.get(name, 0.0) + value
+
+
+def motion(
+    problem: Problem,
+    robots: Sequence[int],
+    task: Task,
+    traffic: Traffic | None = None,
+    share: float = 1.0,
+) -> Motion:
+    """A motion of some robots from their starts to their goals.
+
+    Args:
+        problem: arrays of NumPy.
+        robots: which.
+        task: how.
+        traffic: paths of others; none if left out.
+        share: of the time that is left, for all of this.
+
+    Raises:
+        seeing.CannotError: a start or goal is taken.
+        NoWayError: there is no path.
+    """
+    begin = time.perf_counter()
+    settings = task.settings
+    checks = seeing.checker(problem, robots, settings.margin_m)
+    low, high = seeing.bounds(problem, robots, settings.heading)
+    width = 4 if settings.heading else 3
+    space = Space(
+        low=low,
+        high=high,
+        looked_at=[i for i in range(len(low)) if i % width < 3],
+        edge=checks.edge_flat,
+        state=checks.state_flat,
+    )
+    task.note({"setup_s": time.perf_counter() - begin})
+    end = begin + share * max(0.0, task.end - begin)
+    reason = ""
+    for attempt in range(ATTEMPTS):
+        if attempt and time.perf_counter() >= end:
+            break
+        path = _searched(problem, robots, task, space, checks, end, attempt)
+        bounds = limits(problem, list(robots), settings.thrust_share, settings.turn_radps)
+        try:
+            when, path = timed(path, problem, list(robots), bounds, settings.points - 1)
+        except TooStrongError as error:
+            reason = str(error)
+            continue
+        if when[-1] > problem.horizon_s:
+            reason = f"the way takes {when[-1]:.0f} s of {problem.horizon_s:.0f} s"
+            continue
+        delay = _delay(problem, checks, when, path, traffic or Traffic.none())
+        if delay is not None:
+            task.note({"delay_s": delay, "attempts": attempt + 1.0})
+            return Motion(time_s=when, path=path, delay_s=delay)
+        reason = "what moves is in the way, however long it waits"
+    raise NoWayError(reason)
+
+
+def _searched(
+    problem: Problem,
+    robots: Sequence[int],
+    task: Task,
+    space: Space,
+    checks: EdgeChecker,
+    end: float,
+    attempt: int,
+) -> np.ndarray:
+    """A path [k, R, d], as straight as was chosen."""
+    settings = task.settings
+    start, goal = seeing.ends(problem, robots, settings.heading)
+    left = max(0.0, end - time.perf_counter())
+    order = Order(
+        planner=task.planner,
+        parameters=parameters(settings),
+        seed=(*task.seed, attempt),
+        limit_s=SEARCH * left,
+        edge_limit=settings.edge_limit,
+        first=settings.first,
+        simplify_s=(1.0 - SEARCH) * left if settings.simplify == "ompl" else 0.0,
+    )
+    found = search(space, start.reshape(-1), goal.reshape(-1), order)
+    task.note(found.extras)
+    if found.points is None:
+        raise NoWayError(f"no way found in {order.limit_s:.3g} s")
+    path = found.points.reshape(-1, *start.shape)
+    path[0], path[-1] = start, goal
+    if settings.simplify == "shortcut":
+        begin = time.perf_counter()
+        speed = np.asarray(problem.team.cruise_speed_mps, float)[list(robots)]
+        path = shortened(path, checks.edges, speed, 3, end)
+        task.note({"simplify_s": time.perf_counter() - begin})
+    return path
+
+
+def _delay(
+    problem: Problem,
+    checks: EdgeChecker,
+    when: np.ndarray,
+    path: np.ndarray,
+    traffic: Traffic,
+) -> float | None:
+    """How long all have to wait so that nothing that moves is met; None if it always is."""
+    known = problem.obstacles
+    drift = np.asarray(known.exists, bool) & np.asarray(known.moves, bool)
+    if not drift.any() and len(traffic.radius_m) == 0:
+        return 0.0
+    room = max(0.0, problem.horizon_s - when[-1])
+    waits = np.arange(0.0, room + 1e-9, max(WAIT_S, room / WAITS))
+    for stays in STAYS_S:
+        for wait in waits:
+            if _clear(checks, when, path, traffic, float(wait), stays):
+                return float(wait)
+    return None
+
+
+def _clear(
+    checks: EdgeChecker,
+    when: np.ndarray,
+    path: np.ndarray,
+    traffic: Traffic,
+    wait: float,
+    stays: float,
+) -> bool:
+    """Whether all can go after a wait, and stay at their goals."""
+    begin = np.concatenate([[0.0], when[:-1] + wait, [when[-1] + wait]])
+    end = np.concatenate([[wait], when[1:] + wait, [when[-1] + wait + stays]])
+    for robot in range(path.shape[1]):
+        place = path[:, robot, :3]
+        a = np.concatenate([place[:1], place[:-1], place[-1:]])
+        b = np.concatenate([place[:1], place[1:], place[-1:]])
+        if not checks.timed_edges(robot, a, begin, b, end, traffic).all():
+            return False
+    return True

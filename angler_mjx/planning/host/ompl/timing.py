@@ -1,0 +1,189 @@
+r"""When a team is where on its path: as fast as all can, none faster than it may.
+
+All robots go along each edge of the path together, each along its line at one speed, so where the
+edge is free the motion is. An edge takes as long as its slowest robot needs. A robot's speed over
+ground $s$ along the unit vector $d$ in a current $c$ is at most its cruise speed, and its motion
+through the water, $w = s d - c$, stays in the ellipsoid
+
+$(w_x^2 + w_y^2) / h^2 + w_z^2 / v^2 \le share^2$
+
+where $h$ is the lower of its terminal speeds in surge and sway (surge alone where it cannot sway)
+and $v$ that in heave (surge where it cannot heave).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.planning.problem import Problem
+
+PIECE_M = 1.0
+"""An edge is cut into pieces of this length where the current differs from place to place."""
+
+PASSES = 2
+"""How often the current is looked up again, at the times that came out."""
+
+PADDED = 256
+"""Points are looked up in multiples of it, so that few programs are compiled."""
+
+SLOWEST_MPS = 1e-3
+"""Over ground; a robot that can only be slower cannot go there."""
+
+SAFE = 1.0 - 1e-3
+"""Of the speeds that may be: what float32 rounds off places and times."""
+
+SAME_M = 1e-6
+"""How far a point may lie off the line of its neighbours, in time too, to be left out."""
+
+
+class TooStrongError(Exception):
+    """The current is stronger than a robot; its text says which and where."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """How fast each robot can be; [R]."""
+
+    cruise_mps: np.ndarray
+    level_mps: np.ndarray
+    """Through the water, in any level direction."""
+    upright_mps: np.ndarray
+    """Through the water, up and down."""
+    turn_radps: float
+
+
+def limits(problem: Problem, robots: list[int], share: float, turn_radps: float) -> Limits:
+    """Of some robots of a team.
+
+    Args:
+        problem: arrays of NumPy.
+        robots: which.
+        share: of the terminal speeds that may be used.
+        turn_radps: of all.
+    """
+    terminal = np.asarray(problem.team.terminal_speed_mps, float)[robots]
+    surge, sway, heave = terminal.T
+    return Limits(
+        cruise_mps=np.asarray(problem.team.cruise_speed_mps, float)[robots],
+        level_mps=share * np.where(sway > 0.0, np.minimum(surge, sway), surge),
+        upright_mps=share * np.where(heave > 0.0, heave, surge),
+        turn_radps=turn_radps,
+    )
+
+
+def timed(
+    path: np.ndarray, problem: Problem, robots: list[int], bounds: Limits, most_points: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times of a path.
+
+    Args:
+        path: [k, R, d] x, y, z (and heading) of the team at each point.
+        problem: its current is looked up.
+        robots: which of the team the path is of.
+        bounds: of these robots.
+        most_points: of the path in time.
+
+    Returns:
+        Times [n] from 0, s, and the path [n, R, d] there.
+
+    Raises:
+        TooStrongError: a robot cannot go where the path does.
+    """
+    flows = bool(problem.current.components)
+    if flows:
+        path = _cut(path, most_points)
+    way = np.diff(path, axis=0)
+    length = np.linalg.norm(way[..., :3], axis=-1)
+    ahead = way[..., :3] / np.maximum(length, 1e-12)[..., None]
+    slowest = length.max(axis=1) / bounds.cruise_mps.min()
+    time = np.concatenate([[0.0], np.cumsum(slowest)])
+    speed = np.broadcast_to(bounds.cruise_mps, length.shape)
+    for _ in range(PASSES if flows else 1):
+        if flows:
+            water = [water_at(problem, path, time, share) for share in (0.0, 0.5, 1.0)]
+            speed = np.min([fastest(ahead, each, bounds) for each in water], axis=0)
+        weak = np.argwhere((length > SAME_M) & (speed < SLOWEST_MPS))
+        if len(weak):
+            at, robot = weak[0]
+            place = ", ".join(f"{x:.1f}" for x in path[at, robot, :3])
+            raise TooStrongError(
+                f"the current is too strong for robot {robots[robot]} at ({place}) m"
+            )
+        taken = np.where(length > SAME_M, length / (SAFE * np.maximum(speed, SLOWEST_MPS)), 0.0)
+        if path.shape[2] == 4:
+            taken = np.maximum(taken, np.abs(way[..., 3]) / bounds.turn_radps)
+        time = np.concatenate([[0.0], np.cumsum(taken.max(axis=1))])
+    kept = np.concatenate([[True], np.diff(time) > 0.0])
+    return time[kept], path[kept]
+
+
+def fastest(ahead: np.ndarray, water: np.ndarray, bounds: Limits) -> np.ndarray:
+    """Highest speed over ground [..., R]; 0 where a robot cannot go that way at all.
+
+    Args:
+        ahead: [..., R, 3] unit vectors.
+        water: [..., R, 3] velocity of the water, m/s, W.
+        bounds: of the robots.
+    """
+    scale = np.stack([bounds.level_mps, bounds.level_mps, bounds.upright_mps], axis=-1)
+    d, c = ahead / scale, water / scale
+    dd, dc, cc = (d * d).sum(-1), (d * c).sum(-1), (c * c).sum(-1)
+    dd = np.maximum(dd, 1e-12)
+    inside = dc * dc - dd * (cc - 1.0)
+    most = (dc + np.sqrt(np.maximum(inside, 0.0))) / dd
+    return np.where(inside >= 0.0, np.clip(most, 0.0, bounds.cruise_mps), 0.0)
+
+
+def apart(time: np.ndarray, path: np.ndarray, delay_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """One robot's way-points: begun later, and without those on the line of their neighbours.
+
+    Args:
+        time: [n] from 0, s.
+        path: [n, d].
+        delay_s: for which it waits at its start.
+
+    Returns:
+        Times [m] and points [m, d]; at least two.
+    """
+    if delay_s > 0.0:
+        time = np.concatenate([[0.0], time + delay_s])
+        path = np.concatenate([path[:1], path])
+    if len(time) == 1:
+        return np.array([0.0, 1.0]), np.concatenate([path, path])
+    kept = [0]
+    for k in range(1, len(time) - 1):
+        begin, share = kept[-1], 0.0
+        share = (time[k] - time[begin]) / (time[k + 1] - time[begin])
+        line = path[begin] + share * (path[k + 1] - path[begin])
+        if np.abs(line - path[k]).max() > SAME_M:
+            kept.append(k)
+    kept.append(len(time) - 1)
+    return time[kept], path[kept]
+
+
+def _cut(path: np.ndarray, most_points: int) -> np.ndarray:
+    """The path in pieces that are short where the current may differ; no more than may be."""
+    length = np.linalg.norm(np.diff(path, axis=0)[..., :3], axis=-1).max(axis=1)
+    edges = len(length)
+    spare = max(0, most_points - 2 - edges)
+    wanted = np.maximum(np.ceil(length / PIECE_M), 1.0)
+    extra = wanted.sum() - edges
+    share = min(1.0, spare / extra) if extra > 0 else 0.0
+    pieces = (1 + np.floor(share * (wanted - 1.0))).astype(int)
+    parts = [
+        a + (b - a) * (np.arange(n) / n)[:, None, None]
+        for a, b, n in zip(path[:-1], path[1:], pieces, strict=True)
+    ]
+    return np.concatenate([*parts, path[-1:]])
+
+
+def water_at(problem: Problem, path: np.ndarray, time: np.ndarray, share: float) -> np.ndarray:
+    """Velocity [n - 1, R, 3] of the water at a share of each piece of a path [n, R, 3]; m/s, W."""
+    place = (path[:-1] + share * np.diff(path, axis=0))[..., :3]
+    when = np.repeat((time[:-1] + share * np.diff(time))[:, None], place.shape[1], axis=1)
+    count = when.size
+    padded = PADDED * math.ceil(count / PADDED)
+    p, t = np.zeros((padded, 3), np.float32), np.zeros(padded, np.float32)
+    p[:count], t[:count] = place.reshape(-1, 3), when.reshape(-1)
+    return problem.current_mps(p, t)[:count].reshape(place.shape).astype(float)

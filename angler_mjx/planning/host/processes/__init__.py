@@ -1,0 +1,1 @@
+"""Processes for planners: how one is begun, talked to and ended."""

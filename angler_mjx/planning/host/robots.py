@@ -1,0 +1,119 @@
+"""Robots as joints and bodies of Pinocchio.
+
+Each robot is two joints, its place (x, y, z) and its heading, and below them whatever bodies it
+has: the capsules of its hull and, where it has one, an arm with joints of its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from angler_mjx.planning.problem import Problem
+from angler_mjx.vehicles.params import VehicleParams
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The bodies of one robot."""
+
+    capsule_a_m: np.ndarray
+    """[c, 3] one end of the axis of each capsule, from the centre of mass, body frame."""
+    capsule_b_m: np.ndarray
+    """[c, 3] the other end."""
+    capsule_r_m: np.ndarray
+    """[c]."""
+    arm: tuple[Any, Any] | None = None
+    """Model and geometry model of Pinocchio (from MJCF or URDF, fixed base), from the centre of
+    mass, body frame."""
+
+    @classmethod
+    def of(cls, vehicle: VehicleParams, arm: tuple[Any, Any] | None = None) -> Self:
+        """The hull of a vehicle file that was built, with an arm or without."""
+        return cls(
+            capsule_a_m=np.asarray(vehicle.capsule_a_m, float),
+            capsule_b_m=np.asarray(vehicle.capsule_b_m, float),
+            capsule_r_m=np.asarray(vehicle.capsule_r_m, float),
+            arm=arm,
+        )
+
+    @classmethod
+    def ball(cls, radius_m: float) -> Self:
+        """A sphere about the centre of mass."""
+        return cls(
+            capsule_a_m=np.zeros((1, 3)),
+            capsule_b_m=np.zeros((1, 3)),
+            capsule_r_m=np.array([float(radius_m)]),
+        )
+
+
+def team(problem: Problem) -> list[Robot]:
+    """The hulls of the team of a problem."""
+    given = problem.team
+    rows = zip(given.capsule_a_m, given.capsule_b_m, given.capsule_r_m, strict=True)
+    return [
+        Robot(
+            capsule_a_m=np.asarray(a, float),
+            capsule_b_m=np.asarray(b, float),
+            capsule_r_m=np.asarray(r, float),
+        )
+        for a, b, r in rows
+    ]
+
+
+def build(robots: Sequence[Robot]) -> tuple[Any, Any, list[int]]:
+    """Model and geometry model of a team, and where each robot's numbers begin in q.
+
+    Bodies are named ``robot_N_capsule_M``, and those of arms ``robot_N_`` and their own name.
+    """
+    model, geometry, first = pin.Model(), pin.GeometryModel(), []
+    for number, robot in enumerate(robots):
+        base, name = pin.SE3.Identity(), f"robot_{number}"
+        place = model.addJoint(0, pin.JointModelTranslation(), base, f"{name}_place")
+        turn = model.addJoint(place, pin.JointModelRZ(), base, f"{name}_heading")
+        first.append(int(model.joints[place].idx_q))
+        rows = zip(robot.capsule_a_m, robot.capsule_b_m, robot.capsule_r_m, strict=True)
+        unique = dict.fromkeys((tuple(a), tuple(b), float(r)) for a, b, r in rows)
+        for count, (a, b, r) in enumerate(unique):
+            shape, placement = _capsule(np.array(a), np.array(b), r)
+            geometry.addGeometryObject(
+                pin.GeometryObject(f"{name}_capsule_{count}", turn, placement, shape)
+            )
+        if robot.arm is not None:
+            model, geometry = _attach(model, geometry, name, turn, robot.arm)
+    return model, geometry, first
+
+
+def owner(name: str) -> int:
+    """Number of the robot that a body belongs to."""
+    return int(name.split("_")[1])
+
+
+def _attach(
+    model: Any, geometry: Any, name: str, joint: int, arm: tuple[Any, Any]
+) -> tuple[Any, Any]:
+    """Both with an arm below a robot's heading."""
+    own, bodies = (part.copy() for part in arm)
+    for index in range(1, own.njoints):
+        own.names[index] = f"{name}_{own.names[index]}"
+    for frame in own.frames:
+        frame.name = f"{name}_{frame.name}"
+    for item in bodies.geometryObjects:
+        item.name = f"{name}_{item.name}"
+    base = pin.Frame(f"{name}_base", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
+    at = model.addFrame(base)
+    both: tuple[Any, Any] = pin.appendModel(model, own, geometry, bodies, at, pin.SE3.Identity())
+    return both
+
+
+def _capsule(a: np.ndarray, b: np.ndarray, r: float) -> tuple[Any, Any]:
+    """Geometry and placement of a capsule by the ends of its axis."""
+    way = b - a
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return coal.Sphere(r), pin.SE3(np.eye(3), a)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way / length).matrix()
+    return coal.Capsule(r, length), pin.SE3(turn, 0.5 * (a + b))

@@ -1,0 +1,91 @@
+"""What robots can touch in a problem, as geometries of coal with names."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import coal
+import numpy as np
+
+from angler_mjx.planning.host.compiled.packed import matrix
+from angler_mjx.planning.problem import Problem
+
+_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
+
+
+class Body(NamedTuple):
+    """Something that is no robot."""
+
+    name: str
+    shape: Any
+    """Geometry of coal about its own centre."""
+    rotation: np.ndarray
+    """[3, 3] its frame to W."""
+    centre_m: np.ndarray
+    """[3] W."""
+
+
+def enclosed(occupied: np.ndarray) -> np.ndarray:
+    """Rock bool [nx, ny, nz] with rock across all six faces: nothing touches it first."""
+    solid = np.pad(np.asarray(occupied, bool), 1)
+    core = (slice(1, -1),) * 3
+    inside = solid[core].copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            inside &= np.roll(solid, shift, axis)[core]
+    return inside
+
+
+def cells(problem: Problem) -> Iterator[Body]:
+    """Boxes of the rock that can be touched: ``cell_I_J_K``."""
+    grid = problem.grid
+    edge, origin = float(grid.cell_m), np.asarray(grid.origin_m, float)
+    rock = np.asarray(grid.occupied, bool)
+    for index in np.argwhere(rock & ~enclosed(rock)):
+        name = "cell_" + "_".join(str(i) for i in index)
+        yield Body(name, coal.Box(edge, edge, edge), np.eye(3), origin + edge * (index + 0.5))
+
+
+def walls(problem: Problem) -> Iterator[Body]:
+    """Boxes around the cube, the floor among them, each as thick as the cube is wide."""
+    grid = problem.grid
+    low = np.asarray(grid.origin_m, float).copy()
+    high = low + float(grid.cell_m) * np.array(grid.occupied.shape)
+    low[2] = max(low[2], float(problem.floor_z_m))
+    size = high - low
+    thick = size.max()
+    for number, name in enumerate(_WALLS):
+        axis, upper = divmod(number, 2)
+        extent, centre = size + 2.0 * thick, 0.5 * (low + high)
+        extent[axis] = thick
+        centre[axis] = high[axis] + 0.5 * thick if upper else low[axis] - 0.5 * thick
+        yield Body(name, coal.Box(*extent), np.eye(3), centre)
+
+
+def obstacles(problem: Problem) -> Iterator[Body]:
+    """Bodies that are known to exist, where they are at t = 0: ``obstacle_N``."""
+    known = problem.obstacles
+    for row in np.flatnonzero(known.exists):
+        size = np.asarray(known.size_m[row], float)
+        shape = (
+            coal.Sphere(size[0]),
+            coal.Box(*(2.0 * size)),
+            coal.Capsule(size[0], 2.0 * size[1]),
+        )[int(known.kind[row])]
+        yield Body(f"obstacle_{row}", shape, *pose(problem, int(row), 0.0))
+
+
+def pose(problem: Problem, row: int, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix [3, 3] and centre [3] of an obstacle: between two known places on the line.
+
+    Attitudes between are the normed mean of their quaternions; the last is held.
+    """
+    known = problem.obstacles
+    times = np.asarray(known.time_s, float)
+    after = int(np.clip(np.searchsorted(times, time_s, side="right"), 1, max(len(times) - 1, 1)))
+    first, then = (0, 0) if len(times) == 1 else (after - 1, after)
+    span = times[then] - times[first]
+    share = float(np.clip((time_s - times[first]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+    p, q = np.asarray(known.p_m[row], float), np.asarray(known.q[row], float)
+    later = q[then] if q[first] @ q[then] >= 0.0 else -q[then]
+    centre = (1.0 - share) * p[first] + share * p[then]
+    return matrix((1.0 - share) * q[first] + share * later), centre

@@ -1,0 +1,184 @@
+"""Compiled: one ball that goes along a line in time, among paths in time."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.packed import fields
+from angler_mjx.planning.host.compiled.segments import segment_point
+from angler_mjx.planning.host.compiled.sweeping import clear_of_rock, clear_of_still, inside
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traffic:
+    """Balls that go along lines in time; they stand before their first and after their last."""
+
+    time_s: np.ndarray
+    """float64 [K, P], not falling."""
+    position_m: np.ndarray
+    """float64 [K, P, 3], W; where two times are the same, all of the line between counts."""
+    radius_m: np.ndarray
+    """float64 [K]."""
+
+    @classmethod
+    def of(cls, time_s: np.ndarray, position_m: np.ndarray, radius_m: np.ndarray) -> Self:
+        """Traffic from arrays of any real type.
+
+        Raises:
+            ConfigError: the shapes do not belong together, a time falls, or a number is not finite.
+        """
+        time, place, radius = (
+            np.ascontiguousarray(values, np.float64) for values in (time_s, position_m, radius_m)
+        )
+        if radius.ndim != 1 or time.ndim != 2 or place.shape != (*time.shape, 3):
+            raise ConfigError(
+                f"traffic: time_s {time.shape}, position_m {place.shape}, radius_m {radius.shape}; "
+                "give [K, P], [K, P, 3] and [K]"
+            )
+        if len(radius) != len(time) or (len(time) and time.shape[1] == 0):
+            raise ConfigError(
+                f"traffic: {len(radius)} radii for {len(time)} paths of {time.shape[1]} points; "
+                "give each path a radius and a point at least"
+            )
+        if not all(np.isfinite(values).all() for values in (time, place, radius)):
+            raise ConfigError("traffic: numbers that are not finite")
+        if (np.diff(time, axis=1) < 0.0).any():
+            raise ConfigError("traffic: time_s falls along a path")
+        return cls(time_s=time, position_m=place, radius_m=radius)
+
+    @classmethod
+    def none(cls) -> Self:
+        """No traffic."""
+        return cls.of(np.zeros((0, 1)), np.zeros((0, 1, 3)), np.zeros(0))
+
+
+@compiled
+def _before(time: np.ndarray, t: float) -> int:
+    """The last of the times that is not after t; -1 where there is none."""
+    low, high = 0, time.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if time[middle] <= t:
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+@compiled
+def _share(t: float, begin: float, end: float) -> float:
+    """How much of the way from begin to end is gone at t."""
+    return (t - begin) / (end - begin) if end - begin > 0.0 else 0.0
+
+
+@compiled
+def _apart(
+    a: float, b: float, own: float, later: float, p: float, q: float, here: float, there: float
+) -> tuple[float, float]:
+    """A coordinate's difference of two motions a to b and p to q between two shares of each.
+
+    At first, and how it changes from there.
+    """
+    first = a + own * (b - a) - (p + here * (q - p))
+    return first, a + later * (b - a) - (p + there * (q - p)) - first
+
+
+@compiled
+def meets(
+    time: np.ndarray,
+    place: np.ndarray,
+    a: np.ndarray,
+    t_a: float,
+    b: np.ndarray,
+    t_b: float,
+    asked: float,
+) -> bool:
+    """Whether a point that goes from a at t_a to b at t_b comes as near as ``asked`` to a path.
+
+    Between two of the path's times both go along lines, and so does the way between them.
+    """
+    last = time.shape[0] - 1
+    k, t = _before(time, t_a), t_a
+    endless = not t_b < np.inf
+    while True:
+        end, i, j = t_b, max(k, 0), min(k + 1, last)
+        if k < last and time[k + 1] < t_b:
+            end = time[k + 1]
+        here, there = 0.0, 1.0
+        if 0 <= k < last and time[k + 1] > time[k]:
+            here = _share(t, time[k], time[k + 1])
+            there = 1.0 if end == time[k + 1] else _share(end, time[k], time[k + 1])
+        own = 0.0 if endless else _share(t, t_a, t_b)
+        later = 1.0 if end == t_b else (0.0 if endless else _share(end, t_a, t_b))
+        wx, dx = _apart(a[0], b[0], own, later, place[i, 0], place[j, 0], here, there)
+        wy, dy = _apart(a[1], b[1], own, later, place[i, 1], place[j, 1], here, there)
+        wz, dz = _apart(a[2], b[2], own, later, place[i, 2], place[j, 2], here, there)
+        if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
+            return True
+        if end >= t_b:
+            return False
+        t = end
+        k += 1
+
+
+@compiled
+def timed_edge(
+    head: np.ndarray,
+    reals: np.ndarray,
+    cells: np.ndarray,
+    time: np.ndarray,
+    place: np.ndarray,
+    radius: np.ndarray,
+    robot: int,
+    a: np.ndarray,
+    t_a: float,
+    b: np.ndarray,
+    t_b: float,
+) -> bool:
+    """Whether one robot can go from a at t_a to b at t_b; see `edges.EdgeChecker.timed_edge`."""
+    world = fields(head, reals)
+    own, keep = world.radius[robot], world.keep[0]
+    reach = own + keep
+    if not (t_a <= t_b and inside(world.box, a, 0, reach) and inside(world.box, b, 0, reach)):
+        return False
+    if t_b == np.inf and not (a[0] == b[0] and a[1] == b[1] and a[2] == b[2]):
+        return False
+    ax, ay, az, bx, by, bz = a[0], a[1], a[2], b[0], b[1], b[2]
+    if not clear_of_rock(world.box, cells, ax, ay, az, bx, by, bz, reach):
+        return False
+    if not clear_of_still(world.still[: head[4]], ax, ay, az, bx, by, bz, reach):
+        return False
+    for k in range(radius.shape[0]):
+        if meets(time[k], place[k], a, t_a, b, t_b, reach + radius[k]):
+            return False
+    for m in range(world.drift_radius.shape[0]):
+        asked = reach + world.drift_radius[m]
+        if meets(world.drift_time, world.drift_place[m], a, t_a, b, t_b, asked):
+            return False
+    return True
+
+
+@compiled
+def timed_edges(
+    head: np.ndarray,
+    reals: np.ndarray,
+    cells: np.ndarray,
+    time: np.ndarray,
+    place: np.ndarray,
+    radius: np.ndarray,
+    robot: int,
+    a: np.ndarray,
+    t_a: np.ndarray,
+    b: np.ndarray,
+    t_b: np.ndarray,
+) -> np.ndarray:
+    """Many of them; a and b float64 [n, 3], times float64 [n]."""
+    free = np.empty(a.shape[0], np.bool_)
+    for n in range(a.shape[0]):
+        free[n] = timed_edge(
+            head, reals, cells, time, place, radius, robot, a[n], t_a[n], b[n], t_b[n]
+        )
+    return free

@@ -1,0 +1,216 @@
+"""Planners by their names: of this package, of other packages, of files.
+
+    grid                            part of the program that draws the worlds
+    RRTConnect                      an entry point of that name, in the group `GROUP`
+    planners/straight.py:Straight   a class of a file
+
+A class is only loaded where it is asked for, so that a planner whose libraries are missing harms
+nobody who does not use it.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, UnsupportedError, shown
+from angler_mjx.planning.planner import MOST_POINTS
+
+GROUP = "angler_mjx.planners"
+"""Of entry points by which other packages bring planners: NAME = "module:Class"."""
+
+DEVICE: Mapping[str, str] = {"grid": "angler_mjx.planning.grid:GridPlanner"}
+"""Planners that are part of the program which draws the worlds, and their classes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Where the class of a planner is; can be given to another process."""
+
+    name: str
+    """As the scenario names it."""
+    module: str
+    """Name of a module, or path of a file."""
+    qualname: str
+    """Of the class in it."""
+    sha256: str | None = None
+    """Of the file."""
+
+    @property
+    def on_device(self) -> bool:
+        """Whether it is part of the program that draws the worlds, without a problem between."""
+        return self.name in DEVICE
+
+    @property
+    def file(self) -> Path | None:
+        """The file, where it is one."""
+        return Path(self.module) if self.sha256 is not None else None
+
+    def load(self) -> type:
+        """The class.
+
+        Raises:
+            ConfigError: there is no such class, or the file cannot be run.
+            UnsupportedError: it needs a library that is not installed.
+        """
+        home = _of_file(self) if self.file else _of_module(self)
+        found = home
+        try:
+            for part in self.qualname.split("."):
+                found = getattr(found, part)
+        except AttributeError as error:
+            there = ", ".join(_classes(home)) or "none"
+            raise ConfigError(
+                f"planner {self.name}: {self.module} holds no {shown(self.qualname)}; "
+                f"classes there: {there}"
+            ) from error
+        if not isinstance(found, type):
+            raise ConfigError(f"planner {self.name}: {self.qualname} is no class")
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerSpec:
+    """A planner that can be made anywhere: its class and its settings."""
+
+    reference: Reference
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Those that differ from their defaults; checked before."""
+    most_points: int = MOST_POINTS
+    """Of one path that can be flown; who gives more is refused."""
+
+    def make(self) -> Any:
+        """The planner.
+
+        Raises:
+            ConfigError, UnsupportedError: as `Reference.load`.
+        """
+        found = self.reference.load()
+        chosen = settings_of(found)
+        return found() if chosen is None else found(chosen(**self.settings))
+
+
+def names() -> list[str]:
+    """Planners that can be named, the built-in first."""
+    return [*DEVICE, *sorted(_installed())]
+
+
+def find(name: str) -> Reference:
+    """Where a planner is.
+
+    Args:
+        name: of one, or FILE.py:CLASS.
+
+    Raises:
+        ConfigError: there is no planner of that name, or no such file.
+    """
+    path, colon, qualname = name.rpartition(":")
+    if colon and path.endswith(".py"):
+        file = Path(path)
+        data = _bytes(file, name)
+        return Reference(
+            name=name,
+            module=str(file.resolve()),
+            qualname=qualname,
+            sha256=hashlib.sha256(data).hexdigest(),
+        )
+    place = DEVICE.get(name) or _installed().get(name)
+    if place is None:
+        raise ConfigError(
+            f"unknown planner {shown(name)}; there is {', '.join(names())}, "
+            "or give a class of a file as FILE.py:CLASS"
+        )
+    module, _, qualname = place.partition(":")
+    return Reference(name=name, module=module, qualname=qualname)
+
+
+def settings_of(planner: type) -> type | None:
+    """The dataclass of a planner's settings; None where it has none."""
+    chosen = getattr(planner, "Settings", None)
+    if chosen is None:
+        return None
+    if not (isinstance(chosen, type) and is_dataclass(chosen)):
+        raise ConfigError(f"planner {planner.__name__}: Settings is no dataclass")
+    without = [one.name for one in fields(chosen) if _required(one)]
+    if without:
+        raise ConfigError(
+            f"planner {planner.__name__}: Settings.{without[0]} has no default; give it one"
+        )
+    return chosen
+
+
+def gives_joints(spec: PlannerSpec) -> bool:
+    """Whether a planner's paths are trajectories of joints: ``joints`` of its settings or class."""
+    found = spec.reference.load()
+    chosen = settings_of(found)
+    of_class = getattr(found, "joints", False)
+    if chosen is None:
+        return bool(of_class)
+    return bool(getattr(chosen(**spec.settings), "joints", of_class))
+
+
+def _required(one: "Field[Any]") -> bool:
+    return one.default is MISSING and one.default_factory is MISSING
+
+
+def _bytes(file: Path, name: str) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"planner {shown(name)}: {file} cannot be read ({error.strerror or error})"
+        ) from error
+
+
+def _installed() -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=GROUP)}
+
+
+def _of_module(reference: Reference) -> Any:
+    try:
+        return importlib.import_module(reference.module)
+    except ModuleNotFoundError as error:
+        raise UnsupportedError(
+            f"planner {reference.name}: needs {error.name}, which is not installed; "
+            "the planners that come with this package: pip install 'angler-mjx[plan]'"
+        ) from error
+
+
+def _of_file(reference: Reference) -> Any:
+    """The module of a file, run once in each process; it can import what lies beside it.
+
+    Another text is another module: who edits a file gets the new one by `find`, and a process that
+    starts later does not plan with another than the rest.
+    """
+    path = Path(reference.module)
+    data = _bytes(path, reference.name)
+    if hashlib.sha256(data).hexdigest() != reference.sha256:
+        raise ConfigError(f"planner {reference.name}: {path} was edited since it was chosen")
+    name = f"angler_mjx_planner_{path.stem}_{reference.sha256[:16]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: is no Python file")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # anybody's code may raise anything; the text says what
+        del sys.modules[name]
+        raise ConfigError(f"{path}: cannot be run ({type(error).__name__}: {error})") from error
+    return module
+
+
+def _classes(module: Any) -> Iterator[str]:
+    for name, value in vars(module).items():
+        if inspect.isclass(value) and value.__module__ == module.__name__:
+            yield name

@@ -1,0 +1,106 @@
+"""How many edges of a team the compiled check answers in a second, on one core.
+
+    python -m angler_experiments.edge_rates reef_fleet
+
+Edges of three kinds in the worlds of a scenario: between two random places of the cube, between two
+free states anywhere in it, and from a free state 1 to 3 m on for each robot, as a tree grows. All
+at once, and one after another from Python. Obstacles that move stand where they are at t = 0.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+
+import jax
+import numpy as np
+import tyro
+
+from angler_mjx.planning.asking import ask
+from angler_mjx.planning.host.edges import EdgeChecker
+from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.problem import Problem
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator.simulator import Simulator
+
+REPEATS = 5
+HORIZON_S = 120.0
+
+
+def problems(scenario: str, worlds: int) -> list[Problem]:
+    """The first worlds of a scenario, with the true motion of what moves."""
+    sim = Simulator(load_scenario(scenario, worlds=worlds), tile=worlds)
+    knows = Knows(obstacles="truth")
+    batch = jax.jit(
+        jax.vmap(lambda world, seed: ask(world, seed, sim.spec, knows, HORIZON_S, 5.0))
+    )(sim.worlds(0), np.arange(worlds, dtype=np.uint32))
+    return [jax.tree.map(lambda x, i=i: np.asarray(x)[i], batch) for i in range(worlds)]
+
+
+def kinds(
+    problem: Problem, checker: EdgeChecker, n: int
+) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Names of the kinds, and edges [n, 3 R] of each."""
+    rng = np.random.default_rng(0)
+    low, high = np.asarray(problem.lower_m, float), np.asarray(problem.upper_m, float)
+
+    def anywhere(count: int) -> np.ndarray:
+        return rng.uniform(low, high, (count, checker.robots, 3))
+
+    def free() -> np.ndarray:
+        found: list[np.ndarray] = []
+        while sum(map(len, found)) < n:
+            places = anywhere(4 * n)
+            found.append(places[checker.states(places)])
+        return np.concatenate(found)[:n]
+
+    start = free()
+    way = rng.normal(size=start.shape)
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    near = start + way * rng.uniform(1.0, 3.0, (n, checker.robots, 1))
+    for name, a, b in (
+        ("anywhere", anywhere(n), anywhere(n)),
+        ("free to free", start, free()),
+        ("1 to 3 m", start, near),
+    ):
+        yield name, a.reshape(n, -1), b.reshape(n, -1)
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Median time of a call that has been made before."""
+    call()
+    taken = []
+    for _ in range(REPEATS):
+        begin = time.perf_counter()
+        call()
+        taken.append(time.perf_counter() - begin)
+    return float(np.median(taken))
+
+
+def rates(checker: EdgeChecker, a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
+    """Share of edges that are free, edges/s at once, and edges/s one after another."""
+    rows, ends, check = list(a[: len(a) // 4]), list(b[: len(a) // 4]), checker.edge_flat
+    flat = (a.reshape(len(a), -1, 3), b.reshape(len(b), -1, 3))
+    many = seconds(lambda: checker.edges(*flat))
+    one = seconds(lambda: [check(p, q) for p, q in zip(rows, ends, strict=True)])
+    return float(checker.edges(*flat).mean()), len(a) / many, len(rows) / one
+
+
+def main(
+    scenario: tyro.conf.Positional[str] = "reef_fleet", worlds: int = 4, n: int = 100_000
+) -> None:
+    """Print a row for each world and kind.
+
+    Args:
+        scenario: a shipped name or a file.
+        worlds: how many of its worlds.
+        n: edges of each kind.
+    """
+    print("world | kind | free | edges/s at once | edges/s one by one")
+    for number, problem in enumerate(problems(scenario, worlds)):
+        checker = EdgeChecker(problem, moving="at_start")
+        for name, a, b in kinds(problem, checker, n):
+            free, many, one = rates(checker, a, b)
+            print(f"{number} | {name} | {free:.3f} | {many:.3g} | {one:.3g}", flush=True)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,245 @@
+"""Worker processes outlive what planners do in them."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.planning import register
+from angler_mjx.planning.host.workers import Workers
+from angler_mjx.planning.planner import NoPlan
+from angler_mjx.planning.register import PlannerSpec
+
+from ..problems import problem
+from .strange import WAYS
+
+STRANGE = str(Path(__file__).with_name("strange.py"))
+
+
+def ask(way, **kwargs):
+    kwargs.setdefault("deadline_s", 10.0)
+    return problem(seed=WAYS.index(way), **kwargs)
+
+
+def two(way, **kwargs):
+    return ask(way, starts=[(2, 2, 2), (2, 6, 2)], goals=[(8, 2, 2), (8, 6, 2)], **kwargs)
+
+
+def made(name, **settings):
+    return PlannerSpec(reference=register.find(f"{STRANGE}:{name}"), settings=settings)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("strange")
+
+
+@pytest.fixture(scope="module")
+def spec(folder):
+    return made("Strange", folder=str(folder))
+
+
+@pytest.fixture(scope="module")
+def workers(spec):
+    with Workers(spec, 1) as pool:
+        yield pool
+
+
+def test_what_a_planner_does_is_the_failure_of_its_own_problem(workers, folder):
+    ways = {
+        "straight": two("straight"),
+        "throws": two("throws"),
+        "exits": two("exits"),
+        "holds": two("holds", deadline_s=0.2),
+        "late": two("late", deadline_s=0.2),
+        "segfaults": two("segfaults"),
+        "partial": two("partial"),
+        "straight again": two("straight"),
+    }
+    tickets = {way: workers.submit(asked) for way, asked in ways.items()}
+    got = {way: workers.take(ticket) for way, ticket in reversed(tickets.items())}
+
+    assert {way: answer.status for way, answer in got.items()} == {
+        "straight": "planned",
+        "throws": "error",
+        "exits": "error",
+        "holds": "timeout",
+        "late": "timeout",
+        "segfaults": "died",
+        "partial": "partial",
+        "straight again": "planned",
+    }
+    assert got["throws"].reason == "ValueError: no such reef here"
+    assert got["exits"].reason == "SystemExit: 3"
+    assert "SIGSEGV" in got["segfaults"].reason
+    assert got["partial"].reason == "robot 1: too far"
+    assert got["late"].reason.startswith("took 0.24")
+    assert 0.22 < got["holds"].planning_s < 5.0
+    for way in ("throws", "holds", "segfaults"):
+        assert got[way].paths == [NoPlan(got[way].reason)] * 2
+    path = got["straight again"].paths[1]
+    np.testing.assert_array_equal(path.position_m, np.float32([[2, 6, 2], [8, 6, 2]]))
+    assert got["straight"].extras == {"seed": WAYS.index("straight")}
+
+
+def test_a_worker_that_somebody_kills_loses_only_its_run(workers, folder):
+    (folder / "slow").unlink(missing_ok=True)
+    ticket, after = workers.submit(ask("slow")), workers.submit(ask("straight"))
+    wait_for((folder / "slow").exists)
+    before = workers.pids()
+    os.kill(before[0], signal.SIGKILL)
+    assert workers.take(ticket).status == "planned"
+    assert workers.take(after).status == "planned"
+    assert workers.pids() != before
+
+
+def test_answers_come_in_the_order_of_the_problems(workers):
+    drawn = []
+
+    def problems():
+        for i in range(6):
+            drawn.append(i)
+            yield ask("straight", starts=[(2, 2, 1 + i)])
+
+    answers = workers.imap(problems(), ahead=2)
+    first = next(answers)
+    assert drawn == [0, 1]
+    heights = [a.paths[0].position_m[0, 2] for a in (first, *answers)]
+    assert heights == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_ticket_is_taken_once(workers):
+    ticket = workers.submit(ask("straight"))
+    workers.take(ticket)
+    with pytest.raises(RunError, match="taken before"):
+        workers.take(ticket)
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        (made("Unmade"), "RuntimeError: no licence"),
+        pytest.param(
+            made("Nowhere"),
+            "Nowhere",
+            marks=pytest.mark.nightly(by="the one beside it"),
+        ),
+    ],
+)
+def test_a_planner_that_cannot_be_made_is_said_so(spec, says):
+    with Workers(spec, 1) as pool:
+        ticket = pool.submit(ask("straight"))
+        with pytest.raises(RunError, match=says):
+            pool.take(ticket)
+        later = pool.submit(ask("straight"))
+        with pytest.raises(RunError, match=says):
+            pool.take(later)
+
+
+def test_there_is_at_least_one_worker(spec):
+    with pytest.raises(ConfigError, match="at least 1"):
+        Workers(spec, 0)
+
+
+def test_a_closed_pool_tells_who_waits(spec):
+    pool = Workers(spec, 1)
+    ticket = pool.submit(ask("hangs", deadline_s=60.0))
+    pool.close()
+    with pytest.raises(RunError, match="closed"):
+        pool.take(ticket)
+    with pytest.raises(RunError, match="closed"):
+        pool.submit(ask("straight"))
+
+
+HELD = """
+import ctypes, os, sys
+from angler_mjx.planning.host.processes.ending import end_with
+end_with(int(sys.argv[1]))
+print("held", flush=True)
+ctypes.PyDLL(None).sleep(600)
+"""
+
+
+def test_a_process_ends_with_a_pipe_though_it_holds_the_interpreter():
+    watch, alive = os.pipe()
+    with subprocess.Popen(
+        [sys.executable, "-c", HELD, str(watch)],
+        stdout=subprocess.PIPE,
+        env=environment(),
+        pass_fds=[watch],
+        start_new_session=True,
+    ) as held:
+        os.close(watch)
+        assert held.stdout.readline() == b"held\n"
+        assert held.poll() is None
+        os.close(alive)
+        assert held.wait(timeout=60) == -signal.SIGIO
+
+
+PARENT = """
+import pickle, sys
+from angler_mjx.planning.host.workers import Workers
+spec, problem = pickle.loads(sys.stdin.buffer.read())
+with Workers(spec, 1) as pool:
+    ticket = pool.submit(problem)
+    while not pool.pids(): pass
+    print(*pool.pids(), flush=True)
+    pool.take(ticket)
+"""
+
+
+@pytest.mark.nightly(by="test_a_process_ends_with_a_pipe, test_a_closed_pool_tells_who_waits")
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_their_parent_though_they_hold_the_interpreter(spec, folder, by):
+    (folder / "holds").unlink(missing_ok=True)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment(),
+    )
+    with parent.stdin as said:
+        said.write(pickle.dumps((spec, ask("holds", deadline_s=600.0))))
+    (pid,) = [int(pid) for pid in parent.stdout.readline().split()]
+    wait_for((folder / "holds").exists)
+    parent.send_signal(by)
+    parent.wait(timeout=30)
+    parent.stdout.close()
+    wait_for(lambda: not psutil.pid_exists(pid))
+
+
+@pytest.mark.nightly(by="test_ompl.py")
+def test_ompl_plans_the_same_in_any_worker():
+    pytest.importorskip("ompl", reason="needs the extra plan: OMPL")
+    spec = PlannerSpec(reference=register.find("RRTConnect"), settings={"range_m": 2.0})
+    wall = (5, slice(0, 7), slice(None))
+    asked = [problem(rock=[wall], seed=seed, deadline_s=5.0) for seed in range(6)]
+    answers = []
+    for count in (1, 2):
+        with Workers(spec, count) as pool:
+            answers.append(list(pool.imap(asked)))
+    for one, other in zip(*answers, strict=True):
+        assert one.status == "planned"
+        np.testing.assert_array_equal(one.paths[0].position_m, other.paths[0].position_m)
+    assert answers[0][0].extras["warm_up_s"] > 0
+    assert "warm_up_s" not in answers[0][1].extras
+
+
+def environment():
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def wait_for(holds, within_s=60.0):
+    end = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)

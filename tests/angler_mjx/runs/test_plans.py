@@ -1,0 +1,286 @@
+"""Plans from the host and from files, flown: by worker processes, by a script, damaged, others'."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zarr
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.rollout import resume, rollout
+from angler_mjx.simulator.hosted import status_of
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage.plans import problems
+from angler_mjx.storage.plans import write as plan_writer
+from angler_mjx.storage.plans.read import open_plans
+
+DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
+TEN_LINES, _, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
+LAME = '''
+
+class Lame(Straight):
+    """8 m of the way, that is, within the horizon; and two worlds end otherwise."""
+
+    def plan(self, problem):
+        paths = [
+            way_points([0, 16], [a, a + (b - a) * 16 / path.time_s[1]])
+            for path in super().plan(problem)
+            for a, b in [path.position_m]
+        ]
+        if problem.name.world == 0:
+            raise ValueError("no idea")
+        if problem.name.world == 1:
+            paths[0].position_m[1] = float("nan")
+        return paths
+'''
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    file = tmp_path_factory.mktemp("planners") / "straight.py"
+    file.write_text(TEN_LINES + LAME)
+    return file
+
+
+@pytest.fixture(scope="module")
+def asked(scenario, file):
+    """The small scenario, still, planned by the file's class."""
+    planner = scenario.planner.model_copy(update={"name": f"{file}:Lame", "points": 32})
+    return scenario.model_copy(update={"planner": planner})
+
+
+@pytest.fixture(scope="module")
+def simulator(asked):
+    simulator = Simulator(asked, workers=1)
+    yield simulator
+    simulator.close()
+
+
+@pytest.fixture(scope="module")
+def flown(asked, simulator, tmp_path_factory):
+    return rollout(asked, out=tmp_path_factory.mktemp("runs") / "hosted", simulator=simulator)
+
+
+@pytest.fixture(scope="module")
+def planned(asked, simulator, tmp_path_factory):
+    path = tmp_path_factory.mktemp("plans") / "plans.zarr"
+    plan_writer.make(path, asked, simulator)
+    return path
+
+
+@pytest.fixture(scope="module")
+def given(asked):
+    """A simulator that is given its paths."""
+    return Simulator(asked, paths=PathShape(points=32))
+
+
+def without_time(run):
+    return run.episodes.drop(["planning_s"])
+
+
+def test_rows_say_how_each_robot_was_planned(flown, asked):
+    rows = flown.episodes.to_pylist()
+    by_world = {}
+    for row in rows:
+        by_world.setdefault(row["world"], []).append(row)
+    assert all(row["plan_status"] == "error" for row in by_world[0])
+    assert all(row["plan_reason"] == "ValueError: no idea" for row in by_world[0])
+    assert by_world[1][0]["plan_reason"] == "has NaN or infinite points at point 1"
+    assert not by_world[1][0]["planned"]
+    assert by_world[1][1]["planned"]
+    assert by_world[1][0]["plan_status"] == "partial"
+    for row in by_world[2]:
+        assert (row["plan_status"], row["plan_reason"]) == ("planned", None)
+        assert row["planning_s"] >= 0.0
+        straight = row["plan_length_m"]
+        assert row["plan_end_s"] == pytest.approx(straight / 0.5, rel=1e-4)
+        assert row["late_s"] is None
+    inputs = json.loads((flown.path / "inputs" / "inputs.json").read_text())
+    assert "planner" in {one["role"] for one in inputs["files"]}
+
+
+def test_what_is_known_of_moving_obstacles(asked, flown):
+    """Truth is where they went in the flight; less is known of the rest."""
+    went = flown.trajectories["obstacle_p_m"][:]  # [world, sample, obstacle, xyz], at 2 Hz
+    seen = {
+        level: Simulator(with_knowledge(asked, level), paths=PathShape(points=2)).problems(0, 2)
+        for level in ("nothing", "observed", "truth")
+    }
+    for world in range(2):
+        nothing, observed, truth = (seen[level][world].obstacles for level in seen)
+        assert truth.time_s[1] == pytest.approx(0.5)
+        at = range(went.shape[1])
+        where = np.moveaxis(truth.p_m, 0, 1)[at]  # [time, obstacle, xyz]
+        # The same motion by another program: float32 over 20 s.
+        np.testing.assert_allclose(where, went[world], atol=2e-4)
+        assert truth.exists.all()
+        assert observed.exists.all()
+        assert not nothing.exists[nothing.moves].any()
+        for told in (nothing.velocity_mps, nothing.p_m, nothing.size_m, nothing.radius_m):
+            assert not told[nothing.moves].any()
+        np.testing.assert_array_equal(observed.time_s, [0.0])
+        np.testing.assert_allclose(observed.p_m[:, 0], went[world, 0], atol=1e-6)
+        speed = (truth.p_m[:, 1] - truth.p_m[:, 0]) / 0.5
+        np.testing.assert_allclose(observed.velocity_mps, speed, atol=0.05)
+
+
+def test_only_worlds_of_the_run_are_planned(simulator):
+    drawn = simulator.begin([4], kept=[1])
+    assert list(drawn.tickets) == [0]
+    worlds, notes = simulator.finish(drawn)
+    assert list(np.asarray(worlds.planned).any(axis=1)) == [True, False]
+    assert list(notes.status) == ["planned", "none"]
+
+
+def test_a_world_of_which_some_are_planned_is_partial():
+    found = np.array([[True, True], [True, False], [False, False], [False, False]])
+    counted = ["planned", "partial", "none", "none"]
+    assert list(status_of(found)) == counted
+    assert list(status_of(found, np.array(["planned", "planned", "", "timeout"], object))) == [
+        *counted[:3],
+        "timeout",
+    ]
+
+
+def with_knowledge(scenario, level):
+    knows = scenario.planner.knows.model_copy(update={"obstacles": level})
+    return scenario.model_copy(
+        update={"planner": scenario.planner.model_copy(update={"knows": knows})}
+    )
+
+
+def test_a_file_of_plans_flies_as_the_planner_did(asked, flown, planned, given, tmp_path):
+    run = rollout(asked, out=tmp_path / "filed", simulator=given, plans=planned)
+    assert without_time(run).equals(without_time(flown))
+
+
+def test_planning_goes_on_where_it_was_interrupted(asked, simulator, planned, tmp_path):
+    whole = open_plans(planned, asked)
+    path = tmp_path / "plans.zarr"
+
+    def stop(done, planned):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan_writer.make(path, asked, simulator, advance=stop)
+    with pytest.raises(ConfigError, match="an unfinished file of plans lies in"):
+        plan_writer.make(path, asked, simulator)
+    begun = []
+    plan_writer.make(
+        path, asked, simulator, resume=True, advance=lambda done, planned: begun.append(done)
+    )
+    assert begun[0] > 0
+    again = open_plans(path, asked)
+    for name in ("points", "time_s", "position_m", "reason", "status"):
+        np.testing.assert_array_equal(again.group[name][:], whole.group[name][:])
+
+
+def test_a_script_that_does_not_know_this_package(asked, given, tmp_path):
+    problems.make(tmp_path / "problems.zarr", given)
+    script = tmp_path / "script.py"
+    script.write_text("import sys\nsys.modules['angler_mjx'] = None\n" + SCRIPT)
+    bare = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    subprocess.run([sys.executable, script], check=True, cwd=tmp_path, env=bare)
+    plans = open_plans(tmp_path / "plans.zarr", asked)
+    worlds = given.worlds(0)
+    start, goal = np.asarray(worlds.environment.start_m), np.asarray(worlds.environment.goal_m)
+    np.testing.assert_array_equal(plans.group["position_m"][:2, :, 0], start)
+    np.testing.assert_array_equal(plans.group["position_m"][:2, :, 1], goal)
+    path, notes = plans.of([0], worlds, given)
+    far = np.linalg.norm(goal - start, axis=-1) > 0.5 * asked.time.horizon_s
+    np.testing.assert_array_equal(path.found, ~far)
+    assert set(notes.reason[far]) == {"ends after the horizon"}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda group: group.attrs.update(seed=99), "plans for seed 99"),
+        (lambda group: group.attrs.update(digest="0" * 64), "plans for other problems"),
+        (lambda group: group.attrs.update(schema_version=7), "holds no plans of schema version 1"),
+        (lambda group: group.create_array("points", data=np.zeros((9, 1), "i4"), overwrite=True),
+         "do not fit each other"),
+        (lambda group: group.__delitem__("position_m"), "must be an array of 4 dimensions"),
+    ],
+)  # fmt: skip
+def test_plans_of_something_else_are_refused(asked, planned, tmp_path, spoil, said):
+    path = tmp_path / "plans.zarr"
+    shutil.copytree(planned, path)
+    spoil(zarr.open_group(path, mode="r+"))
+    with pytest.raises(ConfigError, match=said):
+        open_plans(path, asked)
+
+
+FAULTS = {
+    "has too few or too many points": lambda g: g["points"].__setitem__((2, 0), 99),
+    "has NaN or infinite numbers": lambda g: g["position_m"].__setitem__((2, 0, 1), np.nan),
+    "does not begin at 0 s": lambda g: g["time_s"].__setitem__((2, 0, 0), 1.0),
+    "begins elsewhere": lambda g: g["position_m"].__setitem__((2, 0, 0), 0.0),
+    "goes back in time": lambda g: g["time_s"].__setitem__((2, 0, 1), -1.0),
+    "is faster than its cruise speed, or jumps": lambda g: g["time_s"].__setitem__((2, 0, 1), 0.1),
+    "ends after the horizon": lambda g: g["time_s"].__setitem__((2, 0, 1), 1e4),
+    "no path": lambda g: g["points"].__setitem__((2, 0), 0),
+}
+
+
+def test_a_path_that_cannot_be_flown_is_none_with_its_reason(asked, given, planned, tmp_path):
+    worlds = given.worlds(2)
+    for i, (reason, spoil) in enumerate(FAULTS.items()):
+        path = shutil.copytree(planned, tmp_path / f"{i}.zarr")
+        spoil(zarr.open_group(path, mode="r+"))
+        found, notes = open_plans(path, asked).of([2], worlds, given)
+        assert notes.reason[0, 0] == reason
+        assert not found.found[0, 0]
+        assert found.found[0, 1:].all()
+        np.testing.assert_array_equal(
+            found.position_m[0, 0], found.position_m[0, 0, :1].repeat(32, 0)
+        )
+
+
+def test_a_world_that_is_not_planned_yet_is_named(asked, given, planned, tmp_path):
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+    zarr.open_group(path, mode="r+")["points"][2] = -1
+    with pytest.raises(ConfigError, match="world 2 is not planned"):
+        open_plans(path, asked).of([2], given.worlds(2), given)
+
+
+def test_a_run_goes_on_with_its_own_plans(asked, given, planned, flown, tmp_path):
+    path = shutil.copytree(planned, tmp_path / "plans.zarr")
+
+    class Stopping(Silent):
+        def advance(self, worlds, steps):
+            raise KeyboardInterrupt
+
+    out = tmp_path / "run"
+    with pytest.raises(RunError, match="interrupted before the first tile"):
+        rollout(asked, out=out, simulator=given, plans=path, progress=Stopping())
+    once = Once()
+    rollout(asked, out=out, simulator=given, plans=path, progress=once)
+    group = zarr.open_group(path, mode="r+")
+    before = group["time_s"][3, 0, 1]
+    group["time_s"][3, 0, 1] = before + 1.0
+    with pytest.raises(ConfigError, match="is not the file of plans with which the run began"):
+        resume(out, simulator=given)
+    group["time_s"][3, 0, 1] = before
+    assert without_time(resume(out, simulator=given)).equals(without_time(flown))
+
+
+class Once(Silent):
+    """Interrupts in the second tile."""
+
+    def __init__(self):
+        self.done = 0.0
+
+    def advance(self, worlds, steps):
+        self.done += worlds
+        if self.done > 2.0:
+            raise KeyboardInterrupt
