@@ -1,14 +1,17 @@
-"""The inside of a worker process: makes a planner, and has it plan what comes down the pipe.
+"""The inside of a worker process: makes planners, and has them plan what comes down the pipe.
 
-The planner is anybody's code. Whatever it raises is its failure on that problem, and no more.
-Only `angler_mjx.planning.host.workers` starts it. A message is a pickled tuple that begins with a
-word: up goes ``ready`` (or ``cannot`` and why not), then for each problem ``began``, when the
+A planner is anybody's code. Whatever it raises is its failure on that problem, and no more.
+Only `angler_mjx.planning.host.processes` starts it. Down come the pool's own planner (or None),
+then for each problem its planner and the problem, pickled. A message up is a pickled tuple that
+begins with a word: ``ready`` (or ``cannot`` and why not), then for each problem ``began``, when the
 planner is asked, and ``done`` with the answer.
 """
 
 import pickle
 import signal
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from angler_mjx.planning.answers import Answer, answer, failed
@@ -21,6 +24,20 @@ CHARACTERS = 300
 """Of an exception's text that are told."""
 
 
+@dataclass
+class _Kept:
+    """A planner that was made here."""
+
+    planner: Planner
+    most_points: int
+    warm: Callable[[Problem], object] | None
+    """Until it was called."""
+
+
+class _Refused(str):
+    """Why a planner cannot be made."""
+
+
 def main(pipe: int, watch: int) -> None:
     """Works until there is nobody left to work for.
 
@@ -30,16 +47,18 @@ def main(pipe: int, watch: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(watch)
+    kept: dict[bytes, _Kept | _Refused] = {}
     with Connection(pipe) as wire:
         try:
-            spec: PlannerSpec = wire.recv()
-            try:
-                planner = spec.make()
-            except BaseException as error:
-                wire.send(("cannot", told(error)))
-                return
+            own = wire.recv_bytes()
+            if own != pickle.dumps(None):
+                kept[own] = made = _made(own)
+                if isinstance(made, _Refused):
+                    wire.send(("cannot", str(made)))
+                    return
             wire.send(("ready",))
-            _serve(wire, planner, spec.most_points)
+            while True:
+                _serve(wire, kept)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             return
 
@@ -51,25 +70,42 @@ def told(error: BaseException) -> str:
     return f"{name}: {text[:CHARACTERS]}" if text else name
 
 
-def _serve(wire: Connection, planner: Planner, most_points: int) -> None:
-    warm = getattr(planner, "warm_up", None)
-    while True:
-        problem: Problem = pickle.loads(wire.recv_bytes())
-        warm_up_s = 0.0
-        if warm is not None:
-            begin = time.perf_counter()
-            try:
-                warm(problem)
-            except BaseException as error:
-                wire.send(("began",))
-                wire.send(("done", failed(problem.robots, "error", told(error), 0.0)))
-                continue
-            warm, warm_up_s = None, time.perf_counter() - begin
+def _serve(wire: Connection, kept: dict[bytes, _Kept | _Refused]) -> None:
+    """Answers one problem."""
+    made_of = wire.recv_bytes()
+    problem: Problem = pickle.loads(wire.recv_bytes())
+    if made_of not in kept:
+        kept[made_of] = _made(made_of)
+    made = kept[made_of]
+    if isinstance(made, _Refused):
+        why = f"the planner cannot be made: {made}"
         wire.send(("began",))
-        given = _planned(planner, problem, most_points)
-        if warm_up_s:
-            given.extras["warm_up_s"] = warm_up_s
-        wire.send(("done", given))
+        wire.send(("done", failed(problem.robots, "error", why, 0.0)))
+        return
+    warm_up_s = 0.0
+    if made.warm is not None:
+        begin = time.perf_counter()
+        try:
+            made.warm(problem)
+        except BaseException as error:
+            wire.send(("began",))
+            wire.send(("done", failed(problem.robots, "error", told(error), 0.0)))
+            return
+        made.warm, warm_up_s = None, time.perf_counter() - begin
+    wire.send(("began",))
+    given = _planned(made.planner, problem, made.most_points)
+    if warm_up_s:
+        given.extras["warm_up_s"] = warm_up_s
+    wire.send(("done", given))
+
+
+def _made(made_of: bytes) -> _Kept | _Refused:
+    try:
+        spec: PlannerSpec = pickle.loads(made_of)
+        planner = spec.make()
+        return _Kept(planner, spec.most_points, getattr(planner, "warm_up", None))
+    except BaseException as error:
+        return _Refused(told(error))
 
 
 def _planned(planner: Planner, problem: Problem, most_points: int) -> Answer:

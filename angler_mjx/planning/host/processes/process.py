@@ -54,10 +54,10 @@ class WorkerProcess:
         self.pid = self._popen.pid
 
     def start(self, made_of: bytes) -> None:
-        """Has it make its planner; waits for it.
+        """Has it make its pool's own planner; waits for it.
 
         Args:
-            made_of: a pickled `PlannerSpec`.
+            made_of: a pickled `PlannerSpec`, or None for no planner.
 
         Raises:
             RunError: the planner cannot be made.

@@ -78,6 +78,21 @@ class Strange:
         return self.straight(problem)
 
 
+class Counts:
+    """How often this one was warmed up and asked."""
+
+    def __init__(self):
+        self.extras = {"warmed": 0, "asked": 0}
+
+    def warm_up(self, problem):
+        self.extras["warmed"] += 1
+        time.sleep(0.01)
+
+    def plan(self, problem):
+        self.extras["asked"] += 1
+        return [NoPlan("counted")] * problem.robots
+
+
 class Unmade:
     def __init__(self):
         raise RuntimeError("no licence")

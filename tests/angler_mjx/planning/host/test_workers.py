@@ -123,6 +123,60 @@ def test_a_ticket_is_taken_once(workers):
         workers.take(ticket)
 
 
+def test_a_process_keeps_each_planner_that_it_met(workers):
+    counts = made("Counts")
+    asked = [counts, None, counts, made("Strange", slow_s=2.0), counts]
+    tickets = [workers.submit(ask("straight"), planner) for planner in asked]
+    got = [workers.take(ticket) for ticket in tickets]
+    assert [answer.status for answer in got] == ["none", "planned", "none", "planned", "none"]
+    first, second, third = (got[i].extras for i in (0, 2, 4))
+    assert first.pop("warm_up_s") >= 0.01
+    assert (first, second, third) == tuple({"warmed": 1, "asked": n} for n in (1, 2, 3))
+
+
+def test_a_given_planner_that_cannot_be_made_is_an_answer_and_the_pool_goes_on(workers):
+    before = workers.pids()
+    planners = [made("Unmade"), made("Nowhere"), made("Strange", speed=1), None, made("Unmade")]
+    tickets = [workers.submit(two("straight"), planner) for planner in planners]
+    got = [workers.take(ticket) for ticket in tickets]
+    assert [answer.status for answer in got] == ["error", "error", "error", "planned", "error"]
+    assert got[0].reason == "the planner cannot be made: RuntimeError: no licence" == got[4].reason
+    assert "holds no 'Nowhere'" in got[1].reason
+    assert "speed" in got[2].reason
+    assert got[0].paths == [NoPlan(got[0].reason)] * 2
+    assert workers.pids() == before
+
+
+def test_answers_come_as_they_are_done(workers):
+    slow, *rest = [workers.submit(ask(way)) for way in ("slow", "straight", "throws")]
+    got = list(workers.completed([*rest[::-1], slow]))
+    assert [ticket for ticket, _ in got] == [slow, *rest]
+    assert [answer.status for _, answer in got] == ["planned", "planned", "error"]
+    with pytest.raises(RunError, match="taken before"):
+        workers.take(slow)
+
+
+def test_problems_are_handed_in_as_answers_are_taken(workers):
+    drawn = []
+
+    def tickets():
+        for i in range(5):
+            drawn.append(i)
+            yield workers.submit(ask("straight"))
+
+    got = workers.completed(tickets(), ahead=2)
+    next(got)
+    assert drawn == [0, 1, 2]
+    assert len(list(got)) == 4
+
+
+def test_a_pool_without_a_planner_plans_with_those_that_it_is_given():
+    with Workers(None, 1) as pool:
+        with pytest.raises(ConfigError, match="no planner"):
+            pool.submit(ask("straight"))
+        assert pool.take(pool.submit(ask("straight"), made("Strange"))).status == "planned"
+
+
 @pytest.mark.parametrize(
     ("spec", "says"),
     [

@@ -1,0 +1,108 @@
+"""A thread that has problems planned by a process of this machine."""
+
+import pickle
+import threading
+import time
+
+from angler_mjx.errors import RunError
+from angler_mjx.planning.answers import Answer, failed
+from angler_mjx.planning.host.processes.process import START_S, DiedError, WorkerProcess
+from angler_mjx.planning.host.queued import CLOSED, Job, QueuedPool, Runner
+
+LATE = 1.1
+"""Of its deadline a planner may take; then it is ended."""
+
+GRACE_S = 0.5
+"""For the answer's way through the pipe, and the checks, on top of it."""
+
+TRIES = 2
+"""Processes that a problem may cost: one may have been killed by somebody else."""
+
+
+class ProcessRunner(Runner):
+    """One worker process after another, and what it plans."""
+
+    def __init__(self, pool: QueuedPool) -> None:
+        """No process is started yet."""
+        super().__init__(pool)
+        self._made_of = pickle.dumps(pool.own)
+        self._guard = threading.Lock()
+        self._process: WorkerProcess | None = None
+
+    def pid(self) -> int | None:
+        """Of the process that lives now."""
+        process = self._process
+        return None if process is None else process.pid
+
+    def ready(self) -> None:
+        """Starts a process, and waits for it."""
+        self._ready()
+
+    def kill(self) -> None:
+        """Ends the process."""
+        with self._guard:
+            if self._process is not None:
+                self._process.kill()
+
+    def end(self) -> None:
+        """Ends the process, and waits for its end."""
+        with self._guard:
+            if self._process is not None:
+                self._process.end()
+            self._process = None
+
+    def answer(self, job: Job) -> Answer:
+        """By the process, or by another where it dies."""
+        limit_s = LATE * job.deadline_s
+        planner = pickle.dumps(job.planner)
+        for _ in range(TRIES):
+            process = self._ready()
+            begin = time.perf_counter()
+            try:
+                process.send(planner)
+                process.send(job.sent)
+                process.receive("began", START_S)
+                begin = time.perf_counter()
+                given = process.receive("done", limit_s + GRACE_S)
+            except TimeoutError:
+                taken = time.perf_counter() - begin
+                self.end()
+                return failed(job.robots, "timeout", f"had to be ended after {taken:.3g} s", taken)
+            except DiedError as died:
+                taken, how = time.perf_counter() - begin, str(died)
+                self.end()
+                if self.pool.closing:
+                    raise RunError(CLOSED) from died
+                continue
+            answer: Answer = given[0]
+            if answer.planning_s > limit_s:
+                late = f"took {answer.planning_s:.3g} s; it had {job.deadline_s:g} s"
+                return failed(job.robots, "timeout", late, answer.planning_s)
+            return answer
+        return failed(job.robots, "died", f"its process died, {TRIES} times: {how}", taken)
+
+    def _ready(self) -> WorkerProcess:
+        """A process that waits for a problem; a new one where there is none."""
+        how = ""
+        if self._process is not None:
+            return self._process
+        for _ in range(TRIES):
+            with self._guard:
+                if self.pool.closing:
+                    raise RunError(CLOSED)
+                try:
+                    self._process = WorkerProcess()
+                except OSError as error:
+                    raise RunError(f"no planning worker could be started: {error}") from error
+            try:
+                self._process.start(self._made_of)
+                return self._process
+            except (DiedError, TimeoutError) as error:
+                how = str(error)
+                self.end()
+            except RunError:
+                self.end()
+                raise
+        own = self.pool.own
+        plans = "" if own is None else f" that plans with {own.reference.name}"
+        raise RunError(f"no worker{plans} could be started: {how}")
