@@ -15,6 +15,7 @@ import tyro
 from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
+    benchmark,
     control,
     env,
     export,
@@ -86,6 +87,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "sitl": _sitl,
     "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle,
+    "benchmark": benchmark.benchmark,
     "bench": bench.bench,
     "control": control.control,
     "tune": tune.tune,

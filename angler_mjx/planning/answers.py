@@ -58,6 +58,8 @@ class Answer:
     """Wall time inside ``plan``; until it was ended where it was."""
     extras: dict[str, float] = field(default_factory=dict)
     """What else the planner tells of this problem, by name."""
+    progress: tuple[tuple[float, float], ...] = ()
+    """Times and costs of what a planner that goes on improving found, in their order."""
 
 
 def answer(

@@ -9,10 +9,12 @@ tile is cut where that tile ended, whatever ran beside it.
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import jax
 import numpy as np
 
+from angler_mjx.control.plans import Plan
 from angler_mjx.runs.progress import Progress
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World
@@ -21,10 +23,25 @@ from angler_mjx.simulator.hosted import Drawn, PlanNotes
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import harvest
 from angler_mjx.storage.harvest import End, FinishedTile, Last
-from angler_mjx.storage.plans.read import Plans
 
 AHEAD = 2
 """Segments that the device has been given and the host has not taken."""
+
+
+class Given(Protocol):
+    """Plans that were made before."""
+
+    def of(
+        self, firsts: list[int], worlds: World, simulator: Simulator
+    ) -> tuple[Plan, PlanNotes | None]:
+        """Paths of the next wave, [devices * tile, robot] leading, and how they were planned.
+
+        Args:
+            firsts: first world of each device's tile.
+            worlds: of them, drawn.
+            simulator: whose worlds they are.
+        """
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +64,9 @@ def simulate(
     *,
     recorded: bool,
     progress: Progress,
-    plans: Plans | None = None,
+    plans: Given | None = None,
+    seed: int | None = None,
+    strict: bool = True,
 ) -> Iterator[list[FinishedTile]]:
     """Run tiles, a wave at a time.
 
@@ -57,6 +76,8 @@ def simulate(
         recorded: whether samples are kept.
         progress: what to tell.
         plans: made before; instead of the scenario's planner.
+        seed: of the worlds; the scenario's if left out.
+        strict: refuse worlds that cannot hold the fleet.
 
     Yields:
         The finished tiles of each wave.
@@ -68,7 +89,7 @@ def simulate(
     drawn: deque[Drawn] = deque()
 
     def draw(number: int) -> None:
-        drawn.extend(_draw(simulator, firsts) for firsts in waves[number : number + 1])
+        drawn.extend(_draw(simulator, firsts, seed) for firsts in waves[number : number + 1])
 
     try:
         draw(0)
@@ -77,7 +98,7 @@ def simulate(
             if plans is not None:
                 path, notes = plans.of(firsts, worlds, simulator)
                 worlds = simulator.with_paths(worlds, path)
-            flight = _Flight(simulator, firsts, recorded, progress, notes)
+            flight = _Flight(simulator, firsts, recorded, progress, notes, strict)
             if simulator.hosted:  # so that the host plans while the device flies
                 draw(i + 1)
             flight.fly(worlds)
@@ -89,11 +110,11 @@ def simulate(
         raise
 
 
-def _draw(simulator: Simulator, firsts: list[int]) -> Drawn:
+def _draw(simulator: Simulator, firsts: list[int], seed: int | None) -> Drawn:
     """Begin with a wave; devices without a tile repeat the last one, which is dropped."""
     idle, total = simulator.devices - len(firsts), simulator.scenario.worlds
     kept = [min(simulator.tile, total - first) for first in firsts]
-    return simulator.begin([*firsts, *firsts[-1:] * idle], kept=[*kept, *[0] * idle])
+    return simulator.begin([*firsts, *firsts[-1:] * idle], seed=seed, kept=[*kept, *[0] * idle])
 
 
 class _Flight:
@@ -106,8 +127,10 @@ class _Flight:
         recorded: bool,
         progress: Progress,
         notes: PlanNotes | None,
+        strict: bool,
     ) -> None:
         self._sim = simulator
+        self._strict = strict
         self._notes = notes
         self._firsts = firsts
         self._recorded = recorded
@@ -133,7 +156,7 @@ class _Flight:
                     running=devices.shards(running, count),
                 )
             )
-            if number == 0:
+            if number == 0 and self._strict:
                 for at, first, kept in zip(self._constants, self._firsts, self._kept, strict=True):
                     harvest.require_valid(at, first, kept)
             if len(self._in_flight) == AHEAD:

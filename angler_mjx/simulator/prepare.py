@@ -18,6 +18,7 @@ from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
+from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -94,21 +95,55 @@ def preparer(
 
     if spec is None or built_in is not None:
         return drawn
-    planner = spec.make()
+    planner, knows = spec.make(), scenario.planner.knows.knows()
 
     def planned(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
         worlds = drawn(kinds, seed, first)
-        problems = ask_all(scenario, worlds, seed, first)
+        problems = ask_all(scenario, knows, worlds, seed, first)
         return with_paths(worlds, planner.plan_batch(problems), spec.reference.name, shape)
 
     return planned
 
 
-def ask_all(scenario: Scenario, worlds: World, seed: jax.Array, first: jax.Array) -> Problem:
+def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Problem], Path]:
+    """The function by which a planner of the device plans worlds that are drawn; to be traced.
+
+    Args:
+        scenario: with its margin, points and horizon.
+        spec: the planner.
+    """
+    if not spec.reference.on_device:
+        planner = spec.make()
+
+        def batch(worlds: World, problems: Problem) -> Path:
+            path: Path = planner.plan_batch(problems)
+            return path
+
+        return batch
+    config = _grid(scenario, spec)
+
+    def built_in(worlds: World, problems: Problem) -> Path:
+        plan = partial(grid_planner.plan, config=config)
+        control = worlds.control
+        return jax.vmap(plan)(
+            worlds.environment, control.vehicle.radius_m, control.cruise_speed_mps
+        )
+
+    return built_in
+
+
+def ask_all(
+    scenario: Scenario,
+    knows: Knows,
+    worlds: World,
+    seed: jax.Array,
+    first: jax.Array,
+) -> Problem:
     """The problems of a tile of worlds, [world] leading; to be traced.
 
     Args:
         scenario: whose worlds.
+        knows: what may be known of them.
         worlds: drawn.
         seed: [] of the run.
         first: [1] index of the first world.
@@ -116,17 +151,10 @@ def ask_all(scenario: Scenario, worlds: World, seed: jax.Array, first: jax.Array
     count = worlds.variant.shape[0]
     index = first[0] + jnp.arange(count, dtype=jnp.uint32)
     seeds = jax.vmap(lambda i: _planner_seed(seed, i))(index)
-    about = scenario.planner
+    horizon_s, deadline_s = scenario.time.horizon_s, scenario.planner.deadline_s
 
     def one(world: World, number: jax.Array) -> Problem:
-        return ask(
-            world,
-            number,
-            scenario.sim_spec(),
-            about.knows.knows(),
-            scenario.time.horizon_s,
-            about.deadline_s,
-        )
+        return ask(world, number, scenario.sim_spec(), knows, horizon_s, deadline_s)
 
     return jax.vmap(one)(worlds, seeds)
 

@@ -21,6 +21,7 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Name, Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -158,9 +159,7 @@ class Simulator:
         self._prepare: Callable[..., World] = self._spread(
             self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
         )
-        self._ask: Callable[..., Problem] = self._spread(
-            partial(ask_all, scenario), EACH, SAME, EACH
-        )
+        self._asking: dict[Knows, Callable[..., Problem]] = {}
         self._reset: Callable[..., WorldState] = self._spread(
             partial(self._engine.reset, self.spec), SAME, EACH, *driver
         )
@@ -315,7 +314,7 @@ class Simulator:
         if self._planners is None:
             return Drawn(worlds=worlds)
         names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
-        asked = hosted.one_by_one(self._ask(worlds, *numbers), names)
+        asked = hosted.one_by_one(self._ask(self._knows)(worlds, *numbers), names)
         kept = [self.tile] * len(firsts) if kept is None else kept
         wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
         return Drawn(worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted}))
@@ -335,28 +334,79 @@ class Simulator:
         path, notes = hosted.gather(self._planners.finish(drawn.tickets), held)
         return self.with_paths(drawn.worlds, path), notes
 
-    def problems(self, first: int = 0, count: int = 1, *, seed: int | None = None) -> list[Problem]:
-        """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
+    def asked(
+        self, first: int = 0, *, seed: int | None = None, knows: Knows | None = None
+    ) -> tuple[World, Problem]:
+        """A wave of worlds that nobody has planned, and what a planner is asked in them.
 
         Args:
-            first: global index of the first world.
-            count: how many, at most a tile.
+            first: global index of the first world; each device has the same tile.
             seed: instead of the scenario's.
+            knows: what may be known; instead of what the scenario says.
+
+        Returns:
+            Worlds, and problems with [devices * tile] leading.
 
         Raises:
             ConfigError: as `worlds`.
         """
-        if not 0 < count <= self.tile:
-            raise ConfigError(f"count = {count}: must be 1 to {self.tile}, the worlds of a tile")
         run = self.scenario.seed if seed is None else seed
         number, index = key_number("seed", run), key_number("first", first)
         numbers = jax.device_put(
             (number, np.full(self.devices, index, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        names = [self._name(int(run), first + i) for i in range(count)]
-        worlds = self._prepare(self.fleet, *numbers)
-        return hosted.one_by_one(self._ask(worlds, *numbers), names)
+        worlds = self._gate.own(self._prepare(self.fleet, *numbers))
+        return worlds, self._ask(knows or self._knows)(worlds, *numbers)
+
+    def problems(
+        self,
+        first: int = 0,
+        count: int = 1,
+        *,
+        seed: int | None = None,
+        knows: Knows | None = None,
+    ) -> list[Problem]:
+        """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
+
+        Args:
+            first: global index of the first world.
+            count: how many, at most a tile.
+            seed: instead of the scenario's.
+            knows: as in `asked`.
+
+        Raises:
+            ConfigError: as `worlds`.
+        """
+        if not 0 < count <= self.tile:
+            raise ConfigError(f"count = {count}: must be 1 to {self.tile}, the worlds of a tile")
+        batch = self.asked(first, seed=seed, knows=knows)[1]
+        return self.named(batch, first, count, seed=seed)
+
+    def named(
+        self, problems: Problem, first: int, count: int, *, seed: int | None = None
+    ) -> list[Problem]:
+        """Problems of a batch as `problems` gives them, one by one, each with its name.
+
+        Args:
+            problems: of `asked`.
+            first: index of the first.
+            count: how many of them.
+            seed: of their worlds; the scenario's if left out.
+        """
+        run = int(self.scenario.seed if seed is None else seed)
+        return hosted.one_by_one(problems, [self._name(run, first + i) for i in range(count)])
+
+    @property
+    def _knows(self) -> Knows:
+        return self.scenario.planner.knows.knows()
+
+    def _ask(self, knows: Knows) -> Callable[..., Problem]:
+        """The program that makes problems of worlds of which so much may be known."""
+        if knows not in self._asking:
+            asking = partial(ask_all, self.scenario, knows)
+            self._asking[knows] = self._spread(asking, EACH, SAME, EACH)
+        return self._asking[knows]
 
     def with_paths(self, worlds: World, path: Path) -> World:
         """Worlds whose robots are told other paths.

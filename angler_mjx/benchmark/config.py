@@ -1,0 +1,118 @@
+"""What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from angler_mjx.errors import shown
+from angler_mjx.files import FileModel
+from angler_mjx.planning.planner import MOST_POINTS
+from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.tables import KnowsConfig
+from angler_mjx.world import presets
+
+type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
+
+
+class PlannerEntry(FileModel):
+    """One of the planners that are compared."""
+
+    name: str = Field(max_length=4096)
+    """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
+    label: Label | None = None
+    """What tables and figures call it; its name, or its class, if left out."""
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Its own, as in the scenario's table [planner.NAME]."""
+    knows: KnowsConfig | None = None
+    """What it is told, whatever others are told: for planners that can make no use of more."""
+
+    @property
+    def title(self) -> str:
+        """Its label."""
+        return self.label or self.name.rpartition(":")[2]
+
+
+class SceneEntry(FileModel):
+    """What the world is like in some of the problems."""
+
+    name: Label
+    set: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the scenario that are otherwise here; tables are merged."""
+
+
+class BenchmarkConfig(FileModel):
+    """A whole benchmark file. Every planner is asked every problem.
+
+    The problems are those of each scene in each preset, for each size of team, each seed, and each
+    thing that may be known.
+    """
+
+    schema_version: SchemaVersion = 1
+    """Of this form of files."""
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)
+    """Of the results folder, if it is given none."""
+    description: str = ""
+    """For people."""
+    scenario: str
+    """That all problems are made of: a shipped one, or a file, from the folder of this one."""
+    set: dict[str, Any] = Field(default_factory=dict)
+    """Keys of the scenario that are otherwise in this benchmark; tables are merged."""
+    presets: tuple[str, ...] = ()
+    """Of worlds; the scenario's if left out."""
+    scene: tuple[SceneEntry, ...] = ()
+    """What else the worlds differ in; nothing if left out."""
+    teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
+    """Numbers of robots, taken from the entries of the scenario's fleet in proportion to their
+    counts; the scenario's fleet if left out."""
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = ()
+    """Of the worlds; the scenario's if left out."""
+    problems: int = Field(default=30, ge=1, le=100_000)
+    """Worlds of each scene, team and seed."""
+    knows: tuple[KnowsConfig, ...] = ()
+    """What the planners may know; the scenario's if left out."""
+    deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
+    """Wall-clock time for each problem."""
+    points: int | None = Field(default=None, ge=2, le=MOST_POINTS)
+    """Most way-points of a path; the scenario's if left out."""
+    close_after: int = Field(default=0, ge=0)
+    """A planner whose first so many problems of a scene, team and seed all ended without any plan
+    is not asked the others; 0 asks all."""
+    examples: int = Field(default=1, ge=0, le=100)
+    """Problems of each scene and team that are kept to be drawn, with plans and flights."""
+    planner: tuple[PlannerEntry, ...] = Field(min_length=1, max_length=256)
+
+    @field_validator("presets")
+    @classmethod
+    def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            presets.load(name)
+        return names
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> Self:
+        _once("planner.label", [one.title for one in self.planner])
+        _once("scene.name", [one.name for one in self.scene])
+        _once("presets", self.presets)
+        _once("teams", self.teams)
+        _once("seeds", self.seeds)
+        _once("knows", [str(one) for one in self.knows])
+        return self
+
+
+def _once(key: str, values: Any) -> None:
+    twice = [value for i, value in enumerate(values) if value in list(values)[:i]]
+    if twice:
+        raise ValueError(f"{key}: {shown(twice[0])} is there twice; names tell them apart")
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with other values; tables within it are merged, all else is replaced."""
+    made = dict(table)
+    for key, value in changes.items():
+        before = made.get(key)
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            made[key] = merged(before, value)
+        else:
+            made[key] = value
+    return made

@@ -1,0 +1,253 @@
+"""What a benchmark asks: scenarios out of its file, and the planners that are asked.
+
+A `Setting` is a set of problems: worlds of one scenario and seed, with what may be known of them.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.benchmark.config import BenchmarkConfig, PlannerEntry, merged
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import named, parse, read_toml
+from angler_mjx.planning import register
+from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.tables import KnowsConfig, PlannerConfig
+
+PLAIN = "as it is"
+"""Name of the scene of a benchmark that names none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contestant:
+    """A planner that is compared with others."""
+
+    label: str
+    spec: PlannerSpec
+    knows: Knows | None
+    """What it is told; that of the problems if None."""
+    joints: bool
+    """Whether its paths are trajectories of joints."""
+    on_device: bool
+    """Whether it plans a batch at once."""
+
+    def asks(self, knows: Knows) -> bool:
+        """Whether it is asked problems of which that may be known."""
+        return self.knows is None or self.knows == knows
+
+    def spec_of(self, setting: "Setting") -> PlannerSpec:
+        """What a worker makes it of, for the problems of a setting."""
+        return replace(self.spec, most_points=setting.scenario.planner.points)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """A set of problems: worlds 0, 1 and on of a scenario."""
+
+    scene: str
+    """Preset and scene, as tables call it."""
+    robots: int
+    knows: Knows
+    scenario: Scenario
+    """With the number of worlds and the deadline."""
+    seed: int
+    """Of the worlds."""
+
+    @property
+    def preset(self) -> str:
+        """Of its worlds."""
+        return self.scenario.world.preset
+
+    def known(self) -> KnowsConfig:
+        """What may be known, as a scenario says it."""
+        return KnowsConfig(obstacles=self.knows.obstacles, current=self.knows.current)
+
+    def __str__(self) -> str:
+        return f"{self.scene}, {self.robots} robot{'s' if self.robots > 1 else ''}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Benchmark:
+    """A benchmark file with all that it names."""
+
+    config: BenchmarkConfig
+    scenario: Scenario
+    """That all problems are made of."""
+    contestants: tuple[Contestant, ...]
+    settings: tuple[Setting, ...]
+
+    def asked(self, setting: Setting) -> list[Contestant]:
+        """Who is asked the problems of a setting, in the file's order."""
+        return [one for one in self.contestants if one.asks(setting.knows)]
+
+    def resolved(self) -> dict[str, Any]:
+        """All of it in plain values: the same table is the same benchmark."""
+        return {
+            "benchmark": self.config.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json", exclude_unset=True),
+            "planners": [
+                {"label": one.label, "sha256": one.spec.reference.sha256}
+                for one in self.contestants
+            ],
+            "problems": sorted({setting.scenario.digest() for setting in self.settings}),
+        }
+
+
+def read(path: Path) -> Benchmark:
+    """A benchmark from its file.
+
+    Raises:
+        ConfigError: naming every fault of it, or the first of what it names.
+        UnsupportedError: the libraries of a planner are not installed.
+    """
+    table = read_toml(path)
+    config = parse(BenchmarkConfig, table, source=str(path))
+    folder = path.absolute().parent
+    planners = tuple(
+        one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.planner
+    )
+    config = config.model_copy(update={"planner": planners})
+    there = config.scenario in shipped()
+    scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    return build(config, scenario, str(path))
+
+
+def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark:
+    """A benchmark from its table and its scenario.
+
+    Args:
+        config: with absolute paths.
+        scenario: that all problems are made of.
+        source: of the table, for messages.
+
+    Raises:
+        ConfigError, UnsupportedError: as `read`.
+    """
+    try:
+        contestants = tuple(_contestant(one) for one in config.planner)
+    except ConfigError as error:
+        raise ConfigError(f"{named(source)}: {error}") from error
+    return Benchmark(
+        config=config,
+        scenario=scenario,
+        contestants=contestants,
+        settings=tuple(_settings(config, scenario, contestants, source)),
+    )
+
+
+def _absolute(name: str, folder: Path) -> str:
+    path, colon, qualname = name.rpartition(":")
+    return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name
+
+
+def _contestant(entry: PlannerEntry) -> Contestant:
+    table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
+    spec = PlannerConfig(name=entry.name, settings=table).chosen()
+    on_device = spec.reference.on_device or callable(
+        getattr(spec.reference.load(), "plan_batch", None)
+    )
+    return Contestant(
+        label=entry.title,
+        spec=spec,
+        knows=None if entry.knows is None else entry.knows.knows(),
+        joints=register.gives_joints(spec),
+        on_device=on_device,
+    )
+
+
+def _settings(
+    config: BenchmarkConfig,
+    scenario: Scenario,
+    contestants: tuple[Contestant, ...],
+    source: str,
+) -> list[Setting]:
+    base = scenario.model_dump(mode="json", exclude_unset=True)
+    base["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]
+    base["worlds"] = config.problems
+    base["planner"] = {
+        "margin_m": scenario.planner.margin_m,
+        "points": config.points or scenario.planner.points,
+        "deadline_s": config.deadline_s,
+    }
+    base = merged(base, config.set)
+    known = [one.knows() for one in config.knows or (scenario.planner.knows,)]
+    known += [one.knows for one in contestants if one.knows is not None]
+    made = []
+    for preset in config.presets or (None,):
+        for scene in config.scene or (None,):
+            for team in config.teams or (None,):
+                table = merged(base, {} if scene is None else scene.set)
+                if preset is not None:
+                    table["world"] = {**table["world"], "preset": preset}
+                if team is not None:
+                    table["fleet"] = _fleet(table["fleet"], team)
+                called = " ".join(
+                    text for text in (preset, None if scene is None else scene.name) if text
+                )
+                about = called + (f", {team} robots" if team else "")
+                found = parse(Scenario, table, source=f"{source} ({about or PLAIN})")
+                for seed in config.seeds or (found.seed,):
+                    made += [
+                        Setting(
+                            scene=called or PLAIN,
+                            robots=len(found.members()),
+                            knows=knows,
+                            scenario=found,
+                            seed=seed,
+                        )
+                        for knows in dict.fromkeys(known)
+                        if any(one.asks(knows) for one in contestants)
+                    ]
+    return made
+
+
+def _fleet(entries: Any, robots: int) -> list[dict[str, Any]]:
+    """Entries of a team of another size: as near to their shares as whole robots can be."""
+    counts = [int(entry.get("count", 1)) for entry in entries]
+    exact = [count * robots / sum(counts) for count in counts]
+    shares = [int(share) for share in exact]
+    rest = sorted(range(len(exact)), key=lambda i: (shares[i] - exact[i], i))
+    for i in rest[: robots - sum(shares)]:
+        shares[i] += 1
+    return [
+        {**entry, "count": share} for entry, share in zip(entries, shares, strict=True) if share > 0
+    ]
+
+
+def again(building: Path, table: Mapping[str, Any], files: Mapping[str, str]) -> Benchmark:
+    """A benchmark from what its results folder keeps of it.
+
+    Args:
+        building: the folder, for messages.
+        table: of `Benchmark.resolved`.
+        files: copies of planner files, by the paths that they had.
+    """
+    source = str(building)
+    config = parse(BenchmarkConfig, table["benchmark"], source=source)
+    scenario = parse(Scenario, table["scenario"], source=source)
+    planners = tuple(
+        one.model_copy(update={"name": _copied(one.name, files), "label": one.title})
+        for one in config.planner
+    )
+    return build(config.model_copy(update={"planner": planners}), scenario, source)
+
+
+def _copied(name: str, files: Mapping[str, str]) -> str:
+    path, colon, qualname = name.rpartition(":")
+    return f"{files.get(path, path)}:{qualname}" if colon and path.endswith(".py") else name
+
+
+def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
+    """The first key in which two resolved benchmarks differ; None where they are the same."""
+    for part in ("benchmark", "scenario", "planners", "problems"):
+        a, b = now[part], then.get(part)
+        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
+            if isinstance(a, Mapping) and isinstance(b, Mapping):
+                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
+                return f"{part}.{keys[0]}" if keys else part
+            return part
+    return None

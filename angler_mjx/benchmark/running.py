@@ -1,0 +1,222 @@
+"""A whole benchmark: setting by setting its problems are drawn, planned, and the plans are flown.
+
+Planners are asked one at a time on each core, while nothing else is computed: what they take is
+then their own time. Each answer and each flight is in the database before the next is waited for.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from angler_mjx.benchmark import flying, folder, planning, questions, scenery, tables
+from angler_mjx.benchmark.questions import Benchmark, Contestant, Setting
+from angler_mjx.benchmark.report import page
+from angler_mjx.benchmark.store import FILE, Store
+from angler_mjx.errors import RunError
+from angler_mjx.planning.host.pool import Pool
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage import claims
+
+
+class Told(Protocol):
+    """What a benchmark tells while it goes on."""
+
+    def start(self, runs: int) -> None:
+        """So many runs are to be made, or were made before."""
+
+    def at(self, text: str) -> None:
+        """What is being done."""
+
+    def advance(self, runs: int) -> None:
+        """So many runs more are planned, were planned before, or will not be asked."""
+
+
+@dataclass(kw_only=True)
+class _Simulators:
+    """Compiled simulators of the scenario that is worked on."""
+
+    scenario: Scenario | None = None
+    made: dict[bool, Simulator] = field(default_factory=dict)
+
+    def of(self, setting: Setting, joints: bool) -> Simulator:
+        if self.scenario is not setting.scenario:
+            self.scenario, self.made = setting.scenario, {}
+        if joints not in self.made:
+            shape = PathShape(points=setting.scenario.planner.points, joints=joints)
+            simulator = Simulator(setting.scenario, tile=setting.scenario.worlds, paths=shape)
+            simulator.compile()
+            self.made[joints] = simulator
+        return self.made[joints]
+
+
+def read(source: Path) -> Benchmark:
+    """A benchmark from its file, or from the results folder of one that is to be made again.
+
+    Raises:
+        ConfigError: naming the faults.
+        UnsupportedError: the libraries of a planner are not installed.
+    """
+    return folder.read(source) if source.is_dir() else questions.read(source)
+
+
+def run(
+    benchmark: Benchmark,
+    source: Path,
+    out: Path,
+    *,
+    workers: Callable[[], Pool],
+    resume: bool = False,
+    told: Told,
+) -> None:
+    """Make the results folder of a benchmark.
+
+    Args:
+        benchmark: to be run.
+        source: that it was read from.
+        out: results folder.
+        workers: makes what planners of the host plan in.
+        resume: go on with one that was interrupted.
+        told: what to tell meanwhile.
+
+    Raises:
+        ConfigError: the folder is taken, or there is nothing to go on with.
+        RunError: the disk is full, or no worker can be started.
+        KeyboardInterrupt: interrupted; what was finished is kept.
+    """
+    claimed = folder.reopen(benchmark, out) if resume else folder.begin(benchmark, source, out)
+    building = claimed.building
+    try:
+        with Store(building / FILE) as store:
+            _all(benchmark, store, workers, told)
+            told.at("tables and page")
+            _results(benchmark, building, store, complete=True)
+        claimed.publish()
+    except OSError as error:
+        claimed.release()
+        raise RunError(
+            f"{out}: cannot be written ({error.strerror or error}); make room and go on with "
+            "--resume"
+        ) from error
+    except BaseException:
+        claimed.release()
+        raise
+
+
+def report(place: Path) -> Path:
+    """Make tables, figures and page of a results folder anew; returns the page.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    benchmark = folder.read(place)
+    complete = not place.name.startswith(claims.PREFIX)
+    with Store(place / FILE) as store:
+        _results(benchmark, place, store, complete=complete)
+    return place / "report.html"
+
+
+def summary(place: Path) -> str:
+    """How the planners of a results folder did, a line each."""
+    with Store(place / FILE) as store:
+        rows = store.rows(
+            "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
+            "(SELECT count(*) FROM closed WHERE plannerid = plannerConfigs.id) AS closed "
+            "FROM runs JOIN plannerConfigs ON plannerConfigs.id = plannerid "
+            "GROUP BY plannerid ORDER BY plannerid"
+        )
+    return "\n".join(
+        f"{row['name']}: {row['success']} of {row['runs']} teams all arrived, {row['planned']} "
+        f"planned" + (f"; {row['closed']} problems not asked" if row["closed"] else "")
+        for row in rows
+    )
+
+
+def _results(benchmark: Benchmark, place: Path, store: Store, *, complete: bool) -> None:
+    tables.write(store, place)
+    scenery.write(store, place)
+    folder.about(benchmark, place, complete=complete)
+    page.make(place)
+
+
+def _all(benchmark: Benchmark, store: Store, workers: Callable[[], Pool], told: Told) -> None:
+    total = sum(
+        setting.scenario.worlds * len(benchmark.asked(setting)) for setting in benchmark.settings
+    )
+    told.start(total)
+    simulators = _Simulators()
+    about = _about()
+    with ExitStack() as stack:
+        begun: list[Pool] = []
+
+        def pool() -> Pool:
+            if not begun:
+                begun.append(stack.enter_context(workers()))
+            return begun[0]
+
+        for setting in benchmark.settings:
+            begin = time.perf_counter()
+            experiment = store.setting(setting, about)
+            asked = [(store.contestant(one), one) for one in benchmark.asked(setting)]
+            if _is_done(setting, experiment, asked, store):
+                told.advance(setting.scenario.worlds * len(asked))
+                continue
+            _one(benchmark, setting, experiment, asked, simulators, store, pool, told)
+            store.add_time(experiment, time.perf_counter() - begin)
+
+
+def _one(
+    benchmark: Benchmark,
+    setting: Setting,
+    experiment: int,
+    asked: Sequence[tuple[int, Contestant]],
+    simulators: _Simulators,
+    store: Store,
+    pool: Callable[[], Pool],
+    told: Told,
+) -> None:
+    config = benchmark.config
+    told.at(f"{setting}: compiling")
+    joints = [one.joints for _, one in asked]
+    simulator = simulators.of(setting, all(joints))
+    problems = planning.ask(setting, simulator, experiment)
+    examples = min(config.examples, setting.scenario.worlds)
+    for world in range(examples):
+        store.add_scenery(experiment, world, scenery.of(problems.problems[world]))
+    told.at(f"{setting}: planning")
+    planning.plan(problems, asked, store, pool, config.close_after, told.advance)
+    told.at(f"{setting}: flying")
+    for kind in sorted(set(joints)):
+        numbers = [number for number, one in asked if one.joints == kind]
+        flights = flying.to_fly(experiment, numbers, store)
+        if flights:
+            flying.fly(setting, simulators.of(setting, kind), flights, examples, store)
+
+
+def _is_done(
+    setting: Setting, experiment: int, asked: Sequence[tuple[int, Contestant]], store: Store
+) -> bool:
+    """Whether all runs of a setting are planned and flown."""
+    done = store.rows(
+        "SELECT (SELECT count(*) FROM runs WHERE experimentid = :id AND flown IS NOT NULL) + "
+        "(SELECT count(*) FROM closed WHERE experimentid = :id) AS done",
+        {"id": experiment},
+    )
+    return bool(done[0]["done"] >= setting.scenario.worlds * len(asked))
+
+
+def _about() -> dict[str, Any]:
+    """OMPL's columns of an experiment that are the same for all."""
+    made = describe_environment()
+    return {
+        "version": f"angler_mjx {made['versions']['angler-mjx'] or '0.0.0'}",
+        "hostname": made["platform"],
+        "cpuinfo": f"{made['cpu_count']} processors; {made['device']}",
+        "date": time.strftime("%Y-%m-%d %H:%M:%S"),
+        "totaltime": 0.0,
+    }

@@ -1,0 +1,144 @@
+"""`angler benchmark`: planners against each other."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from angler_mjx.benchmark.again import Comparison
+    from angler_mjx.planning.host.pool import Pool
+
+
+def benchmark(
+    source: Annotated[Path, tyro.conf.Positional],
+    out: Path | None = None,
+    workers: int | None = None,
+    ray: str | None = None,
+    resume: bool = False,
+    report: bool = False,
+    device: Device | None = None,
+) -> None:
+    """Compare planners on the same problems, and judge them by how their plans fly.
+
+    Args:
+        source: Benchmark file (.toml); or the results folder of a benchmark, which is made again
+            and compared with what it was.
+        out: Results folder to make; benchmarks/NAME if left out.
+        workers: Processes that plan; one for each processor if left out.
+        ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
+            127.0.0.1:6379.
+        resume: Go on with a benchmark that was interrupted; nothing is done twice.
+        report: Only make tables, figures and page of a results folder anew.
+        device: Where to fly; JAX's choice if left out.
+    """
+    choose(device)
+    keep_all_programs()
+    from angler_mjx.benchmark import again, running
+    from angler_mjx.cli.shared.given import at_least_one
+
+    if report:
+        if out or workers or ray or resume:
+            raise ConfigError("--report: makes the page of a results folder; leave out other flags")
+        print(running.report(source))
+        return
+    found = running.read(source)
+    name = f"{found.config.name}-again" if source.is_dir() else found.config.name
+    place = out or Path("benchmarks") / name
+    pool = _pool(at_least_one("workers", workers), ray)
+    with _Bar() as bar:
+        try:
+            running.run(found, source, place, workers=pool, resume=resume, told=bar)
+        except KeyboardInterrupt:
+            bar.stop()
+            print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
+            sys.exit(130)
+    print(running.summary(place))
+    print(place / "report.html")
+    if source.is_dir():
+        compared = again.compare(source, place)
+        print(_told(compared))
+        if not compared.same:
+            sys.exit(1)
+
+
+def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
+    import os
+
+    def local() -> "Pool":
+        from angler_mjx.planning.host.workers import Workers
+
+        return Workers(None, workers or os.cpu_count() or 1)
+
+    def remote() -> "Pool":
+        from angler_mjx.planning.host.ray_workers import RayWorkers
+
+        return RayWorkers(address or "", workers)
+
+    return local if address is None else remote
+
+
+def _told(compared: "Comparison") -> str:
+    lines = ["the same" if compared.same else "not the same"]
+    for label, one in compared.planners.items():
+        slower = "" if one.slower is None else f"; {one.slower:.2f} times its planning time"
+        alone = f"; {one.only_one} in one folder only" if one.only_one else ""
+        other = one.same_plans_other_outcomes
+        flown = f"; {other} with the same plans ended otherwise" if other else ""
+        lines.append(
+            f"  {label}: {one.same_plans} of {one.runs} runs have the same plans, "
+            f"{one.same_outcomes} the same outcomes{flown}{alone}{slower}"
+        )
+    if not compared.same:
+        lines.append(
+            "A search that the clock ends gives other plans each time: see docs/benchmark.md"
+        )
+    return "\n".join(lines)
+
+
+class _Bar:
+    """A progress bar on stderr; a `benchmark.running.Told`."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+
+        columns = (
+            "runs",
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            "{task.fields[at]}",
+        )
+        self._bar = Progress(*columns, console=Console(stderr=True))
+        self._task = self._bar.add_task("runs", total=None, at="")
+
+    def __enter__(self) -> "_Bar":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *why: object) -> None:
+        self._bar.stop()
+
+    def stop(self) -> None:
+        """Leave the bar as it stands."""
+        self._bar.stop()
+
+    def start(self, runs: int) -> None:
+        """See `Told`."""
+        self._bar.update(self._task, total=runs)
+
+    def at(self, text: str) -> None:
+        """See `Told`."""
+        self._bar.update(self._task, at=text)
+        if not self._bar.console.is_terminal:
+            print(text, file=sys.stderr, flush=True)
+
+    def advance(self, runs: int) -> None:
+        """See `Told`."""
+        self._bar.advance(self._task, runs)
