@@ -67,42 +67,52 @@ def fly(
     examples: int,
     store: Store,
 ) -> None:
-    """Fly plans, and keep what became of them; each planner's at once, or not at all.
+    """Fly plans, and keep what became of them; of each tile at once, or not at all.
 
     Args:
         setting: whose worlds.
-        simulator: of its scenario, whose tile holds them all.
+        simulator: of its scenario.
         flights: of it.
         examples: how many first worlds' tracks are kept.
         store: where to keep it.
     """
-    coming = iter(flights)
-    tiles = waves.simulate(
+    tile = simulator.tile
+    orders = [
+        (flight, first)
+        for flight in flights
+        for first in range(0, setting.scenario.worlds, tile)
+        if any(first <= world < first + tile for world in flight.plans)
+    ]
+    landing = iter(orders)
+    waves_of = waves.simulate(
         simulator,
-        [0] * len(flights),
+        [first for _, first in orders],
         recorded=setting.scenario.time.record_hz > 0,
         progress=Silent(),
-        plans=_Plans(flights),
+        plans=_Plans(orders),
         seed=setting.seed,
         strict=False,
     )
-    for wave in tiles:
-        for tile in wave:
-            _keep(next(coming), tile, simulator, setting, examples, store)
+    for wave in waves_of:
+        for finished in wave:
+            flight, _ = next(landing)
+            _keep(flight, finished, simulator, setting, examples, store)
 
 
 class _Plans:
-    """Plans for waves of tiles that all hold the same worlds: each tile is another planner's."""
+    """Plans for tiles of worlds: which planner's, and which worlds, as they come."""
 
-    def __init__(self, flights: Sequence[Flight]) -> None:
-        self._coming = iter(flights)
+    def __init__(self, orders: Sequence[tuple[Flight, int]]) -> None:
+        self._coming = iter(orders)
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, None]:
         """See `waves.Given`; worlds without a plan hold their starts."""
         answers: dict[int, Answer] = {}
-        for t, flight in zip(range(len(firsts)), self._coming, strict=False):
+        for t in range(len(firsts)):
+            flight, first = next(self._coming)
             for world, paths in flight.plans.items():
-                answers[t * simulator.tile + world] = _answer(paths)
+                if first <= world < first + simulator.tile:
+                    answers[t * simulator.tile + world - first] = _answer(paths)
         held = jax.device_get(worlds.path)
         return hosted.gather(answers, held)[0], None
 
@@ -124,6 +134,8 @@ def _keep(
     of_world = defaultdict(list)
     for row in table.to_pylist():
         of_world[row["world"]].append(row)
+    hz = setting.scenario.time.record_hz
+    runs = {world: run for world, run in flight.runs.items() if world in of_world}
     store.add_flights(
         [
             (
@@ -131,19 +143,19 @@ def _keep(
                 of_flight(of_world[world], all(path is not None for path in flight.plans[world])),
                 of_world[world],
             )
-            for world, run in flight.runs.items()
+            for world, run in runs.items()
         ],
         {
-            run: scenery.packed(p_m=_track(tile, world, 1.0 / setting.scenario.time.record_hz))
-            for world, run in flight.runs.items()
+            run: scenery.packed(p_m=_track(tile, world - tile.first, hz))
+            for world, run in runs.items()
             if world < examples and tile.parts
         },
     )
 
 
-def _track(tile: FinishedTile, world: int, sample_dt_s: float) -> np.ndarray:
+def _track(tile: FinishedTile, world: int, record_hz: float) -> np.ndarray:
     """[T, R, 3] where the robots of a world were, until the last of them had ended, m, W."""
     end = float(np.max(np.asarray(tile.end.tally.end_time_s)[world]))
     p = np.concatenate([np.asarray(part.p)[world] for part in tile.parts])
-    whole = p[: 1 + int(end / sample_dt_s)]
+    whole = p[: 1 + int(end * record_hz)]
     return whole[:: -(-len(whole) // TRACK_SAMPLES) or 1]

@@ -14,14 +14,13 @@ from angler_mjx.benchmark.measures import of_answer
 from angler_mjx.benchmark.questions import Contestant, Setting
 from angler_mjx.benchmark.store import Store
 from angler_mjx.control import plans
-from angler_mjx.errors import AnglerError
 from angler_mjx.planning.answers import Answer, answer, failed
 from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.planning.problem import Problem
-from angler_mjx.sim.state import World
 from angler_mjx.simulator.prepare import device_planner
 from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.world.environment import Environment
 
 NO_ROOM = "the world cannot hold the team"
 """Why nobody is asked a problem."""
@@ -40,36 +39,44 @@ class Asked:
     """bool [n] whether each world can hold the team."""
     difficulty: Sequence[Mapping[str, float]]
     """Columns of each world."""
-    worlds: World
-    """Of the problems, as they were drawn."""
-    batch: Problem
-    """The problems in one batch, where the worlds are."""
+    simulator: Simulator
+    """That draws their worlds, a tile at a time."""
 
 
 def ask(setting: Setting, simulator: Simulator, experiment: int) -> Asked:
     """Draw the problems of a setting."""
-    count = setting.scenario.worlds
-    worlds, batch = simulator.asked(0, seed=setting.seed, knows=setting.knows)
-    environment = jax.tree.map(np.asarray, worlds.environment)
-    apart = np.linalg.norm(environment.goal_m - environment.start_m, axis=-1)
-    difficulty = [
-        {
-            "density": float(environment.density[i]),
-            "path_ratio": float(environment.path_ratio[i].mean()),
-            "free_lines": float(environment.line_free[i].mean()),
-            "straight_m": float(apart[i].sum()),
-        }
-        for i in range(count)
-    ]
+    problems: list[Problem] = []
+    difficulty: list[Mapping[str, float]] = []
+    fits: list[bool] = []
+    for first in _tiles(setting, simulator):
+        count = min(simulator.tile, setting.scenario.worlds - first)
+        worlds, batch = simulator.asked(first, seed=setting.seed, knows=setting.knows)
+        problems += simulator.named(batch, first, count, seed=setting.seed)
+        environment = jax.tree.map(np.asarray, worlds.environment)
+        difficulty += [_difficulty(environment, i) for i in range(count)]
+        fits += environment.valid[:count].tolist()
     return Asked(
         setting=setting,
         experiment=experiment,
-        problems=simulator.named(batch, 0, count, seed=setting.seed),
-        fits=environment.valid[:count],
+        problems=problems,
+        fits=np.array(fits),
         difficulty=difficulty,
-        worlds=worlds,
-        batch=batch,
+        simulator=simulator,
     )
+
+
+def _tiles(setting: Setting, simulator: Simulator) -> range:
+    return range(0, setting.scenario.worlds, simulator.tile)
+
+
+def _difficulty(environment: Environment, world: int) -> dict[str, float]:
+    apart = np.asarray(environment.goal_m - environment.start_m)[world]
+    return {
+        "density": float(environment.density[world]),
+        "path_ratio": float(environment.path_ratio[world].mean()),
+        "free_lines": float(environment.line_free[world].mean()),
+        "straight_m": float(np.linalg.norm(apart, axis=-1).sum()),
+    }
 
 
 def plan(
@@ -159,30 +166,30 @@ def _of_device(
     asked: Asked, one: Contestant, worlds: Sequence[int]
 ) -> Iterator[tuple[int, Answer]]:
     """Answers of a planner that plans a batch: each took its share of the batch's time."""
-    setting = asked.setting
-    about = setting.scenario.planner.model_copy(update={"knows": setting.known()})
-    try:
-        planner = jax.jit(
-            device_planner(setting.scenario.model_copy(update={"planner": about}), one.spec)
-        )
-        begin = time.perf_counter()
-        compiled = planner.lower(asked.worlds, asked.batch).compile()
-        warm_up_s = time.perf_counter() - begin
-        jax.block_until_ready(compiled(asked.worlds, asked.batch))
-        begin = time.perf_counter()
-        path = jax.block_until_ready(compiled(asked.worlds, asked.batch))
-    except (AnglerError, jax.errors.JaxRuntimeError, TypeError, ValueError) as error:
-        robots = setting.robots
-        text = f"{type(error).__name__}: {error}"
-        yield from ((world, failed(robots, "error", text, 0.0)) for world in worlds)
-        return
-    count = len(asked.problems)
-    seconds = (time.perf_counter() - begin) / count
-    host = jax.tree.map(np.asarray, path)
-    for i, world in enumerate(worlds):
-        extras = {"warm_up_s": warm_up_s} if i == 0 else {}
-        own = [_robot(host, world, robot) for robot in range(setting.robots)]
-        yield world, answer(own, asked.problems[world], seconds, extras)
+    setting, simulator = asked.setting, asked.simulator
+    compiled, extras = None, {}
+    for first in _tiles(setting, simulator):
+        wanted = [world for world in worlds if first <= world < first + simulator.tile]
+        if not wanted:
+            continue
+        given = simulator.asked(first, seed=setting.seed, knows=setting.knows)
+        try:
+            if compiled is None:
+                begin = time.perf_counter()
+                compiled = jax.jit(device_planner(setting.told(), one.spec)).lower(*given).compile()
+                jax.block_until_ready(compiled(*given))
+                extras = {"warm_up_s": time.perf_counter() - begin}
+            begin = time.perf_counter()
+            path = jax.device_get(jax.block_until_ready(compiled(*given)))
+        except Exception as error:  # anybody's code: it is this planner's failure, and no more
+            text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+            yield from ((w, failed(setting.robots, "error", text, 0.0)) for w in wanted)
+            continue
+        seconds = (time.perf_counter() - begin) / min(simulator.tile, setting.scenario.worlds)
+        for world in wanted:
+            own = [_robot(path, world - first, robot) for robot in range(setting.robots)]
+            yield world, answer(own, asked.problems[world], seconds, extras)
+            extras = {}
 
 
 def _robot(host: Any, world: int, robot: int) -> Path | NoPlan:

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.benchmark.config import BenchmarkConfig, PlannerEntry, merged
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
 from angler_mjx.planning import register
 from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig, PlannerConfig
+from angler_mjx.simulator.prepare import device_planner
 
 PLAIN = "as it is"
 """Name of the scene of a benchmark that names none."""
@@ -62,9 +63,11 @@ class Setting:
         """Of its worlds."""
         return self.scenario.world.preset
 
-    def known(self) -> KnowsConfig:
-        """What may be known, as a scenario says it."""
-        return KnowsConfig(obstacles=self.knows.obstacles, current=self.knows.current)
+    def told(self) -> Scenario:
+        """The scenario, which says what may be known."""
+        known = KnowsConfig(obstacles=self.knows.obstacles, current=self.knows.current)
+        planner = self.scenario.planner.model_copy(update={"knows": known})
+        return self.scenario.model_copy(update={"planner": planner})
 
     def __str__(self) -> str:
         return f"{self.scene}, {self.robots} robot{'s' if self.robots > 1 else ''}"
@@ -131,12 +134,24 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
         contestants = tuple(_contestant(one) for one in config.planner)
     except ConfigError as error:
         raise ConfigError(f"{named(source)}: {error}") from error
-    return Benchmark(
-        config=config,
-        scenario=scenario,
-        contestants=contestants,
-        settings=tuple(_settings(config, scenario, contestants, source)),
-    )
+    settings = tuple(_settings(config, scenario, contestants, source))
+    made = Benchmark(config=config, scenario=scenario, contestants=contestants, settings=settings)
+    for setting in settings:
+        for one in made.asked(setting):
+            _require_able(one, setting, source)
+    return made
+
+
+def _require_able(one: Contestant, setting: Setting, source: str) -> None:
+    """Refuse a planner of the device that can make no use of what is known."""
+    if one.on_device:
+        try:
+            device_planner(setting.told(), one.spec)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{named(source)}: planner {shown(one.label)}: {error}; or say in its table "
+                "what it is told, by knows"
+            ) from error
 
 
 def _absolute(name: str, folder: Path) -> str:
@@ -188,8 +203,8 @@ def _settings(
                 called = " ".join(
                     text for text in (preset, None if scene is None else scene.name) if text
                 )
-                about = called + (f", {team} robots" if team else "")
-                found = parse(Scenario, table, source=f"{source} ({about or PLAIN})")
+                about = (called or PLAIN) + (f", {team} robots" if team else "")
+                found = parse(Scenario, table, source=f"{source} ({about})")
                 for seed in config.seeds or (found.seed,):
                     made += [
                         Setting(

@@ -49,7 +49,7 @@ class _Simulators:
             self.scenario, self.made = setting.scenario, {}
         if joints not in self.made:
             shape = PathShape(points=setting.scenario.planner.points, joints=joints)
-            simulator = Simulator(setting.scenario, tile=setting.scenario.worlds, paths=shape)
+            simulator = Simulator(setting.scenario, paths=shape)
             simulator.compile()
             self.made[joints] = simulator
         return self.made[joints]

@@ -1,0 +1,110 @@
+"""What a benchmark file may say, and the problems that come of it."""
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from angler_mjx.benchmark import questions
+from angler_mjx.benchmark.config import merged
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.knowledge import Knows
+
+FILE = """
+name = "x"
+scenario = "reef_fleet"
+problems = 2
+{more}
+
+[[planner]]
+name = "grid"
+"""
+
+
+def read(tmp_path, more="", planner=""):
+    file = tmp_path / "x.toml"
+    file.write_text(FILE.format(more=more) + planner)
+    return questions.read(file)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("teams = [0]", r"teams\[0\] = 0"),
+        ("teams = [2, 2]", "teams: 2 is there twice"),
+        ('presets = ["reaf"]', "'reaf' is no preset; there are angler2024"),
+        ("nonsense = 1", "nonsense = 1: unknown key"),
+        ("close_after = -1", "close_after = -1"),
+        ("set.world.density = 3.0", r"x.toml \(as it is\).*world.density = 3.0"),
+        ('knows = [{obstacles = "all"}]', r"knows\[0\].obstacles = 'all'"),
+        ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),
+        (
+            'set.world.preset = "open"\nset.world.shape = [3, 3, 3]\nteams = [60]',
+            r"60 robots\).*world, for the fleet",
+        ),
+        ('[[scene]]\nname = "a"\n[[scene]]\nname = "a"', "scene.name: 'a' is there twice"),
+    ],
+)
+def test_a_wrong_file_is_one_message_that_names_file_key_and_value(tmp_path, more, said):
+    with pytest.raises(ConfigError, match=re.compile(said, re.S)) as told:
+        read(tmp_path, more)
+    assert "x.toml" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("planner", "said"),
+    [
+        ('[[planner]]\nname = "gird"', "unknown planner 'gird'; there is grid"),
+        ('[[planner]]\nname = "grid"', "planner.label: 'grid' is there twice"),
+        ('[[planner]]\nname = "grid"\nlabel = "b"\nsettings.x = 1', "no setting of this planner"),
+        ('[[planner]]\nname = "no.py:Such"', "no.py cannot be read"),
+    ],
+)
+def test_a_wrong_planner_is_told_before_anything_is_computed(tmp_path, planner, said):
+    with pytest.raises(ConfigError, match=said) as told:
+        read(tmp_path, planner=planner)
+    assert "x.toml" in str(told.value)
+
+
+def test_settings_are_all_presets_scenes_teams_seeds_and_knowledge(tmp_path):
+    made = read(
+        tmp_path,
+        'presets = ["open", "reef"]\nteams = [1, 3]\nseeds = [4, 5]\n'
+        '[[scene]]\nname = "still"\nset.world.currents = []\n[[scene]]\nname = "tide"\n',
+        '[[planner]]\nname = "grid"\nlabel = "told"\nknows = {obstacles = "nothing"}\n',
+    )
+    assert len(made.settings) == 2 * 2 * 2 * 2
+    assert [s.scene for s in made.settings[:4]] == ["open still"] * 4
+    assert [s.robots for s in made.settings[:4]] == [1, 1, 3, 3]
+    assert [s.seed for s in made.settings[:4]] == [4, 5, 4, 5]
+    still, tide = made.settings[0].scenario, made.settings[4].scenario
+    assert still.world.currents == ()
+    assert len(tide.world.currents) == 2
+    assert still.world.obstacles == tide.world.obstacles
+    assert {s.knows for s in made.settings} == {Knows()}
+    assert all(len(made.asked(s)) == 2 for s in made.settings)
+    # the fleet is two Heavies and two of the smaller kind: of three, two and one
+    kinds = [entry.vehicle for entry in made.settings[2].scenario.fleet for _ in range(entry.count)]
+    assert kinds == ["bluerov2_heavy", "bluerov2_heavy", "bluerov2"]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=5), st.integers(1, 40))
+def test_a_team_of_another_size_is_as_near_to_its_shares_as_whole_robots_can_be(counts, robots):
+    entries = [{"vehicle": str(i), "count": count} for i, count in enumerate(counts)]
+    made = {entry["vehicle"]: entry["count"] for entry in questions._fleet(entries, robots)}
+    assert sum(made.values()) == robots
+    for i, count in enumerate(counts):
+        assert abs(made.get(str(i), 0) - count * robots / sum(counts)) < 1.0
+    assert 0 not in made.values()
+
+
+def test_tables_are_merged_and_all_else_is_replaced():
+    before = {"a": 1, "b": {"c": [1, 2], "d": {"e": 1}}}
+    assert merged(before, {"b": {"c": [], "d": {"f": 2}}, "g": {}}) == {
+        "a": 1,
+        "b": {"c": [], "d": {"e": 1, "f": 2}},
+        "g": {},
+    }
+    assert before["b"]["c"] == [1, 2]
