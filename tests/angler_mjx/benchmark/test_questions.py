@@ -40,8 +40,8 @@ def read(tmp_path, more="", planner=""):
         ('knows = [{obstacles = "all"}]', r"knows\[0\].obstacles = 'all'"),
         ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),
         (
-            'set.world.preset = "open"\nset.world.shape = [3, 3, 3]\nteams = [60]',
-            r"60 robots\).*world, for the fleet",
+            "set.world.cell_m = 0.1\nteams = [3]",
+            r"3 robots\).*world, for the fleet: robot radius",
         ),
         ('[[scene]]\nname = "a"\n[[scene]]\nname = "a"', "scene.name: 'a' is there twice"),
     ],

@@ -1,6 +1,12 @@
 """What a benchmark's results folder holds, against the planners that it asked."""
 
+import os
 import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -168,3 +174,55 @@ def test_a_finished_or_foreign_folder_is_not_gone_on_with(source, folder, tmp_pa
         running.run(benchmark, source, folder, **how)
     with pytest.raises(ConfigError, match="no results folder"):
         running.read(tmp_path)
+
+
+@pytest.mark.nightly(
+    by="tests/angler_mjx/benchmark/test_results.py::"
+    "test_what_was_finished_before_an_interruption_is_neither_lost_nor_done_again"
+)
+def test_a_killed_process_loses_nothing_and_leaves_nobody(source, tmp_path):
+    """``kill -9``, at three times; then whole, by the command."""
+    out, seen = tmp_path / "killed", set()
+    command = [sys.executable, "-c", "from angler_mjx.cli.main import main; main()"]
+    command += ["benchmark", str(source), "--out", str(out), "--workers", "2"]
+    database = tmp_path / ".killed.partial" / "results.sqlite"
+    for least in (1, 5, 9):
+        again = ["--resume"] if database.exists() else []
+        process = subprocess.Popen([*command, *again], start_new_session=True)
+        while process.poll() is None and (not database.exists() or count(database) < least):
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        now = set(rows(database, "SELECT id, plannerid, world, time FROM runs"))
+        assert seen <= now
+        seen = now
+    subprocess.run([*command, "--resume"], check=True)
+    now = set(rows(out / "results.sqlite", "SELECT id, plannerid, world, time FROM runs"))
+    assert seen <= now
+    assert len(now) == 11
+
+
+def count(database):
+    try:
+        return rows(database, "SELECT count(*) FROM runs")[0][0]
+    except sqlite3.OperationalError:  # its tables are just being made
+        return 0
+
+
+@pytest.mark.nightly(
+    by="tests/angler_mjx/benchmark/test_results.py::"
+    "test_every_planner_is_asked_every_problem_and_closed_where_it_is_hopeless"
+)
+def test_a_world_that_cannot_hold_the_team_is_nobodys_failure(source, tmp_path):
+    table = source.read_text().replace(
+        "problems = 4",
+        'problems = 2\nteams = [60]\nset.world.preset = "open"\nset.world.shape = [3, 3, 3]',
+    )
+    file = source.with_name("crowded.toml")
+    file.write_text(table)
+    out = tmp_path / "crowded"
+    running.run(running.read(file), file, out, workers=workers, told=Interrupting(None))
+    found = pq.read_table(out / "runs.parquet").to_pylist()
+    assert len(found) == 6
+    assert {row["plan_reason"] for row in found} == {"the world cannot hold the team"}
+    assert {row["plan_status"] for row in found} == {"closed"}
