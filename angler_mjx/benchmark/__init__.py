@@ -1,0 +1,1 @@
+"""Planners held against one another on the same problems."""
