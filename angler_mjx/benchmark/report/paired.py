@@ -77,7 +77,8 @@ def compare(results: Results, first: str, second: str) -> Comparison:
     """
     runs = results.runs
     rows = [np.flatnonzero((runs["planner"] == name) & runs.asked) for name in (first, second)]
-    _, i, j = np.intersect1d(*(results.problem[at] for at in rows), return_indices=True)
+    here, there = (results.problem[at] for at in rows)
+    _, i, j = np.intersect1d(here, there, return_indices=True)
     a, b = rows[0][i], rows[1][j]
     won = runs["success"]
     counts = (
@@ -121,9 +122,9 @@ def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tupl
         * (both + only_second)
         * (only_first + neither)
     )
-    cross = both * neither - only_first * only_second
+    cross = float(both * neither - only_first * only_second)
     if cross > 0:
-        cross = max(cross - n / 2, 0)
+        cross = max(cross - n / 2, 0.0)
     phi = cross / math.sqrt(sides) if sides else 0.0
     down, up = (p1 - l1, u2 - p2), (u1 - p1, p2 - l2)
     below, above = (math.sqrt(max(x * x - 2 * phi * x * y + y * y, 0.0)) for x, y in (down, up))
@@ -134,7 +135,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     """Exact two-sided p that the two are equally likely to solve a problem alone."""
     n = only_first + only_second
     tail = sum(math.comb(n, i) for i in range(min(only_first, only_second) + 1))
-    return min(1.0, 2 * tail / 2**n)
+    return min(1.0, float(2 * tail / 2**n))
 
 
 def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:

@@ -6,6 +6,7 @@ team are independent; Wilson's interval (JASA 22, 1927) holds as it is.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def rate(hit: np.ndarray, asked: np.ndarray) -> Rate:
     return Rate(count=count, asked=total, closed=len(asked) - total, low=low, high=high)
 
 
-def by(groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray) -> dict[tuple, Rate]:
+def by(groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray) -> dict[tuple[Any, ...], Rate]:
     """Rates of groups of rows.
 
     Args:
@@ -66,9 +67,9 @@ def by(groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray) -> dict
     }
 
 
-def grouped(*columns: Sequence[object]) -> dict[tuple, np.ndarray]:
+def grouped(*columns: Sequence[object]) -> dict[tuple[Any, ...], np.ndarray]:
     """Indices of the rows of each combination of values, in order of appearance."""
-    found: dict[tuple, list[int]] = {}
+    found: dict[tuple[Any, ...], list[int]] = {}
     for i, key in enumerate(zip(*columns, strict=True)):
         found.setdefault(key, []).append(i)
     return {key: np.array(rows) for key, rows in found.items()}
