@@ -1,0 +1,1 @@
+"""From the results folder of a benchmark to figures and a page."""

@@ -1,0 +1,216 @@
+"""The results folder of a benchmark, read: rows as NumPy columns, failed robots, examples."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import named, read_json
+
+RUNS, ROBOTS, ABOUT, EXAMPLES = "runs.parquet", "robots.parquet", "about.json", "examples"
+CLOSED = "closed"
+"""Status of a run that was not asked, as its cell had been given up."""
+
+TEXTS = ("planner", "scene", "preset", "knows_obstacles", "knows_current", "plan_status")
+WHOLE = ("run", "robots", "problem_seed", "world", "robots_planned", "robots_reached")
+TRUTHS = ("planned", "flown", "success")
+MEASURES = (
+    "planning_s",
+    "first_s",
+    "best_s",
+    "makespan_s",
+    "flowtime_s",
+    "energy_j",
+    "plan_turn_rad",
+    "min_clearance_m",
+    "min_separation_m",
+    "density",
+    "path_ratio",
+    "free_lines",
+)
+"""Columns of numbers that may be missing in a row."""
+FAILURES = ("failure_x_m", "failure_y_m")
+
+_HELP = "give the results folder of a benchmark"
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Rows of ``runs.parquet``, a column each; what is missing in a column of numbers is NaN."""
+
+    columns: Mapping[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return len(self.columns["run"])
+
+    def where(self, chosen: np.ndarray) -> "Runs":
+        """The rows that a mask, or indices, choose."""
+        return Runs({name: values[chosen] for name, values in self.columns.items()})
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Bool [n]: not closed."""
+        asked: np.ndarray = self["plan_status"] != CLOSED
+        return asked
+
+    @cached_property
+    def knowledge(self) -> np.ndarray:
+        """Str [n]: what a planner was told of obstacles and current, in words."""
+        pairs = zip(self["knows_obstacles"], self["knows_current"], strict=True)
+        return np.array([f"obstacles {a}, current {b}" for a, b in pairs], object)
+
+    @cached_property
+    def planners(self) -> list[str]:
+        """Labels, in the order of the rows."""
+        return list(dict.fromkeys(self["planner"].tolist()))
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """Scenes, in the order of the rows."""
+        return list(dict.fromkeys(self["scene"].tolist()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failures:
+    """Where robots failed, a row each."""
+
+    run: np.ndarray
+    outcome: np.ndarray
+    x_m: np.ndarray
+    y_m: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Results:
+    """All that a report is made of."""
+
+    folder: Path
+    about: Mapping[str, Any]
+    runs: Runs
+    problem: np.ndarray
+    """int [n] which problem a row is; see `problems`."""
+    world: np.ndarray
+    """int [n] which world a row lies in, whatever team; worlds are independent."""
+    failures: Failures
+    examples: list[Path]
+
+    @cached_property
+    def planners(self) -> list[str]:
+        """Labels: those announced, then others that rows have."""
+        said = [str(entry["label"]) for entry in self.about.get("planners", [])]
+        return _first(said, self.runs.planners)
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """Scenes: those announced, then others that rows have."""
+        return _first([str(name) for name in self.about.get("scenes", [])], self.runs.scenes)
+
+
+def read(folder: Path) -> Results:
+    """Read a results folder; it need not be complete.
+
+    Raises:
+        ConfigError: it is none, or holds no run.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{named(folder)}: no folder; {_HELP}")
+    for name in (ABOUT, RUNS):
+        if not (folder / name).is_file():
+            raise ConfigError(f"{named(folder)}: holds no {name}; {_HELP}")
+    about = read_json(folder / ABOUT)
+    if not isinstance(about, dict):
+        raise ConfigError(f"{named(folder / ABOUT)}: holds no table; {_HELP}")
+    runs = _runs(folder / RUNS)
+    if len(runs) == 0:
+        raise ConfigError(f"{named(folder / RUNS)}: holds no run yet; let the benchmark go on")
+    problem = problems(runs)
+    return Results(
+        folder=folder,
+        about=about,
+        runs=runs,
+        problem=problem,
+        world=_numbered(runs, ("scene", "problem_seed", "world")),
+        failures=_failures(folder / ROBOTS, runs),
+        examples=sorted((folder / EXAMPLES).glob("*.npz"), key=lambda path: (len(path.name), path)),
+    )
+
+
+def problems(runs: Runs) -> np.ndarray:
+    """Int [n] which problem each row is: scene, team, seed and world.
+
+    Where a planner was asked one problem with several degrees of knowledge, these are problems of
+    their own; otherwise planners with different knowledge are compared on one problem.
+    """
+    names = ("scene", "robots", "problem_seed", "world")
+    plain = _numbered(runs, names)
+    planner = _numbered(runs, ("planner",))
+    if len(np.unique(np.stack([plain, planner]), axis=1).T) == len(runs):
+        return plain
+    return _numbered(runs, (*names, "knows_obstacles", "knows_current"))
+
+
+def _numbered(runs: Runs, names: tuple[str, ...]) -> np.ndarray:
+    keys = list(zip(*(runs[name].tolist() for name in names), strict=True))
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return np.array([number[key] for key in keys], int)
+
+
+def _first(said: list[str], there: list[str]) -> list[str]:
+    return [name for name in dict.fromkeys([*said, *there]) if name in set(there)]
+
+
+def _table(path: Path) -> pa.Table:
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise ConfigError(f"{named(path)}: cannot be read ({error}); {_HELP}") from error
+
+
+def _runs(path: Path) -> Runs:
+    table = _table(path)
+    wanted = (*TEXTS, *WHOLE, *TRUTHS, *MEASURES, *FAILURES, "failure")
+    missing = [name for name in wanted if name not in table.column_names]
+    if missing:
+        raise ConfigError(f"{named(path)}: lacks the columns {', '.join(missing)}; {_HELP}")
+    columns = {name: _texts(table[name]) for name in (*TEXTS, "failure")}
+    columns |= {name: table[name].fill_null(0).to_numpy() for name in WHOLE}
+    columns |= {name: np.array(table[name].fill_null(False).to_pylist(), bool) for name in TRUTHS}
+    columns |= {name: _numbers(table[name]) for name in (*MEASURES, *FAILURES)}
+    return Runs(columns)
+
+
+def _texts(column: pa.ChunkedArray) -> np.ndarray:
+    return np.array(["" if text is None else text for text in column.to_pylist()], object)
+
+
+def _numbers(column: pa.ChunkedArray) -> np.ndarray:
+    values: np.ndarray = column.cast(pa.float64()).to_numpy()
+    return values
+
+
+def _failures(path: Path, runs: Runs) -> Failures:
+    """All robots that failed; without their table the first one of each run."""
+    needed = ("run", "outcome", *FAILURES)
+    if path.is_file():
+        table = _table(path)
+        if all(name in table.column_names for name in needed):
+            return _placed(
+                table["run"].to_numpy(),
+                _texts(table["outcome"]),
+                *(_numbers(table[name]) for name in FAILURES),
+            )
+    return _placed(runs["run"], runs["failure"], *(runs[name] for name in FAILURES))
+
+
+def _placed(run: np.ndarray, outcome: np.ndarray, x: np.ndarray, y: np.ndarray) -> Failures:
+    kept = np.isfinite(x) & np.isfinite(y) & (outcome != "reached") & (outcome != "")
+    return Failures(run=run[kept], outcome=outcome[kept], x_m=x[kept], y_m=y[kept])
