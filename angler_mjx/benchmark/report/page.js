@@ -107,7 +107,7 @@ function drawAnswer() {
     if (found.lines.length < 2 || !found.problems) continue;
     const best = (line) => line.ratios.filter((r) => r === 1).length;
     const first = found.lines.reduce((a, b) => (best(b) > best(a) ? b : a));
-    say(names[first.planner], ` ${words} most often: best on ${percent(best(first) / found.problems)} of ${found.problems} problems that all were asked.`);
+    say(names[first.planner], ` ${words} most often: best on ${percent(best(first) / found.problems)} of ${found.problems} problems that all were asked.${found.leftOut.length ? ` Nothing known of ${listed(found.leftOut, 4)}.` : ""}`);
   }
 }
 
@@ -232,7 +232,7 @@ function drawExample() {
 
 const MEASURES = { planning_s: "planning\ns", first_s: "first\ns", best_s: "best\ns", makespan_s: "makespan\ns", flowtime_s: "flowtime\ns", energy_j: "energy\nJ", plan_turn_rad: "turn\nrad", min_clearance_m: "clearance\nm", min_separation_m: "separation\nm", density: "density\n", path_ratio: "way /\nstraight", free_lines: "free\nlines" };
 const COLUMNS = [
-  ["planner", "planner\n", (c) => names[c.planner]], ["scene", "scene\n", (c) => data.scenes[c.scene]], ["preset", "preset\n", (c) => c.preset], ["team", "robots\n", (c) => c.team], ["knows", "knows\n", (c) => data.knowledge[c.knows]],
+  ["planner", "planner\n", (c) => names[c.planner]], ["scene", "scene\n", (c) => data.scenes[c.scene]], ["preset", "preset\n", (c) => c.preset], ["team", "robots\n", (c) => c.team], ["knows", "known of\nobst. / current", (c) => data.knowledge[c.knows]],
   ["asked", "asked\n", (c) => c.asked], ["closed", "not\nasked", (c) => c.closed], ["success", "success\n", (c) => c.success / c.asked], ["interval", "95 %\n", (c) => wilson(c.success, c.asked)[0]], ["planned", "planned\n", (c) => c.planned / c.asked], ["flown", "flown\n", (c) => c.flown / c.asked],
   ...data.measures.map((name) => [name, MEASURES[name] || name, (c) => c[name]]),
 ];

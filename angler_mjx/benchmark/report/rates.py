@@ -53,7 +53,9 @@ def rate(hit: np.ndarray, asked: np.ndarray) -> Rate:
     return Rate(count=count, asked=total, closed=len(asked) - total, low=low, high=high)
 
 
-def by(groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray) -> dict[tuple[Any, ...], Rate]:
+def by(
+    groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray
+) -> dict[tuple[Any, ...], Rate]:
     """Rates of groups of rows.
 
     Args:

@@ -64,9 +64,9 @@ class Runs:
 
     @cached_property
     def knowledge(self) -> np.ndarray:
-        """Str [n]: what a planner was told of obstacles and current, in words."""
+        """Str [n]: what a planner was told of obstacles / of the current."""
         pairs = zip(self["knows_obstacles"], self["knows_current"], strict=True)
-        return np.array([f"obstacles {a}, current {b}" for a, b in pairs], object)
+        return np.array([f"{a} / {b}" for a, b in pairs], object)
 
     @cached_property
     def planners(self) -> list[str]:
