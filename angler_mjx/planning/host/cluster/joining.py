@@ -1,6 +1,5 @@
 """A Ray cluster that somebody started: joining it, and leaving it as it was."""
 
-import importlib
 import logging
 import os
 import re
@@ -64,6 +63,7 @@ class Cluster:
         if self._mine:
             self._mine = False
             self.ray.shutdown()
+            self._telling(True)
 
     def actor(self, kind: type, *given: Any) -> Any:
         """An actor that holds a processor, as soon as there is one.
@@ -119,6 +119,11 @@ class Cluster:
                 f"the Ray cluster at {address} cannot be joined from here: {_line(error)}"
             ) from error
         self._mine = True
+        self._telling(False)
+
+    def _telling(self, told: bool) -> None:
+        """Whether Ray prints of every process of the cluster that dies; it has no option for it."""
+        self.ray._private.worker._worker_logs_enabled = told
 
     def _check_all(self) -> None:
         """Asks every machine that takes work what is installed there."""
@@ -148,12 +153,13 @@ def _ray() -> Any:
     """The module; under ``uv run`` it is not to copy the working directory to all machines."""
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     try:
-        importlib.import_module("ray.util.scheduling_strategies")
-        return importlib.import_module("ray")
+        import ray
+        import ray.util.scheduling_strategies
     except ModuleNotFoundError as error:
         raise UnsupportedError(
             f"planning on a cluster needs {error.name}: pip install 'angler-mjx[ray]'"
         ) from error
+    return ray
 
 
 def _look_for(address: str) -> None:

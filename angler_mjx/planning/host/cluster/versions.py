@@ -4,7 +4,8 @@ import hashlib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import angler_mjx
+HOME = Path(__file__).parents[3]
+"""The package's folder."""
 
 LIBRARIES = ("numpy", "jax", "jaxlib", "ompl", "numba", "coal", "pin")
 """Distributions whose other versions may give other plans."""
@@ -12,11 +13,10 @@ LIBRARIES = ("numpy", "jax", "jaxlib", "ompl", "numba", "coal", "pin")
 
 def installed() -> dict[str, str]:
     """Versions by name; of this package a digest of its files too, as a checkout may be edited."""
-    home = Path(angler_mjx.__file__).parent
     text = hashlib.sha256()
-    for file in sorted(home.rglob("*.py")):
-        text.update(str(file.relative_to(home)).encode() + b"\0" + file.read_bytes())
-    own = f"{angler_mjx.__version__} ({text.hexdigest()[:12]})"
+    for file in sorted(HOME.rglob("*.py")):
+        text.update(str(file.relative_to(HOME)).encode() + b"\0" + file.read_bytes())
+    own = f"{_version('angler-mjx')} ({text.hexdigest()[:12]})"
     return {"angler_mjx": own, **{name: _version(name) for name in LIBRARIES}}
 
 
