@@ -1,5 +1,6 @@
 """What runs on a machine of a cluster: a pool of one process, and the way to it."""
 
+import hashlib
 import os
 import pickle
 import tempfile
@@ -24,7 +25,7 @@ class PlanningActor:
         Args:
             own: a pickled `Carried`, the pool's own planner, or None.
         """
-        self._folder = tempfile.TemporaryDirectory(prefix="angler_mjx_planners_")
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._met: dict[bytes, PlannerSpec] = {}
         carried: Carried | None = pickle.loads(own)
         self._pool = Workers(None if carried is None else self._planner(own), 1)
@@ -52,9 +53,19 @@ class PlanningActor:
     def end(self) -> None:
         """Ends the process, and leaves nothing behind."""
         self._pool.close()
-        self._folder.cleanup()
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def _planner(self, planner: bytes) -> PlannerSpec:
         if planner not in self._met:
-            self._met[planner] = unpack(pickle.loads(planner), Path(self._folder.name))
+            self._met[planner] = unpack(pickle.loads(planner), self._put)
         return self._met[planner]
+
+    def _put(self, name: str, text: bytes) -> Path:
+        """Writes a file that came along."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="angler_mjx_planners_")
+        put = Path(self._folder.name, hashlib.sha256(text).hexdigest(), name)
+        put.parent.mkdir(exist_ok=True)
+        put.write_bytes(text)
+        return put

@@ -1,6 +1,7 @@
 """Planners on their way to another machine: a planner of a file takes the file along."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def carry(spec: PlannerSpec) -> Carried:
     return Carried(spec, text if _digest(text) == spec.reference.sha256 else None)
 
 
-def unpack(carried: Carried, folder: Path) -> PlannerSpec:
+def unpack(carried: Carried, put: Callable[[str, bytes], Path]) -> PlannerSpec:
     """The planner as it can be made here.
 
     Of the file that lies here at the same path, if it is the same: what lies beside it can then be
@@ -36,16 +37,14 @@ def unpack(carried: Carried, folder: Path) -> PlannerSpec:
 
     Args:
         carried: the planner.
-        folder: where files are put.
+        put: writes a file of a name and a text, and says where.
     """
     reference = carried.spec.reference
     file = reference.file
     if file is None or carried.text is None or _digest(_text(file)) == reference.sha256:
         return carried.spec
-    put = folder / str(reference.sha256) / file.name
-    put.parent.mkdir(parents=True, exist_ok=True)
-    put.write_bytes(carried.text)
-    return replace(carried.spec, reference=replace(reference, module=str(put)))
+    there = put(file.name, carried.text)
+    return replace(carried.spec, reference=replace(reference, module=str(there)))
 
 
 def _text(file: Path) -> bytes | None:

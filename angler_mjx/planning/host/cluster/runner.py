@@ -90,7 +90,7 @@ class ActorRunner(Runner):
 
     def end(self) -> None:
         """Ends the actor, and what it started."""
-        if self._actor is not None:
+        if self.pid is not None:
             with contextlib.suppress(self._cluster.ray.exceptions.RayError):
                 self._cluster.ray.get(self._actor.end.remote(), timeout=END_S)
         self._drop()
@@ -148,7 +148,8 @@ class ActorRunner(Runner):
         with self._guard:
             actor, self._actor = self._actor, None
         if actor is not None:
-            self._cluster.ray.kill(actor)
+            with contextlib.suppress(self._cluster.ray.exceptions.RayError):
+                self._cluster.ray.kill(actor)
 
 
 def _how(error: BaseException) -> str:

@@ -24,26 +24,37 @@ def spec(tmp_path):
     return PlannerSpec(reference=register.find(f"{file}:Still"), most_points=5)
 
 
-def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec, tmp_path):
+@pytest.fixture
+def put(tmp_path):
+    (tmp_path / "there").mkdir()
+
+    def put(name, text):
+        (tmp_path / "there" / name).write_bytes(text)
+        return tmp_path / "there" / name
+
+    return put
+
+
+def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec, put, tmp_path):
     carried = carry(spec)
     spec.reference.file.unlink()
-    there = unpack(carried, tmp_path / "there")
+    there = unpack(carried, put)
     assert there.reference.file.read_text() == TEXT
     assert there.reference.file.is_relative_to(tmp_path / "there")
     assert (there.settings, there.most_points) == ({}, 5)
     assert there.make().plan(None) == []
 
 
-def test_the_file_that_lies_there_is_used_where_it_is_the_same(spec, tmp_path):
+def test_the_file_that_lies_there_is_used_where_it_is_the_same(spec, put):
     carried = carry(spec)
-    assert unpack(carried, tmp_path / "there") is carried.spec
+    assert unpack(carried, put) is carried.spec
     spec.reference.file.write_text("# another\n")
-    assert unpack(carried, tmp_path / "there").reference.file.read_text() == TEXT
+    assert unpack(carried, put).reference.file.read_text() == TEXT
 
 
-def test_a_file_that_was_edited_is_not_carried_and_is_said_so(spec, tmp_path):
+def test_a_file_that_was_edited_is_not_carried_and_is_said_so(spec, put):
     spec.reference.file.write_text("# another\n")
-    there = unpack(carry(spec), tmp_path / "there")
+    there = unpack(carry(spec), put)
     with pytest.raises(ConfigError, match="edited since it was chosen"):
         there.make()
 

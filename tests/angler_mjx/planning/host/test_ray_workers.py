@@ -61,16 +61,23 @@ def node(*options):
 
 
 @pytest.fixture(scope="module")
-def address():
+def head():
+    """Process id of a head, and its address."""
     # Paths of sockets are short: Ray's do not fit into pytest's folders.
     with tempfile.TemporaryDirectory(prefix="ray_", ignore_cleanup_errors=True) as folder:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
         options = (f"--port={port}", "--num-cpus=2", "--include-dashboard=false")
-        with node("--head", "--node-ip-address=127.0.0.1", *options, f"--temp-dir={folder}"):
+        options = (*options, "--node-ip-address=127.0.0.1", f"--temp-dir={folder}")
+        with node("--head", *options) as started:
             wait_for(lambda: answers(port))
-            yield f"127.0.0.1:{port}"
+            yield started.pid, f"127.0.0.1:{port}"
+
+
+@pytest.fixture(scope="module")
+def address(head):
+    return head[1]
 
 
 @pytest.fixture
@@ -200,7 +207,7 @@ with RayWorkers(address, 1, spec) as pool:
 
 
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGINT])
-def test_all_ends_with_the_process_that_joined(address, strange, folder, by):
+def test_all_ends_with_the_process_that_joined(head, strange, folder, by):
     parent = subprocess.Popen(
         [sys.executable, "-c", PARENT],
         stdin=subprocess.PIPE,
@@ -209,12 +216,14 @@ def test_all_ends_with_the_process_that_joined(address, strange, folder, by):
         env=environment(),
     )
     with parent.stdin as said:
-        said.write(pickle.dumps((address, strange, ask("holds", deadline_s=600.0))))
+        said.write(pickle.dumps((head[1], strange, ask("holds", deadline_s=600.0))))
     wait_for((folder / "holds").exists)
-    planners = planning()
+    planners = planning(head[0])
     assert planners
     parent.send_signal(by)
-    told = parent.communicate(timeout=60)[0].decode()
+    with parent.stdout:
+        told = parent.stdout.read().decode()
+    parent.wait(timeout=60)
     wait_for(lambda: not any(one.is_running() for one in planners))
     if by == signal.SIGINT:
         assert told.rstrip().endswith("KeyboardInterrupt")
@@ -232,15 +241,13 @@ def made(name, **settings):
     return PlannerSpec(reference=register.find(f"{STRANGE}:{name}"), settings=settings)
 
 
-def planning():
-    """Processes that hold "holds" up, of this test's cluster: those that were made by an actor."""
-    found = []
-    for one in psutil.process_iter(["cmdline"]):
-        if "angler_mjx.planning.host.worker" in " ".join(one.info["cmdline"] or ()):
-            above = [parent.name() for parent in one.parents()]
-            if any("PlanningActor" in name for name in above):
-                found.append(one)
-    return found
+def planning(head):
+    """Processes of planners that belong to a cluster."""
+    return [
+        one
+        for one in descendants(head)
+        if "angler_mjx.planning.host.worker" in " ".join(one.cmdline())
+    ]
 
 
 def descendants(pid):
