@@ -36,6 +36,7 @@ OF_EXTRAS = {
     "ompl": "plan",
     "pin": "plan",
     "pymavlink": "sitl",
+    "ray": "ray",
     "rerun-sdk": "view",
 }
 """Distributions that the package does without, and who brings them."""

@@ -29,7 +29,8 @@ class Job:
 
     sent: bytes
     """The problem, pickled."""
-    planner: PlannerSpec
+    planner: bytes
+    """As the pool packs it."""
     robots: int
     deadline_s: float
     answer: Future[Answer]
@@ -37,16 +38,18 @@ class Job:
     """Machines that it was lost with."""
 
 
-class QueuedPool:
+class QueuedPool(ABC):
     """A `Pool` whose runners, begun by a subclass, take jobs from one queue.
 
     Attributes:
         count: problems that are planned at the same time.
         own: who plans where no planner is given.
+        runners: what plans.
     """
 
     count: int
     own: PlannerSpec | None
+    runners: "Sequence[Runner]"
 
     def __init__(self, own: PlannerSpec | None, count: int) -> None:
         """Nothing plans yet; see `begin`.
@@ -66,11 +69,15 @@ class QueuedPool:
         self._next = 0
         self._closing = threading.Event()
         self._broken: RunError | None = None
-        self._runners: Sequence[Runner] = ()
+        self.runners = ()
+
+    @abstractmethod
+    def pack(self, planner: PlannerSpec) -> bytes:
+        """A planner as it travels to a process; the same one always packs into the same."""
 
     def begin(self, runners: "Sequence[Runner]") -> None:
         """Starts what plans."""
-        self._runners = runners
+        self.runners = runners
         for runner in runners:
             runner.start()
 
@@ -83,7 +90,8 @@ class QueuedPool:
             raise ConfigError("the planning workers have no planner; submit(problem, planner=...)")
         host = jax.tree.map(np.asarray, problem)
         sent = pickle.dumps(host, protocol=pickle.HIGHEST_PROTOCOL)
-        job = Job(sent, planner, problem.robots, float(problem.deadline_s), Future())
+        packed = self.pack(planner)
+        job = Job(sent, packed, problem.robots, float(problem.deadline_s), Future())
         self._next += 1
         self._given[self._next] = job.answer
         self.put(job)
@@ -138,10 +146,10 @@ class QueuedPool:
         if self._closing.is_set():
             return
         self._closing.set()
-        for runner in self._runners:
+        for runner in self.runners:
             runner.kill()
             self._jobs.put(None)
-        for runner in self._runners:
+        for runner in self.runners:
             runner.join()
         self._refuse(RunError(CLOSED))
 
@@ -200,6 +208,13 @@ def _put(done: queue.SimpleQueue[int], ticket: int, _: Future[Answer]) -> None:
     done.put(ticket)
 
 
+def _final(error: Exception) -> RunError:
+    """Any error of a runner's, so that who waits is told, and does not wait for ever."""
+    if isinstance(error, RunError):
+        return error
+    return RunError(f"the planning workers cannot go on: {type(error).__name__}: {error}")
+
+
 class Runner(threading.Thread, ABC):
     """Has one problem after another planned, somewhere."""
 
@@ -239,12 +254,13 @@ class Runner(threading.Thread, ABC):
             while (job := self.pool.job()) is not None:
                 try:
                     answer = self.answer(job)
-                except RunError as error:
-                    job.answer.set_exception(error)
+                except Exception as error:
+                    job.answer.set_exception(_final(error))
                     raise
                 if answer is not None:
                     job.answer.set_result(answer)
-        except RunError as error:
-            self.pool.broken(error)
+                self.ready()
+        except Exception as error:
+            self.pool.broken(_final(error))
         finally:
             self.end()

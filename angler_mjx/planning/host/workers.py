@@ -4,6 +4,8 @@ Each has one thread and plans one problem at a time. One that takes too long is 
 dies is replaced, and the pool goes on. All end with the process that made them, however that ends.
 """
 
+import pickle
+
 from angler_mjx.planning.host.processes.runner import ProcessRunner
 from angler_mjx.planning.host.queued import QueuedPool
 from angler_mjx.planning.register import PlannerSpec
@@ -38,6 +40,10 @@ class Workers(QueuedPool):
         super().__init__(make, count)
         self._processes = [ProcessRunner(self) for _ in range(count)]
         self.begin(self._processes)
+
+    def pack(self, planner: PlannerSpec) -> bytes:
+        """As `QueuedPool.pack`."""
+        return pickle.dumps(planner)
 
     def pids(self) -> list[int]:
         """Process ids of the workers that live now."""

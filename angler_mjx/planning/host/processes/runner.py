@@ -25,7 +25,7 @@ class ProcessRunner(Runner):
     def __init__(self, pool: QueuedPool) -> None:
         """No process is started yet."""
         super().__init__(pool)
-        self._made_of = pickle.dumps(pool.own)
+        self._made_of = pickle.dumps(None) if pool.own is None else pool.pack(pool.own)
         self._guard = threading.Lock()
         self._process: WorkerProcess | None = None
 
@@ -54,12 +54,11 @@ class ProcessRunner(Runner):
     def answer(self, job: Job) -> Answer:
         """By the process, or by another where it dies."""
         limit_s = LATE * job.deadline_s
-        planner = pickle.dumps(job.planner)
         for _ in range(TRIES):
             process = self._ready()
             begin = time.perf_counter()
             try:
-                process.send(planner)
+                process.send(job.planner)
                 process.send(job.sent)
                 process.receive("began", START_S)
                 begin = time.perf_counter()
