@@ -36,10 +36,6 @@ class Contestant:
     on_device: bool
     """Whether it plans a batch at once."""
 
-    def asks(self, knows: Knows) -> bool:
-        """Whether it is asked problems of which that may be known."""
-        return self.knows is None or self.knows == knows
-
     def spec_of(self, setting: "Setting") -> PlannerSpec:
         """What a worker makes it of, for the problems of a setting."""
         return replace(self.spec, most_points=setting.scenario.planner.points)
@@ -85,7 +81,12 @@ class Benchmark:
 
     def asked(self, setting: Setting) -> list[Contestant]:
         """Who is asked the problems of a setting, in the file's order."""
-        return [one for one in self.contestants if one.asks(setting.knows)]
+        told = _told(self.config, self.scenario)
+        return [
+            one
+            for one in self.contestants
+            if (setting.knows == one.knows if one.knows else setting.knows in told)
+        ]
 
     def resolved(self) -> dict[str, Any]:
         """All of it in plain values: the same table is the same benchmark."""
@@ -189,7 +190,7 @@ def _settings(
         "deadline_s": config.deadline_s,
     }
     base = merged(base, config.set)
-    known = [one.knows() for one in config.knows or (scenario.planner.knows,)]
+    known = [] if all(one.knows for one in contestants) else _told(config, scenario)
     known += [one.knows for one in contestants if one.knows is not None]
     made = []
     for preset in config.presets or (None,):
@@ -215,9 +216,13 @@ def _settings(
                             seed=seed,
                         )
                         for knows in dict.fromkeys(known)
-                        if any(one.asks(knows) for one in contestants)
                     ]
     return made
+
+
+def _told(config: BenchmarkConfig, scenario: Scenario) -> list[Knows]:
+    """What planners are told that do not say themselves."""
+    return [one.knows() for one in config.knows or (scenario.planner.knows,)]
 
 
 def _fleet(entries: Any, robots: int) -> list[dict[str, Any]]:

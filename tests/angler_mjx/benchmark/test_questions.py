@@ -40,7 +40,7 @@ def read(tmp_path, more="", planner=""):
         ('knows = [{obstacles = "all"}]', r"knows\[0\].obstacles = 'all'"),
         ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),
         (
-            "set.world.cell_m = 0.1\nteams = [3]",
+            "set.world = {cell_m = 0.1, obstacles = {dynamic = {count = 0}}}\nteams = [3]",
             r"3 robots\).*world, for the fleet: robot radius",
         ),
         ('[[scene]]\nname = "a"\n[[scene]]\nname = "a"', "scene.name: 'a' is there twice"),
@@ -108,3 +108,18 @@ def test_tables_are_merged_and_all_else_is_replaced():
         "g": {},
     }
     assert before["b"]["c"] == [1, 2]
+
+
+def test_a_planner_that_says_what_it_is_told_is_asked_that_alone(tmp_path):
+    made = read(
+        tmp_path,
+        'knows = [{obstacles = "truth"}]',
+        'knows = {obstacles = "nothing"}\n[[planner]]\nname = "RRTConnect"\n'
+        '[[planner]]\nname = "RRT"\nknows = {obstacles = "truth", current = "truth"}\n',
+    )
+    asked = {s.knows: [one.label for one in made.asked(s)] for s in made.settings}
+    assert asked == {
+        Knows(obstacles="truth"): ["RRTConnect"],
+        Knows(): ["grid"],
+        Knows(obstacles="truth", current="truth"): ["RRT"],
+    }
