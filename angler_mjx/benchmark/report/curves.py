@@ -30,7 +30,7 @@ def success_by_team(results: Results) -> Figure:
     found = by(groups, runs["success"], runs.asked)
     across = min(len(scenes), 3)
     down = -(-len(scenes) // across)
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(4.3 * across, 7.5), 3.3 * down)
         style.headline(figure, f"{results.about.get('name', '')}: success by team", _said(results))
         for axes, scene in zip(look.panels(figure, len(scenes), across), scenes, strict=True):
@@ -52,7 +52,7 @@ def success_by_density(results: Results) -> Figure:
     runs = results.runs
     bins = density_bins(runs, results.problem)
     found = by((runs["planner"], bins.of), runs["success"], runs.asked)
-    with style.styled():
+    with look.styled():
         figure = _figure(results, 9.6, 4.2)
         style.headline(
             figure, f"{results.about.get('name', '')}: success by density", _said(results)
@@ -85,7 +85,7 @@ def planning_time(results: Results) -> Figure | None:
         return None
     teams = sorted(set(runs["robots"].tolist()))
     shown = [i for i, name in enumerate(results.planners) if known[runs["planner"] == name].any()]
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(9.6, 2.2 * len(teams)), 4.2)
         style.headline(
             figure,
@@ -121,7 +121,7 @@ def _said(results: Results) -> str:
     closed = int(np.sum(~results.runs.asked))
     less = f"; {closed:,} of {len(results.runs):,} runs were not asked and count nowhere"
     return (
-        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked"
+        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked (then too high)"
         f"{less if closed else ''}"
     )
 
@@ -171,7 +171,7 @@ def _profiles(results: Results, costs: Sequence[str]) -> Figure | None:
     found = {cost: one for cost, one in found.items() if one.problems}
     if not found:
         return None
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(4.5 * len(found), 9.0), 3.6)
         style.headline(
             figure,

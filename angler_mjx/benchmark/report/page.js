@@ -113,21 +113,22 @@ function drawAnswer() {
 
 function drawWinners() {
   const columns = teams(), table = html("table"), head = html("tr", {}, html("th", { class: "text" }, "scene"));
-  for (const team of columns) head.append(html("th", { class: "text" }, `${team} robot${team === 1 ? "" : "s"}`));
   if (columns.length > 1) head.append(html("th", { class: "text" }, "all teams"));
+  for (const team of columns) head.append(html("th", { class: "text" }, `${team} robot${team === 1 ? "" : "s"}`));
   table.append(html("thead", {}, head));
   const body = html("tbody");
   for (const scene of scenes()) {
     const row = html("tr", {}, html("th", { class: "text", scope: "row" }, data.scenes[scene]));
-    for (const team of columns.length > 1 ? [...columns, null] : columns) {
+    for (const team of columns.length > 1 ? [null, ...columns] : columns) {
       const won = winner((i) => kept(i) && rows.scene[i] === scene && (team === null || rows.team[i] === team));
       const cell = html("td");
       if (won.best === undefined) cell.append(won.all.length ? "all given up" : "–");
       else if (!won.one.success) cell.append("none succeeds", html("small", {}, `${won.one.asked} runs each`));
       else {
-        const { one } = won, rate = one.success / one.asked;
+        const { one } = won, rate = one.success / one.asked, open = won.all.length - won.shut.length;
+        const clear = won.alike.length === 0 || 2 * won.alike.length < open - 1;
         cell.style.background = `rgba(var(--good), ${(0.06 + 0.3 * rate).toFixed(2)})`;
-        cell.append(html("b", {}, names[won.best]), `${percent(rate)}${one.asked < data.few ? " *" : ""}`);
+        cell.append(html("b", {}, clear ? names[won.best] : "no clear winner"), `${clear ? "" : `${names[won.best]} `}${percent(rate)}${one.asked < data.few ? " *" : ""}`);
         if (won.alike.length) cell.append(html("small", {}, `≈ ${listed(won.alike, 2)}`));
       }
       row.append(cell);
@@ -136,7 +137,7 @@ function drawWinners() {
   }
   table.append(body);
   at("winners").replaceChildren(table);
-  at("winners-note").textContent = `Success: every robot has a path and arrives. ≈: Newcombe's paired 95 % interval of the difference holds 0. Planners given up in a cell are not ranked in it. *: fewer than ${data.few} runs.`;
+  at("winners-note").textContent = `Success: every robot has a path and arrives. ≈: Newcombe's paired 95 % interval of the difference holds 0; no clear winner: so for half of the others or more. Planners given up in a cell are not ranked in it. *: fewer than ${data.few} runs.`;
 }
 
 function drawRates() {
@@ -227,7 +228,7 @@ function drawExample() {
     const figure = exampleMap(example, way);
     figure.append(html("p", { class: "note" }, how(way)));
     return figure;
-  }), html("p", { class: "note" }, "Disc: start. Star: goal. Dashed: planned. Thick: flown. Cross: failure. Darker rock is higher; violet obstacles move, drawn where they begin."));
+  }), html("p", { class: "note" }, "Disc: start. Star: goal. Dashed: planned. Thick: flown. Cross: failure. Stronger rock is higher; violet obstacles move, drawn where they begin."));
 }
 
 const MEASURES = { planning_s: "planning\ns", first_s: "first\ns", best_s: "best\ns", makespan_s: "makespan\ns", flowtime_s: "flowtime\ns", energy_j: "energy\nJ", plan_turn_rad: "turn\nrad", min_clearance_m: "clearance\nm", min_separation_m: "separation\nm", density: "density\n", path_ratio: "way /\nstraight", free_lines: "free\nlines" };

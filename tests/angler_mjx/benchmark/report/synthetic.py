@@ -43,7 +43,7 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     labels = labels or dict(zip(planners, planners, strict=True))
     scenes = [f"{preset}_fleet" for preset in presets]
-    skill = {name: 1.2 - 1.8 * i / max(len(planners), 2) for i, name in enumerate(planners)}
+    skill = {name: 1.2 - 2.4 * i / max(len(planners), 2) for i, name in enumerate(planners)}
     rows, robots = [], []
     for scene, preset in zip(scenes, presets, strict=True):
         for team in teams:
