@@ -63,7 +63,8 @@ def write(
                         "robots_planned": 0, "robots_reached": 0, "reached": False,
                         "success": False, "density": density[world],
                         "path_ratio": 1 + 4 * density[world] * rng.random(),
-                        "free_lines": float(np.exp(-12 * density[world])), "straight_m": 20.0 * team,
+                        "free_lines": float(np.exp(-12 * density[world])),
+                        "straight_m": 20.0 * team,
                     }  # fmt: skip
                     if closed and world >= 5:
                         rows.append(row | {"plan_status": "closed"})
