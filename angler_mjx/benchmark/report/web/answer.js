@@ -6,15 +6,16 @@ function listed(planners, most = 3) {
 }
 
 function drawAnswer() {
-  const list = at("answer"), flown = rows.success.some((x) => x);
+  const list = at("answer"), some = hit.some((x) => x);
   list.replaceChildren();
   const say = (strong, rest) => list.append(html("li", {}, html("b", {}, strong), rest));
   const won = winner(kept);
-  if (won.best !== undefined && flown) {
+  if (data.judged === "planned") say("Nothing has been flown yet", ": shares are of problems that were planned for every robot.");
+  if (won.best !== undefined && some) {
     const { one } = won, alike = won.alike.length ? `; not told apart from it by paired comparison: ${listed(won.alike, 5)}` : won.all.length > 1 ? "; ahead of every other planner that was asked everything" : "";
     const shut = won.shut.length ? `. Not ranked, given up in some cells: ${listed(won.shut, 8)}` : "";
-    say(names[won.best], ` succeeds most often: ${percent(one.success / one.asked)} (${between(wilson(one.success, one.asked))}) of ${one.asked} runs${alike}${shut}.`);
-  } else if (!flown) say("No run has succeeded yet", ": nothing flown, or nothing arrived.");
+    say(names[won.best], ` ${JUDGED} most often: ${percent(one.success / one.asked)} (${between(wilson(one.success, one.asked))}) of ${one.asked} runs${alike}${shut}.`);
+  } else if (!some) say("No run has succeeded yet", ".");
   else say("No planner was asked everything", " chosen here: all were given up in some cells. See the scenes below.");
   for (const [cost, words] of [["planning_s", "plans fastest"], ["makespan_s", "arrives soonest"], ["energy_j", "needs least energy"]]) {
     const found = profile(rows, state.planners, cost, COSTS[cost][0], kept);
@@ -37,7 +38,7 @@ function drawWinners() {
       const won = winner((i) => kept(i) && rows.scene[i] === scene && (team === null || rows.team[i] === team));
       const cell = html("td");
       if (won.best === undefined) cell.append(won.all.length ? "all given up" : "–");
-      else if (!won.one.success) cell.append("none succeeds", html("small", {}, `${won.one.asked} runs each`));
+      else if (!won.one.success) cell.append("none", html("small", {}, `${won.one.asked} runs each`));
       else {
         const { one } = won, rate = one.success / one.asked, open = won.all.length - won.shut.length;
         const clear = won.alike.length === 0 || 2 * won.alike.length < open - 1;
@@ -51,12 +52,12 @@ function drawWinners() {
   }
   table.append(body);
   at("winners").replaceChildren(table);
-  at("winners-note").textContent = `Success: every robot has a path and arrives. ≈: Newcombe's paired 95 % interval of the difference holds 0; no clear winner: so for half of the others or more. Planners given up in a cell are not ranked in it. *: fewer than ${data.few} runs.`;
+  at("winners-note").textContent = `${data.judged === "success" ? "Success: every robot has a path and arrives." : "Share of problems planned for every robot."} ≈: Newcombe's paired 95 % interval of the difference holds 0; no clear winner: so for half of the others or more. Planners given up in a cell are not ranked in it. *: fewer than ${data.few} runs.`;
 }
 
 function drawPair() {
   const [a, b] = [state.first, state.second].map((p) => byProblem(rows, p, kept));
-  const [both, first, second, neither] = counts(rows, a, b), n = both + first + second + neither;
+  const [both, first, second, neither] = counts(hit, a, b), n = both + first + second + neither;
   const difference = (first - second) / n, interval = newcombe(both, first, second, neither);
   const points = (x) => `${x > 0 ? "+" : ""}${(100 * x).toFixed(1)}`, p = mcnemar(first, second);
   const lines = [["problems both were asked", String(n)], ["both succeed", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
@@ -67,7 +68,7 @@ function drawPair() {
   }
   const few = n < data.few ? ` Only ${n} problems: too few to say much.` : "";
   const [x, y] = [names[state.first], names[state.second]];
-  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} succeeds more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} succeeds more often than ${x} on the same problems.${few}` : `Success does not tell ${x} and ${y} apart here.${few}`;
+  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `Success does not tell ${x} and ${y} apart here.${few}`;
   const body = html("tbody");
   for (const [label, value] of lines) body.append(html("tr", {}, html("th", { class: "text", scope: "row" }, label), html("td", {}, value)));
   at("pair").replaceChildren(html("table", {}, body));

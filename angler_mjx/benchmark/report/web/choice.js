@@ -2,6 +2,8 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const rows = data.rows, names = data.planners;
+// Success, or whether all robots were planned for while nothing has been flown.
+const hit = rows[data.judged], JUDGED = data.judged === "success" ? "succeeds" : "plans for all robots";
 const at = (id) => document.getElementById(id);
 const COSTS = { planning_s: ["planned", "Planning time"], makespan_s: ["success", "Makespan flown"], energy_j: ["success", "Energy flown"], flowtime_s: ["success", "Flowtime flown"] };
 const state = { planners: names.map((_, i) => i), scene: -1, team: -1, knows: -1, first: 0, second: Math.min(1, names.length - 1), example: 0, drawn: "", sort: "", down: false };
@@ -57,7 +59,7 @@ function tally(key, keep) {
     if (!one) found.set(name, (one = { asked: 0, success: 0, closed: 0 }));
     if (rows.asked[i]) {
       one.asked++;
-      one.success += rows.success[i];
+      one.success += hit[i];
     } else one.closed++;
   }
   return found;
@@ -80,7 +82,7 @@ function winner(keep) {
   if (of(best).success) {
     for (const other of open) {
       if (other === best) continue;
-      if (newcombe(...counts(rows, held, byProblem(rows, other, keep)))[0] <= 0) alike.push(other);
+      if (newcombe(...counts(hit, held, byProblem(rows, other, keep)))[0] <= 0) alike.push(other);
     }
   }
   return { best, one: of(best), alike, shut, all: there };

@@ -21,7 +21,8 @@ function begin() {
   at("name").textContent = about.name || "Benchmark";
   at("description").textContent = `${about.description || ""} ${names.length} planner${names.length === 1 ? "" : "s"}, ${data.scenes.length} scene${data.scenes.length === 1 ? "" : "s"}, ${new Set(rows.problem).size} problems, ${rows.asked.length} runs.`.trim();
   if (about.complete === false) {
-    at("state").textContent = "These results are not complete.";
+    const pending = data.pending ? ` ${data.pending} runs are planned and not flown yet; in rates of success they count as failed.` : "";
+    at("state").textContent = `These results are not complete.${pending}`;
     at("state").hidden = false;
   }
   document.querySelectorAll(".few").forEach((node) => (node.textContent = data.few));

@@ -114,9 +114,10 @@ def test_odd_labels_are_shown_as_they_are(tmp_path):
     folder = tmp_path / "results"
     labels = {"grid": NASTY, "PRM": "<b>PRM</b>"}
     given = {"planners": ("grid", "PRM"), "presets": ("reef",), "teams": (2,), "worlds": 4}
-    synthetic.write(folder, **given, labels=labels, flown=False, examples=0)
+    rows = synthetic.write(folder, **given, labels=labels, flown=False, examples=0)
     document = shown(page.make(folder), tmp_path / "browser")
     assert "<title>synthetic</title>" in document
     assert {NASTY, "<b>PRM</b>"} < set(texts(within(document, "cells"), "td"))
-    assert "No run has succeeded yet" in document
-    assert "These results are not complete" in document
+    assert "Nothing has been flown yet" in document
+    planned = sum(row["planned"] for row in rows)
+    assert f"not complete. {planned} runs are planned and not flown" in document
