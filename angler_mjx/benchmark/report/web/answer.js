@@ -60,15 +60,15 @@ function drawPair() {
   const [both, first, second, neither] = counts(hit, a, b), n = both + first + second + neither;
   const difference = (first - second) / n, interval = newcombe(both, first, second, neither);
   const points = (x) => `${x > 0 ? "+" : ""}${(100 * x).toFixed(1)}`, p = mcnemar(first, second);
-  const lines = [["problems both were asked", String(n)], ["both succeed", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
-  if (n) lines.push(["difference of success, percentage points", `${points(difference)} (${points(interval[0])} to ${points(interval[1])})`], ["McNemar's exact p", p < 1e-4 ? p.toExponential(1) : p.toFixed(4)]);
+  const lines = [["problems both were asked", String(n)], [data.judged === "success" ? "both succeed" : "both plan for all robots", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
+  if (n) lines.push([`difference of share (${data.judged}), percentage points`, `${points(difference)} (${points(interval[0])} to ${points(interval[1])})`], ["McNemar's exact p", p < 1e-4 ? p.toExponential(1) : p.toFixed(4)]);
   for (const [cost, needs] of Object.entries({ planning_s: "planned", makespan_s: "success", energy_j: "success" })) {
     const found = ratioOf(rows, a, b, cost, needs), label = `${COSTS[cost][1].toLowerCase()}, median ratio first / second`;
     lines.push([label, found ? `${short(found.median)} (${short(found.low)} to ${short(found.high)}), ${found.pairs} problems${found.pairs < data.few ? ": too few" : ""}` : "–"]);
   }
   const few = n < data.few ? ` Only ${n} problems: too few to say much.` : "";
   const [x, y] = [names[state.first], names[state.second]];
-  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `Success does not tell ${x} and ${y} apart here.${few}`;
+  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `${data.judged === "success" ? "Success" : "Planning"} does not tell ${x} and ${y} apart here.${few}`;
   const body = html("tbody");
   for (const [label, value] of lines) body.append(html("tr", {}, html("th", { class: "text", scope: "row" }, label), html("td", {}, value)));
   at("pair").replaceChildren(html("table", {}, body));

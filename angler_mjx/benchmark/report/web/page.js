@@ -21,10 +21,11 @@ function begin() {
   at("name").textContent = about.name || "Benchmark";
   at("description").textContent = `${about.description || ""} ${names.length} planner${names.length === 1 ? "" : "s"}, ${data.scenes.length} scene${data.scenes.length === 1 ? "" : "s"}, ${new Set(rows.problem).size} problems, ${rows.asked.length} runs.`.trim();
   if (about.complete === false) {
-    const pending = data.pending ? ` ${data.pending} runs are planned and not flown yet; in rates of success they count as failed.` : "";
+    const pending = data.pending && data.judged === "success" ? ` ${data.pending} runs are planned and not flown yet; rates count them as failed.` : "";
     at("state").textContent = `These results are not complete.${pending}`;
     at("state").hidden = false;
   }
+  if (data.judged === "planned") for (const id of ["team-title", "density-title"]) at(id).textContent = at(id).textContent.replace("Success", "Share planned");
   document.querySelectorAll(".few").forEach((node) => (node.textContent = data.few));
   options("scene", data.scenes, "all");
   options("team", data.teams, "all");

@@ -23,6 +23,7 @@ function drawRates() {
 function drawProfiles() {
   at("profiles").replaceChildren(...Object.entries(COSTS).map(([cost, [needs, title]]) => {
     const found = profile(rows, state.planners, cost, needs, kept);
+    if (!found.problems) return html("p", { class: "note" }, `${title}: no problem here that is known and was asked of all planners chosen.`);
     const figure = profileChart(`${title}: ${found.problems} common problems`, found, names);
     if (found.leftOut.length) figure.append(html("p", { class: "note" }, `Nothing known of: ${listed(found.leftOut, 14)}.`));
     return figure;
