@@ -19,6 +19,7 @@ _COST_TEXT = {
     "energy_j": "energy flown",
     "flowtime_s": "flowtime flown",
 }
+_WORDS = {"success": "success", "planned": "planned (nothing flown yet)"}
 _RATIOS = (1, 1.02, 1.05, 1.1, 1.2, 1.5, 2, 3, 5, 10, 20, 50, 100, 1000, 10000)
 
 
@@ -27,12 +28,16 @@ def success_by_team(results: Results) -> Figure:
     runs, scenes = results.runs, results.scenes
     teams = sorted(set(runs["robots"].tolist()))
     groups = (runs["scene"], runs["planner"], runs["robots"])
-    found = by(groups, runs["success"], runs.asked)
+    found = by(groups, runs[results.judged], runs.asked)
     across = min(len(scenes), 3)
     down = -(-len(scenes) // across)
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(4.3 * across, 7.5), 3.3 * down)
-        style.headline(figure, f"{results.about.get('name', '')}: success by team", _said(results))
+        style.headline(
+            figure,
+            f"{results.about.get('name', '')}: {_WORDS[results.judged]} by team",
+            _said(results),
+        )
         for axes, scene in zip(look.panels(figure, len(scenes), across), scenes, strict=True):
             axes.set(title=scene, xlabel="robots")
             _rates(
@@ -51,11 +56,13 @@ def success_by_density(results: Results) -> Figure:
     """Success against the density of rock, over all scenes."""
     runs = results.runs
     bins = density_bins(runs, results.problem)
-    found = by((runs["planner"], bins.of), runs["success"], runs.asked)
-    with style.styled():
+    found = by((runs["planner"], bins.of), runs[results.judged], runs.asked)
+    with look.styled():
         figure = _figure(results, 9.6, 4.2)
         style.headline(
-            figure, f"{results.about.get('name', '')}: success by density", _said(results)
+            figure,
+            f"{results.about.get('name', '')}: {_WORDS[results.judged]} by density",
+            _said(results),
         )
         axes = figure.subplots()
         axes.set_xlabel("cells that are rock (mean of each bin; bins hold about as many problems)")
@@ -85,7 +92,7 @@ def planning_time(results: Results) -> Figure | None:
         return None
     teams = sorted(set(runs["robots"].tolist()))
     shown = [i for i, name in enumerate(results.planners) if known[runs["planner"] == name].any()]
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(9.6, 2.2 * len(teams)), 4.2)
         style.headline(
             figure,
@@ -121,7 +128,7 @@ def _said(results: Results) -> str:
     closed = int(np.sum(~results.runs.asked))
     less = f"; {closed:,} of {len(results.runs):,} runs were not asked and count nowhere"
     return (
-        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked"
+        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked (then too high)"
         f"{less if closed else ''}"
     )
 
@@ -171,7 +178,7 @@ def _profiles(results: Results, costs: Sequence[str]) -> Figure | None:
     found = {cost: one for cost, one in found.items() if one.problems}
     if not found:
         return None
-    with style.styled():
+    with look.styled():
         figure = _figure(results, max(4.5 * len(found), 9.0), 3.6)
         style.headline(
             figure,

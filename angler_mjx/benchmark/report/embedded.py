@@ -44,6 +44,8 @@ def data(results: Results) -> dict[str, Any]:
         "teams": sorted(set(runs["robots"].tolist())),
         "knowledge": knowledge,
         "few": FEW,
+        "judged": results.judged,
+        "pending": results.pending,
         "rows": rows,
         "bins": {
             "centres": [rounded(x) for x in bins.centres],

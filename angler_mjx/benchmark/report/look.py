@@ -1,7 +1,10 @@
 """How planners look in figures, so that fourteen can be told apart."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -10,6 +13,13 @@ from matplotlib.ticker import PercentFormatter
 from angler_mjx.viewing import style
 
 _COLUMNS = 7
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The look of all figures, with names taken as they are, dollars and all."""
+    with style.styled(), mpl.rc_context({"text.parse_math": False}):
+        yield
 
 
 def line(place: int) -> dict[str, Any]:

@@ -11,7 +11,17 @@ from angler_mjx.files import named
 from angler_mjx.storage.atomic import write_text
 
 NAME, PAIRS = "report.html", "comparisons.csv"
-_SCRIPTS = ("statistics.js", "charts.js", "maps.js", "page.js")
+_SCRIPTS = (
+    "statistics.js",
+    "charts.js",
+    "maps.js",
+    "choice.js",
+    "answer.js",
+    "sections.js",
+    "cells.js",
+    "page.js",
+)
+"""In this order: the last one begins."""
 _MARK = re.compile(r"@@(TITLE|STYLE|DATA|SCRIPT)@@")
 
 
@@ -61,5 +71,5 @@ def _plain(words: str) -> str:
 
 
 def _shipped(name: str) -> str:
-    file = resources.files("angler_mjx.benchmark.report") / name
+    file = resources.files("angler_mjx.benchmark.report") / "web" / name
     return file.read_text(encoding="utf-8")

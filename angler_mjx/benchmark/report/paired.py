@@ -41,7 +41,10 @@ class Ratio:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two planners over the problems that both were asked."""
+    """Two planners over the problems that both were asked.
+
+    Success is having planned for every robot while nothing has been flown.
+    """
 
     first: str
     second: str
@@ -80,7 +83,7 @@ def compare(results: Results, first: str, second: str) -> Comparison:
     here, there = (results.problem[at] for at in rows)
     _, i, j = np.intersect1d(here, there, return_indices=True)
     a, b = rows[0][i], rows[1][j]
-    won = runs["success"]
+    won = runs[results.judged]
     counts = (
         int(np.sum(won[a] & won[b])),
         int(np.sum(won[a] & ~won[b])),

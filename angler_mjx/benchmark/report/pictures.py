@@ -27,7 +27,7 @@ def failures(results: Results) -> Figure | None:
     outcomes = sorted(set(held.outcome.tolist()))
     across = min(len(shown), 3)
     down = -(-len(shown) // across)
-    with style.styled():
+    with look.styled():
         figure = style.new_figure(max(4.2 * across, 7.0), 4.1 * down + 1.2, headline_in=0.65)
         style.headline(
             figure,
@@ -76,7 +76,7 @@ def example(given: Example) -> Figure | None:
         return None
     across = min(len(given.ways), 4)
     down = -(-len(given.ways) // across)
-    with style.styled():
+    with look.styled():
         figure = style.new_figure(max(3.1 * across, 7.5), 3.3 * down + 1.1, headline_in=0.65)
         style.headline(figure, given.title, "from above; a colour a robot; lighter rock is higher")
         for axes, way in zip(look.panels(figure, len(given.ways), across), given.ways, strict=True):

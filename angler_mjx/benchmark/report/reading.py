@@ -103,6 +103,16 @@ class Results:
     failures: Failures
     examples: list[Path]
 
+    @property
+    def judged(self) -> str:
+        """The column that rates are of: success, or planned while nothing has been flown."""
+        return "success" if self.runs["flown"].any() else "planned"
+
+    @property
+    def pending(self) -> int:
+        """Runs that were planned and have not been flown."""
+        return int(np.sum(self.runs["planned"] & ~self.runs["flown"] & self.runs.asked))
+
     @cached_property
     def planners(self) -> list[str]:
         """Labels: those announced, then others that rows have."""

@@ -43,7 +43,7 @@ def write(
     folder.mkdir(parents=True, exist_ok=True)
     labels = labels or dict(zip(planners, planners, strict=True))
     scenes = [f"{preset}_fleet" for preset in presets]
-    skill = {name: 1.2 - 1.8 * i / max(len(planners), 2) for i, name in enumerate(planners)}
+    skill = {name: 1.2 - 2.4 * i / max(len(planners), 2) for i, name in enumerate(planners)}
     rows, robots = [], []
     for scene, preset in zip(scenes, presets, strict=True):
         for team in teams:
@@ -63,7 +63,8 @@ def write(
                         "robots_planned": 0, "robots_reached": 0, "reached": False,
                         "success": False, "density": density[world],
                         "path_ratio": 1 + 4 * density[world] * rng.random(),
-                        "free_lines": float(np.exp(-12 * density[world])), "straight_m": 20.0 * team,
+                        "free_lines": float(np.exp(-12 * density[world])),
+                        "straight_m": 20.0 * team,
                     }  # fmt: skip
                     if closed and world >= 5:
                         rows.append(row | {"plan_status": "closed"})

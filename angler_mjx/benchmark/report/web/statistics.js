@@ -88,11 +88,11 @@ function byProblem(rows, planner, keep) {
   return found;
 }
 
-function counts(rows, a, b) {
+function counts(hit, a, b) {
   const found = [0, 0, 0, 0];
   for (const [problem, i] of a) {
     const j = b.get(problem);
-    if (j !== undefined) found[(rows.success[i] ? 0 : 2) + (rows.success[j] ? 0 : 1)]++;
+    if (j !== undefined) found[(hit[i] ? 0 : 2) + (hit[j] ? 0 : 1)]++;
   }
   return found;
 }

@@ -72,7 +72,7 @@ function ratesChart(title, xlabel, ticks, series) {
   const x = (at) => MARGIN.left + span * (at + 0.5);
   const label = `${title}: success over ${xlabel}; the numbers stand in the table of cells`;
   const [figure, drawn] = frame(title, {
-    xlabel, ylabel: "success", xticks: ticks.map((text, i) => [i, text]), yticks: SHARES, x, y: up, width: WIDTH, height: HEIGHT, label,
+    xlabel, ylabel: data.judged, xticks: ticks.map((text, i) => [i, text]), yticks: SHARES, x, y: up, width: WIDTH, height: HEIGHT, label,
   });
   series.forEach(({ planner, points }, k) => {
     const { color, dash } = look(planner);
