@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.host.compiled.cells import words
 from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.mapping import words
 from angler_mjx.planning.problem import Problem
 
 type Moving = Literal["ignored", "at_start"]
@@ -26,7 +26,7 @@ class Packed(NamedTuple):
     reals: np.ndarray
     """float64, in the order of `Fields`."""
     cells: np.ndarray
-    """int32 [2, nx, ny, nz] of `cells.words`."""
+    """int32 [2, nx, ny, nz] of `mapping.words`."""
 
 
 class Fields(NamedTuple):
@@ -112,7 +112,7 @@ def pack(
     if not np.isfinite(reals).all():
         raise ConfigError("the problem has numbers that are not finite")
     head = np.array([len(chosen), len(stands), len(drift), len(time), len(still)], np.int64)
-    return Packed(head, np.ascontiguousarray(reals), words(np.asarray(grid.occupied)))
+    return Packed(head, np.ascontiguousarray(reals), words(np.ascontiguousarray(grid.occupied, bool)))
 
 
 def _still(problem: Problem, row: int) -> np.ndarray:
