@@ -112,7 +112,9 @@ def pack(
     if not np.isfinite(reals).all():
         raise ConfigError("the problem has numbers that are not finite")
     head = np.array([len(chosen), len(stands), len(drift), len(time), len(still)], np.int64)
-    return Packed(head, np.ascontiguousarray(reals), words(np.ascontiguousarray(grid.occupied, bool)))
+    return Packed(
+        head, np.ascontiguousarray(reals), words(np.ascontiguousarray(grid.occupied, bool))
+    )
 
 
 def _still(problem: Problem, row: int) -> np.ndarray:

@@ -140,6 +140,34 @@ def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -
 
 
 @compiled
+def one_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i: int) -> bool:
+    """Whether ball i touches nothing as all go from a to b; of the others nothing else is asked."""
+    box, radius, keep = world.box, world.radius, world.keep[0]
+    reach = radius[i] + keep
+    if not (inside(box, b, i, reach) and inside(box, a, i, reach)):
+        return False
+    ax, ay, az, bx, by, bz = (
+        a[3 * i],
+        a[3 * i + 1],
+        a[3 * i + 2],
+        b[3 * i],
+        b[3 * i + 1],
+        b[3 * i + 2],
+    )
+    for j in range(radius.shape[0]):
+        if j == i:
+            continue
+        wx, wy, wz = ax - a[3 * j], ay - a[3 * j + 1], az - a[3 * j + 2]
+        dx, dy, dz = bx - b[3 * j] - wx, by - b[3 * j + 1] - wy, bz - b[3 * j + 2] - wz
+        asked = radius[i] + radius[j] + keep
+        if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
+            return False
+    return clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach) and clear_of_still(
+        world.still, ax, ay, az, bx, by, bz, reach
+    )
+
+
+@compiled
 def edge(
     head: np.ndarray, reals: np.ndarray, cells: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> bool:

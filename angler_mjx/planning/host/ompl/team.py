@@ -16,7 +16,7 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened
+from angler_mjx.planning.host.ompl.shortcut import shortened, ways
 from angler_mjx.planning.host.ompl.timing import TooStrongError, limits, timed
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
@@ -162,7 +162,7 @@ def _searched(
     if settings.simplify == "shortcut":
         begin = time.perf_counter()
         speed = np.asarray(problem.team.cruise_speed_mps, float)[list(robots)]
-        path = shortened(path, checks.edges, speed, 3, end)
+        path = shortened(path, ways(checks), speed, end)
         task.note({"simplify_s": time.perf_counter() - begin})
     return path
 
