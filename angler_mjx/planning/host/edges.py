@@ -12,9 +12,13 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled import sweeping
+from angler_mjx.planning.host.compiled.mapping import measure
 from angler_mjx.planning.host.compiled.packed import Moving, Packed, pack
 from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
 from angler_mjx.planning.problem import Problem
+
+FAR = 0.99
+"""Edges of a cell; spheres that reach farther ask how far the rock is."""
 
 
 class EdgeChecker:
@@ -57,7 +61,11 @@ class EdgeChecker:
             ConfigError: the margin is negative, there is no such robot, or a number of the problem
                 is not finite.
         """
-        self.packed = pack(problem, margin_m, robots, moving)
+        self.packed = pack(problem, margin_m, robots, moving, far=False)
+        reach = float(np.max(problem.team.radius_m)) + margin_m
+        self._far = False
+        if reach >= FAR * float(problem.grid.cell_m):
+            self._look_far()
         self.robots = int(self.packed.head[0])
         self.edge_flat = partial(sweeping.edge, *self.packed)
         self.state_flat = partial(sweeping.state, *self.packed)
@@ -85,6 +93,7 @@ class EdgeChecker:
 
     def clearances(self, p: np.ndarray) -> np.ndarray:
         """The same for each of p [n, R, 3]; float64 [n]."""
+        self._look_far()
         return sweeping.clearances(*self.packed, self._many(p))
 
     def timed_edge(
@@ -122,6 +131,11 @@ class EdgeChecker:
         here, there = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
         begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))
         return timed_edges(*self.packed, *_flat(traffic), own, here, begin, there, end)
+
+    def _look_far(self) -> None:
+        if not self._far:
+            measure(self.packed.cells)
+        self._far = True
 
     def _number(self, robot: int) -> int:
         if not 0 <= robot < self.robots:

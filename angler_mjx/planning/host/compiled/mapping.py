@@ -34,8 +34,8 @@ def words(occupied: np.ndarray) -> np.ndarray:
         occupied: bool [nx, ny, nz].
 
     Returns:
-        int32 [2, nx, ny, nz]: the word of neighbours, and in how many rings around the cell no
-        rock is met, the cell itself being the first.
+        int32 [2, nx, ny, nz]: the word of neighbours, and in how many rings around the cell, or
+        more, no rock is met, the cell itself being the first: 0 or 1, until `measure` is called.
     """
     nx, ny, nz = occupied.shape
     found = np.zeros((2, nx, ny, nz), np.int32)
@@ -46,12 +46,25 @@ def words(occupied: np.ndarray) -> np.ndarray:
                 if occupied[i, j, k]:
                     _tell(word, i, j, k)
                 else:
-                    rings[i, j, k] = NOWHERE
+                    rings[i, j, k] = 1
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 if word[i, j, k] != 0:
                     word[i, j, k] = _first_met(word[i, j, k])
+    return found
+
+
+@compiled
+def measure(cells: np.ndarray) -> None:
+    """Counts all rings of what `words` gave, in place: what looks far around is quicker then."""
+    rings = cells[1]
+    nx, ny, nz = rings.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if rings[i, j, k] != 0:
+                    rings[i, j, k] = NOWHERE
     line = np.empty(nz, np.int32)
     for i in range(nx):
         for j in range(ny):
@@ -59,7 +72,6 @@ def words(occupied: np.ndarray) -> np.ndarray:
     for i in range(nx - 1, -1, -1):
         for j in range(ny - 1, -1, -1):
             _spread(rings, line, i, j, 1)
-    return found
 
 
 @compiled
@@ -92,11 +104,13 @@ def _spread(rings: np.ndarray, line: np.ndarray, i: int, j: int, step: int) -> N
     line[:] = NOWHERE
     if 0 <= i + step < nx:
         for v in range(max(j - 1, 0), min(j + 2, ny)):
+            beside = rings[i + step, v]
             for k in range(nz):
-                line[k] = min(line[k], rings[i + step, v, k])
+                line[k] = min(line[k], beside[k])
     if 0 <= j + step < ny:
+        beside = rings[i, j + step]
         for k in range(nz):
-            line[k] = min(line[k], rings[i, j + step, k])
+            line[k] = min(line[k], beside[k])
     for k in range(nz):
         near = line[k]
         if k > 0:

@@ -7,7 +7,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled.compiling import compiled
-from angler_mjx.planning.host.compiled.mapping import words
+from angler_mjx.planning.host.compiled.mapping import measure, words
 from angler_mjx.planning.problem import Problem
 
 type Moving = Literal["ignored", "at_start"]
@@ -74,8 +74,12 @@ def pack(
     margin_m: float = 0.0,
     robots: Sequence[int] | None = None,
     moving: Moving = "ignored",
+    far: bool = True,
 ) -> Packed:
-    """Make a problem ready; see `edges.EdgeChecker` for the arguments."""
+    """Make a problem ready; see `edges.EdgeChecker` for the arguments.
+
+    Without ``far``, what looks farther than a cell around may be slow.
+    """
     if not margin_m >= 0.0:
         raise ConfigError(f"margin_m = {margin_m}: give the distance to keep, 0 or more")
     if moving not in ("ignored", "at_start"):
@@ -112,9 +116,10 @@ def pack(
     if not np.isfinite(reals).all():
         raise ConfigError("the problem has numbers that are not finite")
     head = np.array([len(chosen), len(stands), len(drift), len(time), len(still)], np.int64)
-    return Packed(
-        head, np.ascontiguousarray(reals), words(np.ascontiguousarray(grid.occupied, bool))
-    )
+    cells = words(np.ascontiguousarray(grid.occupied, bool))
+    if far:
+        measure(cells)
+    return Packed(head, np.ascontiguousarray(reals), cells)
 
 
 def _still(problem: Problem, row: int) -> np.ndarray:

@@ -25,10 +25,11 @@ FINEST = 96
 MOST_TRIED = 400
 """Points of a path that is thinned; one with more is left."""
 
-_NOBODY = Traffic.none()
+NOBODY = Traffic.none()
+"""Nothing is met."""
 
 
-def ways(checks: EdgeChecker, traffic: Traffic = _NOBODY, clock_mps: float = 0.0) -> Ways:
+def ways(checks: EdgeChecker, traffic: Traffic = NOBODY, clock_mps: float = 0.0) -> Ways:
     """What edges are looked at among.
 
     Args:

@@ -16,6 +16,9 @@ PIECES = 24
 FLOW = 0.1
 """Weight of all robots' ways beside the slowest one's."""
 
+ROUNDING = 1e-9
+"""Share of a cost that adding up may take away."""
+
 SAME = 1e-9
 SAME_SHARE = 1e-5
 """By how much, and by what share of a coordinate, places on a line may lie beside it."""
@@ -106,24 +109,30 @@ def _through(
 ) -> np.ndarray:
     """The quickest way through the points, in their order, from the first to the last.
 
-    An edge is looked at only where it would be quicker. Points to ``ends`` [k] of each lie on one
-    edge that is free.
+    An edge is looked at only where it would be quicker, and where the way through it, straight on
+    to the last point, would be no slower than the quickest that is known. Points to ``ends`` [k] of
+    each lie on one edge that is free.
     """
-    count = path.shape[0]
-    before, least = np.zeros(count, np.int64), np.zeros(count)
-    if count == 2 or _goes(ways, world, path[0], path[count - 1]):
-        before[count - 1] = 0
+    last = path.shape[0] - 1
+    before, least = np.zeros(last + 1, np.int64), np.zeros(last + 1)
+    if last == 1 or _goes(ways, world, path[0], path[last]):
         return _picked(path, before)
-    for k in range(1, count):
+    left = np.zeros(last + 1)
+    for k in range(last - 1, -1, -1):
+        left[k] = left[k + 1] + _cost(path[k], path[k + 1], speed)
+    known = left[0]
+    for k in range(1, last + 1):
         best, at = least[k - 1] + _cost(path[k - 1], path[k], speed), k - 1
+        most = known * (1.0 + ROUNDING) - _cost(path[k], path[last], speed)
         for i in range(k - 1):
             taken = least[i] + _cost(path[i], path[k], speed)
             quicker = taken < best or (taken == best and at == k - 1)
-            if not quicker or (i == 0 and k == count - 1):
+            if not quicker or taken > most or (i == 0 and k == last):
                 continue
             if ends[i] >= k or _goes(ways, world, path[i], path[k]):
                 best, at = taken, i
         least[k], before[k] = best, at
+        known = min(known, best + left[k])
     return _picked(path, before)
 
 
@@ -189,8 +198,6 @@ def _one_by_one(ways: Ways, world: Fields, path: np.ndarray) -> None:
     Tried are the whole, its halves, quarters and eighths, each with those between.
     """
     last = path.shape[0] - 1
-    if path.shape[1] == 1:
-        return
     for robot in range(path.shape[1]):
         for parts in (1, 2, 4, 8):
             size = last // parts
@@ -214,8 +221,9 @@ def straighter(ways: Ways, path: np.ndarray, speed: np.ndarray) -> tuple[np.ndar
     before = cost(path, speed)
     path, ends = _cut(path, speed, PIECES)
     path = _through(ways, world, path, ends, speed)
-    _one_by_one(ways, world, path)
-    path = _through(ways, world, path, _own_ends(path.shape[0]), speed)
+    if path.shape[1] > 1:
+        _one_by_one(ways, world, path)
+        path = _through(ways, world, path, _own_ends(path.shape[0]), speed)
     return path, before, cost(path, speed)
 
 

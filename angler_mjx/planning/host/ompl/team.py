@@ -16,7 +16,7 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened, ways
+from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
 from angler_mjx.planning.host.ompl.timing import TooStrongError, limits, timed
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
@@ -110,11 +110,11 @@ def motion(
     task.note({"setup_s": time.perf_counter() - begin})
     end = begin + share * max(0.0, task.end - begin)
     reason = ""
+    bounds = limits(problem, list(robots), settings.thrust_share, settings.turn_radps)
     for attempt in range(ATTEMPTS):
         if attempt and time.perf_counter() >= end:
             break
         path = _searched(problem, robots, task, space, checks, end, attempt)
-        bounds = limits(problem, list(robots), settings.thrust_share, settings.turn_radps)
         try:
             when, path = timed(path, problem, list(robots), bounds, settings.points - 1)
         except TooStrongError as error:
@@ -123,7 +123,7 @@ def motion(
         if when[-1] > problem.horizon_s:
             reason = f"the way takes {when[-1]:.0f} s of {problem.horizon_s:.0f} s"
             continue
-        delay = _delay(problem, checks, when, path, traffic or Traffic.none())
+        delay = _delay(problem, checks, when, path, traffic or NOBODY)
         if delay is not None:
             task.note({"delay_s": delay, "attempts": attempt + 1.0})
             return Motion(time_s=when, path=path, delay_s=delay)
