@@ -122,18 +122,17 @@ def pack(
     return Packed(head, np.ascontiguousarray(reals), cells)
 
 
-def _still(problem: Problem, row: int) -> np.ndarray:
+def _still(problem: Problem, row: int) -> list[float]:
     """Numbers [17] of one obstacle where it stands at t = 0."""
     known = problem.obstacles
-    return np.concatenate(
-        [
-            [float(known.kind[row])],
-            np.asarray(known.size_m[row], float),
-            [float(known.radius_m[row])],
-            np.asarray(known.p_m[row, 0], float),
-            matrix(np.asarray(known.q[row, 0], float)).T.reshape(-1),
-        ]
-    )
+    turned = matrix(np.asarray(known.q[row, 0], float)).T
+    return [
+        float(known.kind[row]),
+        *known.size_m[row].tolist(),
+        float(known.radius_m[row]),
+        *known.p_m[row, 0].tolist(),
+        *turned.reshape(-1).tolist(),
+    ]
 
 
 def matrix(q: np.ndarray) -> np.ndarray:

@@ -15,15 +15,20 @@ SAME_M = 1e-6
 
 
 @compiled
-def still_times(path: np.ndarray, speed: np.ndarray, turn_radps: float) -> np.ndarray:
-    """Times [k] of a path [k, R, d], along each edge of which its slowest robot is at its speed.
+def still_timed(
+    path: np.ndarray, speed: np.ndarray, turn_radps: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """A path in time, along each edge of which its slowest robot is at its speed.
 
     Args:
-        path: x, y, z (and heading) of each.
+        path: [k, R, d] x, y, z (and heading) of each.
         speed: [R] m/s.
         turn_radps: fastest turn.
+
+    Returns:
+        Times [n] from 0, s, which rise, and the path [n, R, d] there.
     """
-    time = np.zeros(path.shape[0])
+    time, place, count = np.zeros(path.shape[0]), path.copy(), 1
     for k in range(1, path.shape[0]):
         most = 0.0
         for robot in range(path.shape[1]):
@@ -36,8 +41,10 @@ def still_times(path: np.ndarray, speed: np.ndarray, turn_radps: float) -> np.nd
             if path.shape[2] == 4:
                 turned = abs(path[k, robot, 3] - path[k - 1, robot, 3])
                 most = max(most, turned / turn_radps)
-        time[k] = time[k - 1] + most
-    return time
+        if most > 0.0:
+            time[count], place[count] = time[count - 1] + most, path[k]
+            count += 1
+    return time[:count], place[:count]
 
 
 @compiled

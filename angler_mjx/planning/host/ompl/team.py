@@ -16,8 +16,8 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
-from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
-from angler_mjx.planning.host.ompl.timing import TooStrongError, limits, timed
+from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, ways
+from angler_mjx.planning.host.ompl.timing import TooStrongError, timed
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
@@ -110,13 +110,12 @@ def motion(
     task.note({"setup_s": time.perf_counter() - begin})
     end = begin + share * max(0.0, task.end - begin)
     reason = ""
-    bounds = limits(problem, list(robots), settings.thrust_share, settings.turn_radps)
     for attempt in range(ATTEMPTS):
         if attempt and time.perf_counter() >= end:
             break
         path = _searched(problem, robots, task, space, checks, end, attempt)
         try:
-            when, path = timed(path, problem, list(robots), bounds, settings.points - 1)
+            when, path = timed(path, problem, list(robots), settings)
         except TooStrongError as error:
             reason = str(error)
             continue

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.planning.host.ompl.still import SAFE, SAME_M, SLOWEST_MPS, needed, still_times
+from angler_mjx.planning.host.ompl.settings import Common
+from angler_mjx.planning.host.ompl.still import SAFE, SAME_M, SLOWEST_MPS, needed, still_timed
 from angler_mjx.planning.problem import Problem
 
 PIECE_M = 1.0
@@ -65,16 +66,15 @@ def limits(problem: Problem, robots: list[int], share: float, turn_radps: float)
 
 
 def timed(
-    path: np.ndarray, problem: Problem, robots: list[int], bounds: Limits, most_points: int
+    path: np.ndarray, problem: Problem, robots: list[int], settings: Common
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times of a path.
 
     Args:
         path: [k, R, d] x, y, z (and heading) of the team at each point.
-        problem: its current is looked up.
+        problem: its current is looked up, where one is known.
         robots: which of the team the path is of.
-        bounds: of these robots.
-        most_points: of the path in time.
+        settings: ``thrust_share``, ``turn_radps`` and ``points``, of which one less is given.
 
     Returns:
         Times [n] from 0, s, and the path [n, R, d] there.
@@ -82,22 +82,11 @@ def timed(
     Raises:
         TooStrongError: a robot cannot go where the path does.
     """
-    if problem.current.components:
-        time, path = _in_current(path, problem, robots, bounds, most_points)
-    elif bounds.cruise_mps.min() < SLOWEST_MPS:
-        raise TooStrongError(f"robot {robots[int(bounds.cruise_mps.argmin())]} is too slow")
-    else:
-        time = still_times(np.ascontiguousarray(path), bounds.cruise_mps, bounds.turn_radps)
-    kept = np.ones(len(time), bool)
-    kept[1:] = time[1:] > time[:-1]
-    return time[kept], path[kept]
-
-
-def _in_current(
-    path: np.ndarray, problem: Problem, robots: list[int], bounds: Limits, most_points: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Times of a path that is cut where the current differs, and that path."""
-    path = _cut(path, most_points)
+    if not problem.current.components:
+        speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
+        return still_timed(np.ascontiguousarray(path), speed, settings.turn_radps)
+    bounds = limits(problem, robots, settings.thrust_share, settings.turn_radps)
+    path = _cut(path, settings.points - 1)
     way = np.diff(path, axis=0)
     length = np.linalg.norm(way[..., :3], axis=-1)
     ahead = way[..., :3] / np.maximum(length, 1e-12)[..., None]
@@ -117,7 +106,8 @@ def _in_current(
         if path.shape[2] == 4:
             taken = np.maximum(taken, np.abs(way[..., 3]) / bounds.turn_radps)
         time = np.concatenate([[0.0], np.cumsum(taken.max(axis=1))])
-    return time, path
+    kept = np.concatenate([[True], np.diff(time) > 0.0])
+    return time[kept], path[kept]
 
 
 def fastest(ahead: np.ndarray, water: np.ndarray, bounds: Limits) -> np.ndarray:
