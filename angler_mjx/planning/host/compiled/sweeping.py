@@ -111,6 +111,22 @@ def _pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) 
 
 
 @compiled
+def way_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether all balls go from a [3 R] to b [3 R], at both of which they are known to be clear."""
+    radius, keep = world.radius, world.keep[0]
+    if not _pairs_clear(radius, keep, a, b):
+        return False
+    for i in range(radius.shape[0]):
+        ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
+        bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
+        if not clear_of_rock(world.box, cells, ax, ay, az, bx, by, bz, reach):
+            return False
+        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
+            return False
+    return True
+
+
+@compiled
 def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether all balls go from a [3 R] to b [3 R] and touch nothing; the cheap tests first."""
     box, radius, keep = world.box, world.radius, world.keep[0]
@@ -127,16 +143,7 @@ def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -
             reach * box[3],
         ):
             return False
-    if not _pairs_clear(radius, keep, a, b):
-        return False
-    for i in range(n):
-        ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
-        bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
-        if not clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach):
-            return False
-        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
-            return False
-    return True
+    return way_clear(world, cells, a, b)
 
 
 @compiled

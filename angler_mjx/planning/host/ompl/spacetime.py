@@ -16,7 +16,7 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened, ways
+from angler_mjx.planning.host.ompl.shortcut import shortened, thinned, ways
 from angler_mjx.planning.host.ompl.still import SAFE
 from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task
 from angler_mjx.planning.host.ompl.timing import fastest, limits, water_at
@@ -161,6 +161,9 @@ def _searched(
     if task.settings.simplify != "none":
         until = time.perf_counter() + limit
         path = shortened(path[:, None], clock.ways, np.array([clock.speed]), until)[:, 0]
+    most = task.settings.points
+    if len(path) > most:
+        path = thinned(path[:, None], clock.ways, np.array([clock.speed]), most)[:, 0]
     return path
 
 

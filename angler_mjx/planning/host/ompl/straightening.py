@@ -1,12 +1,13 @@
 """Compiled: a team's path made straighter, and told by fewer points."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from angler_mjx.planning.host.compiled.compiling import compiled
 from angler_mjx.planning.host.compiled.packed import Fields, fields
-from angler_mjx.planning.host.compiled.sweeping import one_clear, team_clear
+from angler_mjx.planning.host.compiled.sweeping import one_clear, way_clear
 from angler_mjx.planning.host.ompl.still import SAFE
 from angler_mjx.planning.host.timed import timed_edge
 
@@ -41,7 +42,7 @@ class Ways(NamedTuple):
 
 @compiled
 def _goes(ways: Ways, world: Fields, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether all can go from a [R, d] to b."""
+    """Whether all can go from a [R, d] to b, where they can be."""
     if ways.clock_mps > 0.0:
         gone = b[0, 3] - a[0, 3]
         if not (gone > 0.0 and _length(a, b, 0) <= SAFE * gone):
@@ -51,7 +52,7 @@ def _goes(ways: Ways, world: Fields, a: np.ndarray, b: np.ndarray) -> bool:
             ways.head, ways.reals, ways.cells, ways.time_s, ways.position_m, ways.radius_m,
             0, a[0, :3], begin, b[0, :3], end,
         )  # fmt: skip
-    return team_clear(world, ways.cells, _flat(a), _flat(b))
+    return way_clear(world, ways.cells, _flat(a), _flat(b))
 
 
 @compiled
@@ -65,7 +66,7 @@ def _flat(p: np.ndarray) -> np.ndarray:
 @compiled
 def _length(a: np.ndarray, b: np.ndarray, robot: int) -> float:
     x, y, z = b[robot, 0] - a[robot, 0], b[robot, 1] - a[robot, 1], b[robot, 2] - a[robot, 2]
-    return np.sqrt(x * x + y * y + z * z)
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @compiled
@@ -254,7 +255,7 @@ def fewer(ways: Ways, path: np.ndarray, speed: np.ndarray, most: int, pieces: in
             for n in range(1, most):
                 if least[n - 1, i] + more < least[n, k]:
                     least[n, k], before[n, k] = least[n - 1, i] + more, i
-    n = np.argmin(least[:, count - 1])
+    n = int(np.argmin(least[:, count - 1]))
     if not least[n, count - 1] < np.inf:
         return path[:0].copy()
     found, at = np.empty((n + 1, path.shape[1], path.shape[2])), count - 1
