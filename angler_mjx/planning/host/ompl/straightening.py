@@ -75,7 +75,7 @@ def _cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> float:
     robots = a.shape[0]
     most, total = 0.0, 0.0
     for robot in range(robots):
-        took = _length(a, b, robot) / speed[robot]
+        took: float = _length(a, b, robot) / speed[robot]
         most = max(most, took)
         total += took
     return most + FLOW * (total / robots)
