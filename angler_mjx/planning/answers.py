@@ -40,6 +40,9 @@ ROUNDING_M = 1e-4
 ROUNDING_S = 1e-3
 """How much after the horizon a path may end."""
 
+MOST_TOLD = 1000
+"""Better paths of which a planner may tell."""
+
 LOOKS = 32
 """Times within a segment at which the speed along a curve is looked at."""
 
@@ -59,11 +62,17 @@ class Answer:
     extras: dict[str, float] = field(default_factory=dict)
     """What else the planner tells of this problem, by name."""
     progress: tuple[tuple[float, float], ...] = ()
-    """Times and costs of what a planner that goes on improving found, in their order."""
+    """Each time that the planner had a better path: seconds since its search began, and the cost of
+    that path, in a measure of its own."""
 
 
 def answer(
-    given: Any, problem: Problem, planning_s: float, extras: Any, most_points: int = MOST_POINTS
+    given: Any,
+    problem: Problem,
+    planning_s: float,
+    extras: Any,
+    most_points: int = MOST_POINTS,
+    progress: Any = None,
 ) -> Answer:
     """What can be flown of what a planner gave.
 
@@ -73,6 +82,8 @@ def answer(
         planning_s: wall time inside ``plan``.
         extras: of the planner, a mapping of names to numbers; others are left out.
         most_points: of one path.
+        progress: of the planner, a sequence of pairs of a time, s, and a cost, in order of time;
+            what is not so is left out, and what is more than `MOST_TOLD`.
     """
     paths = checked(given, problem, most_points)
     missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
@@ -88,6 +99,7 @@ def answer(
         reason=reason,
         planning_s=planning_s,
         extras=_numbers(extras),
+        progress=_pairs(progress),
     )
 
 
@@ -260,3 +272,18 @@ def _numbers(extras: Any) -> dict[str, float]:
         for name, value in extras.items()
         if isinstance(value, int | float | np.number) and not isinstance(value, bool)
     }
+
+
+def _pairs(progress: Any) -> tuple[tuple[float, float], ...]:
+    if not isinstance(progress, Sequence):
+        return ()
+    kept: list[tuple[float, float]] = []
+    for pair in progress:
+        try:
+            when, cost = (float(value) for value in pair)
+        except (TypeError, ValueError):
+            continue
+        before = kept[-1][0] if kept else 0.0
+        if when >= before and np.isfinite([when, cost]).all() and len(kept) < MOST_TOLD:
+            kept.append((when, cost))
+    return tuple(kept)

@@ -12,9 +12,13 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled import sweeping
-from angler_mjx.planning.host.compiled.packed import Moving, pack
+from angler_mjx.planning.host.compiled.mapping import measure
+from angler_mjx.planning.host.compiled.packed import Moving, Packed, pack
 from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
 from angler_mjx.planning.problem import Problem
+
+FAR = 0.99
+"""Edges of a cell; spheres that reach farther ask how far the rock is."""
 
 
 class EdgeChecker:
@@ -28,11 +32,13 @@ class EdgeChecker:
         robots: how many of the team are checked, R.
         edge_flat: one edge, from and to float64 [3 R] (contiguous); the fastest way in.
         state_flat: one state, float64 [3 R].
+        packed: the problem as compiled functions take it.
     """
 
     robots: int
     edge_flat: Callable[[np.ndarray, np.ndarray], bool]
     state_flat: Callable[[np.ndarray], bool]
+    packed: Packed
 
     def __init__(
         self,
@@ -55,10 +61,14 @@ class EdgeChecker:
             ConfigError: the margin is negative, there is no such robot, or a number of the problem
                 is not finite.
         """
-        self._packed = pack(problem, margin_m, robots, moving)
-        self.robots = int(self._packed.head[0])
-        self.edge_flat = partial(sweeping.edge, *self._packed)
-        self.state_flat = partial(sweeping.state, *self._packed)
+        self.packed = pack(problem, margin_m, robots, moving, far=False)
+        reach = float(np.max(problem.team.radius_m)) + margin_m
+        self._far = False
+        if reach >= FAR * float(problem.grid.cell_m):
+            self._look_far()
+        self.robots = int(self.packed.head[0])
+        self.edge_flat = partial(sweeping.edge, *self.packed)
+        self.state_flat = partial(sweeping.state, *self.packed)
 
     def state(self, p: np.ndarray) -> bool:
         """Whether the team can be at p [R, 3], m, W."""
@@ -67,7 +77,7 @@ class EdgeChecker:
     def states(self, p: np.ndarray) -> np.ndarray:
         """Whether the team can be at each of p [n, R, 3]; bool [n]."""
         flat = self._many(p)
-        return sweeping.edges(*self._packed, flat, flat)
+        return sweeping.edges(*self.packed, flat, flat)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
         """Whether the team can go from a [R, 3] to b [R, 3], m, W."""
@@ -75,7 +85,7 @@ class EdgeChecker:
 
     def edges(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Whether the team can go from each of a to each of b [n, R, 3]; bool [n]."""
-        return sweeping.edges(*self._packed, self._many(a), self._many(b))
+        return sweeping.edges(*self.packed, self._many(a), self._many(b))
 
     def clearance(self, p: np.ndarray) -> float:
         """Least distance of any robot's sphere to anything, m; negative where they overlap."""
@@ -83,7 +93,8 @@ class EdgeChecker:
 
     def clearances(self, p: np.ndarray) -> np.ndarray:
         """The same for each of p [n, R, 3]; float64 [n]."""
-        return sweeping.clearances(*self._packed, self._many(p))
+        self._look_far()
+        return sweeping.clearances(*self.packed, self._many(p))
 
     def timed_edge(
         self, robot: int, a: np.ndarray, t_a: float, b: np.ndarray, t_b: float, traffic: Traffic
@@ -104,7 +115,7 @@ class EdgeChecker:
         """
         own = self._number(robot)
         here, there = (np.ascontiguousarray(p, np.float64).reshape(3) for p in (a, b))
-        return timed_edge(*self._packed, *_flat(traffic), own, here, float(t_a), there, float(t_b))
+        return timed_edge(*self.packed, *_flat(traffic), own, here, float(t_a), there, float(t_b))
 
     def timed_edges(
         self,
@@ -119,7 +130,12 @@ class EdgeChecker:
         own = self._number(robot)
         here, there = (np.ascontiguousarray(p, np.float64).reshape(-1, 3) for p in (a, b))
         begin, end = (np.ascontiguousarray(t, np.float64).reshape(-1) for t in (t_a, t_b))
-        return timed_edges(*self._packed, *_flat(traffic), own, here, begin, there, end)
+        return timed_edges(*self.packed, *_flat(traffic), own, here, begin, there, end)
+
+    def _look_far(self) -> None:
+        if not self._far:
+            measure(self.packed.cells)
+        self._far = True
 
     def _number(self, robot: int) -> int:
         if not 0 <= robot < self.robots:

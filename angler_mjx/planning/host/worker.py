@@ -115,4 +115,5 @@ def _planned(planner: Planner, problem: Problem, most_points: int) -> Answer:
     except BaseException as error:
         return failed(problem.robots, "error", told(error), time.perf_counter() - begin)
     planning_s = time.perf_counter() - begin
-    return answer(paths, problem, planning_s, getattr(planner, "extras", None), most_points)
+    extras, progress = (getattr(planner, name, None) for name in ("extras", "progress"))
+    return answer(paths, problem, planning_s, extras, most_points, progress)

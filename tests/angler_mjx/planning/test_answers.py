@@ -118,3 +118,19 @@ def test_the_rest_of_a_team_keeps_its_paths():
     np.testing.assert_array_equal(got.paths[0].position_m, np.float32([START, GOAL]))
     assert got.paths[0].found.dtype == bool
     assert got.extras == {"best_m": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("told", "kept"),
+    [
+        ([(0.1, 9), (np.float64(0.2), 8.5)], ((0.1, 9.0), (0.2, 8.5))),
+        ([(0.1, 9), (0.05, 8), (0.2, np.nan), (np.inf, 7), (0.2, 6)], ((0.1, 9.0), (0.2, 6.0))),
+        ([(-1.0, 9), 3, "ab", (1, 2, 3), None, (0.5, "x"), (0.6, 1)], ((0.6, 1.0),)),
+        ([(n, -n) for n in range(1500)], tuple((float(n), -float(n)) for n in range(1000))),
+        (None, ()),
+        ({"a": 1}, ()),
+        ("ab", ()),
+    ],
+)
+def test_of_progress_only_rising_finite_pairs_are_kept(told, kept):
+    assert answer([GOOD, GOOD], TWO, 0.1, None, progress=told).progress == kept

@@ -139,7 +139,7 @@ def team_clear(
 
     Args:
         world: numbers.
-        cells: of `cells.words`.
+        cells: of `mapping.words`.
         hull: [R, c, 7] ends and radius of each capsule, body frame.
         turning: [R] how far a hull reaches from its vertical axis.
         a: x, y, z, heading of each robot.

@@ -9,7 +9,6 @@ is then tested on its piece of way in that cell against planes, edges and corner
 import math
 
 import numpy as np
-from scipy import ndimage
 
 from angler_mjx.planning.host.compiled.compiling import compiled
 from angler_mjx.planning.host.compiled.segments import segment_box
@@ -44,48 +43,6 @@ _USED = np.abs(_STEPS).astype(np.float64)
 _PLACE = np.full(37, -1, np.int64)
 """Which bit a word of one bit has set, by its remainder."""
 _PLACE[[(1 << bit) % 37 for bit in range(27)]] = np.arange(27)
-
-_ORDER = sorted(range(27), key=lambda bit: np.abs(_STEPS[bit]).sum())
-"""Bits of the neighbours, those across faces first."""
-_HIDERS = [
-    sum(
-        1 << other
-        for other, near in enumerate(_STEPS)
-        if other != bit and np.all((near == 0) | (near == step))
-    )
-    for bit, step in enumerate(_STEPS)
-]
-"""Of each bit, those that stand before it."""
-
-NOWHERE = 1 << 20
-"""Rings around a cell of a grid without rock."""
-
-
-def words(occupied: np.ndarray) -> np.ndarray:
-    """What stands around each cell of a grid, for the functions here.
-
-    Args:
-        occupied: bool [nx, ny, nz].
-
-    Returns:
-        int32 [2, nx, ny, nz]: the word of neighbours, and in how many rings around the cell no
-        rock is met, the cell itself being the first.
-    """
-    solid = np.pad(np.asarray(occupied, bool), 1)
-    shape = tuple(n - 2 for n in solid.shape)
-
-    def look(step: np.ndarray) -> np.ndarray:
-        at = tuple(slice(1 + d, 1 + d + n) for d, n in zip(step, shape, strict=True))
-        return solid[at]
-
-    word = np.zeros(shape, np.int32)
-    for bit in _ORDER:
-        open_to = word & np.int32(_HIDERS[bit]) == 0
-        word |= np.where(look(_STEPS[bit]) & open_to, np.int32(1 << bit), np.int32(0))
-    rings = np.full(shape, NOWHERE, np.int32)
-    if solid.any():
-        rings = ndimage.distance_transform_cdt(~solid[1:-1, 1:-1, 1:-1], "chessboard")
-    return np.stack([word, rings.astype(np.int32)])
 
 
 @compiled
@@ -185,7 +142,7 @@ def swept_ball_touches(
 ) -> bool:  # fmt: skip
     """Whether a ball of radius r that goes from a to b inside the grid meets rock.
 
-    ``cells`` are of `words`.
+    ``cells`` are of `mapping.words`.
     """
     nx, ny, nz = cells.shape[1], cells.shape[2], cells.shape[3]
     i = min(max(int(ax), 0), nx - 1)

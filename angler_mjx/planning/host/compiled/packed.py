@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.host.compiled.cells import words
 from angler_mjx.planning.host.compiled.compiling import compiled
+from angler_mjx.planning.host.compiled.mapping import measure, words
 from angler_mjx.planning.problem import Problem
 
 type Moving = Literal["ignored", "at_start"]
@@ -26,7 +26,7 @@ class Packed(NamedTuple):
     reals: np.ndarray
     """float64, in the order of `Fields`."""
     cells: np.ndarray
-    """int32 [2, nx, ny, nz] of `cells.words`."""
+    """int32 [2, nx, ny, nz] of `mapping.words`."""
 
 
 class Fields(NamedTuple):
@@ -74,8 +74,12 @@ def pack(
     margin_m: float = 0.0,
     robots: Sequence[int] | None = None,
     moving: Moving = "ignored",
+    far: bool = True,
 ) -> Packed:
-    """Make a problem ready; see `edges.EdgeChecker` for the arguments."""
+    """Make a problem ready; see `edges.EdgeChecker` for the arguments.
+
+    Without ``far``, what looks farther than a cell around may be slow.
+    """
     if not margin_m >= 0.0:
         raise ConfigError(f"margin_m = {margin_m}: give the distance to keep, 0 or more")
     if moving not in ("ignored", "at_start"):
@@ -112,21 +116,23 @@ def pack(
     if not np.isfinite(reals).all():
         raise ConfigError("the problem has numbers that are not finite")
     head = np.array([len(chosen), len(stands), len(drift), len(time), len(still)], np.int64)
-    return Packed(head, np.ascontiguousarray(reals), words(np.asarray(grid.occupied)))
+    cells = words(np.ascontiguousarray(grid.occupied, bool))
+    if far:
+        measure(cells)
+    return Packed(head, np.ascontiguousarray(reals), cells)
 
 
-def _still(problem: Problem, row: int) -> np.ndarray:
+def _still(problem: Problem, row: int) -> list[float]:
     """Numbers [17] of one obstacle where it stands at t = 0."""
     known = problem.obstacles
-    return np.concatenate(
-        [
-            [float(known.kind[row])],
-            np.asarray(known.size_m[row], float),
-            [float(known.radius_m[row])],
-            np.asarray(known.p_m[row, 0], float),
-            matrix(np.asarray(known.q[row, 0], float)).T.reshape(-1),
-        ]
-    )
+    turned = matrix(np.asarray(known.q[row, 0], float)).T
+    return [
+        float(known.kind[row]),
+        *known.size_m[row].tolist(),
+        float(known.radius_m[row]),
+        *known.p_m[row, 0].tolist(),
+        *turned.reshape(-1).tolist(),
+    ]
 
 
 def matrix(q: np.ndarray) -> np.ndarray:

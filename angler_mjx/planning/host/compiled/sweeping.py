@@ -111,6 +111,22 @@ def _pairs_clear(radius: np.ndarray, keep: float, a: np.ndarray, b: np.ndarray) 
 
 
 @compiled
+def way_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether all balls go from a [3 R] to b [3 R], at both of which they are known to be clear."""
+    radius, keep = world.radius, world.keep[0]
+    if not _pairs_clear(radius, keep, a, b):
+        return False
+    for i in range(radius.shape[0]):
+        ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
+        bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
+        if not clear_of_rock(world.box, cells, ax, ay, az, bx, by, bz, reach):
+            return False
+        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
+            return False
+    return True
+
+
+@compiled
 def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether all balls go from a [3 R] to b [3 R] and touch nothing; the cheap tests first."""
     box, radius, keep = world.box, world.radius, world.keep[0]
@@ -127,16 +143,35 @@ def team_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray) -
             reach * box[3],
         ):
             return False
-    if not _pairs_clear(radius, keep, a, b):
+    return way_clear(world, cells, a, b)
+
+
+@compiled
+def one_clear(world: Fields, cells: np.ndarray, a: np.ndarray, b: np.ndarray, i: int) -> bool:
+    """Whether ball i touches nothing as all go from a to b; of the others nothing else is asked."""
+    box, radius, keep = world.box, world.radius, world.keep[0]
+    reach = radius[i] + keep
+    if not (inside(box, b, i, reach) and inside(box, a, i, reach)):
         return False
-    for i in range(n):
-        ax, ay, az, reach = a[3 * i], a[3 * i + 1], a[3 * i + 2], radius[i] + keep
-        bx, by, bz = b[3 * i], b[3 * i + 1], b[3 * i + 2]
-        if not clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach):
+    ax, ay, az, bx, by, bz = (
+        a[3 * i],
+        a[3 * i + 1],
+        a[3 * i + 2],
+        b[3 * i],
+        b[3 * i + 1],
+        b[3 * i + 2],
+    )
+    for j in range(radius.shape[0]):
+        if j == i:
+            continue
+        wx, wy, wz = ax - a[3 * j], ay - a[3 * j + 1], az - a[3 * j + 2]
+        dx, dy, dz = bx - b[3 * j] - wx, by - b[3 * j + 1] - wy, bz - b[3 * j + 2] - wz
+        asked = radius[i] + radius[j] + keep
+        if segment_point(wx, wy, wz, dx, dy, dz, 0.0, 0.0, 0.0) <= asked * asked:
             return False
-        if not clear_of_still(world.still, ax, ay, az, bx, by, bz, reach):
-            return False
-    return True
+    return clear_of_rock(box, cells, ax, ay, az, bx, by, bz, reach) and clear_of_still(
+        world.still, ax, ay, az, bx, by, bz, reach
+    )
 
 
 @compiled

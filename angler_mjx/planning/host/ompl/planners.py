@@ -13,6 +13,8 @@ from angler_mjx.planning.host.ompl import settings as of
 from angler_mjx.planning.planner import NoPlan, Path
 from angler_mjx.planning.problem import Problem
 
+type Progress = list[tuple[float, float]]
+
 _PLANNING = "angler_mjx.planning.host.ompl.planning"
 
 
@@ -46,12 +48,18 @@ class OmplPlanner:
                 f"planner {self.NAME} needs {error.name}: pip install 'angler-mjx[plan]'"
             ) from error
         room.begin()
-        self._planned: Callable[..., tuple[list[Path | NoPlan], dict[str, float]]] = room.planned
+        self._planned: Callable[..., tuple[list[Path | NoPlan], dict[str, float], Progress]] = (
+            room.planned
+        )
         self._warm_up: Callable[..., None] = room.warm_up
         self.extras: dict[str, float] = {}
         """Of the last plan: ``setup_s`` (of the checks), ``search_s``, ``first_s`` (to OMPL's first
-        path), ``best_cost`` (length in the space of the team), ``edges`` looked at, ``simplify_s``,
-        ``delay_s`` (waited at the start), ``attempts``. One by one, sums over robots."""
+        path), ``best_s`` (to the last that was better), ``best_cost`` (length in the space of the
+        team), ``edges`` looked at, ``simplify_s``, ``delay_s`` (waited at the start), ``attempts``.
+        One by one, sums over robots."""
+        self.progress: Progress = []
+        """Of the last plan: each time that OMPL had a better path, seconds since its search began
+        and ``best_cost``, up to 1,000. One by one a team has no such row, and none is here."""
 
     def warm_up(self, problem: Problem) -> None:
         """Compiles what planning such problems needs."""
@@ -59,8 +67,8 @@ class OmplPlanner:
 
     def plan(self, problem: Problem) -> Sequence[Path | NoPlan]:
         """A path of each robot; see `angler_mjx.planning.planner.Planner`."""
-        self.extras = {}
-        paths, self.extras = self._planned(self.NAME, self.settings, problem)
+        self.extras, self.progress = {}, []
+        paths, self.extras, self.progress = self._planned(self.NAME, self.settings, problem)
         return paths
 
 

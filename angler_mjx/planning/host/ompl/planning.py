@@ -24,8 +24,8 @@ def begin() -> None:
 
 def planned(
     planner: str, settings: Common, problem: Problem
-) -> tuple[list[Path | NoPlan], dict[str, float]]:
-    """Paths of all robots, and what there is to note of them.
+) -> tuple[list[Path | NoPlan], dict[str, float], list[tuple[float, float]]]:
+    """Paths of all robots, what there is to note of them, and how the search got better.
 
     Args:
         planner: OMPL's name.
@@ -45,7 +45,8 @@ def planned(
         paths = [_path(answer, 0, settings) for answer in answers]
     else:
         paths = _together(known, task)
-    return paths, task.extras
+    progress = task.progress if settings.mode == "composite" or problem.robots == 1 else []
+    return paths, task.extras, progress
 
 
 def warm_up(planner: str, settings: Common, problem: Problem) -> None:

@@ -38,6 +38,9 @@ SAMPLES = 1000
 LOOKS = 64
 """Edges between two looks at the clock."""
 
+MOST_TOLD = 1000
+"""Better paths that are told of; of more, every other one between the first and the last."""
+
 SHORTEST_S = 1e-4
 """A search is not begun with less left."""
 
@@ -63,8 +66,10 @@ class Found:
     points: np.ndarray | None
     """[k, d] of the path; None where there is none."""
     extras: dict[str, float] = field(default_factory=dict)
-    """``search_s``, ``first_s`` (to the first path), ``best_cost`` (of OMPL's objective: length in
-    the space), ``edges`` looked at."""
+    """``search_s``, ``first_s`` (to the first path), ``best_s`` (to the last that was better),
+    ``best_cost`` (of OMPL's objective: length in the space), ``edges`` looked at."""
+    progress: list[tuple[float, float]] = field(default_factory=list)
+    """Each time that there was a better path: seconds since the search began, and its cost."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,48 +199,60 @@ def search(space: Space, start: np.ndarray, goal: np.ndarray, order: Order) -> F
     ou.RNG.setSeed(max(1, zlib.crc32(repr(order.seed).encode())))
     setup = _Setup(space, start, goal, order.first or order.planner == "PRM")
     setup.motions.end = begin + order.limit_s
+    progress: list[tuple[float, float]] = []
     if order.planner in ANYTIME:
-        first_s, best = _improving(setup, order, begin)
+        progress = _improving(setup, order, begin)
     else:
-        first_s, best = _once(setup, order, begin)
+        _once(setup, order, begin)
     taken = time.perf_counter() - begin
     extras = {"search_s": taken, "edges": float(setup.motions.count)}
     if not setup.problem.hasExactSolution():
         return Found(None, extras)
     path = setup.problem.getSolutionPath()
-    extras |= {"first_s": taken if math.isnan(first_s) else first_s}
-    extras |= {"best_cost": path.length() if math.isnan(best) else best}
+    progress = progress or [(taken, float(path.length()))]
+    best_s, best_cost = progress[-1]
+    extras |= {"first_s": progress[0][0], "best_s": best_s, "best_cost": best_cost}
     if order.simplify_s > 0.0:
         setup.motions.end = math.inf
         og.PathSimplifier(setup.info).simplify(path, order.simplify_s)
-    return Found(setup.points(path), extras)
+    return Found(setup.points(path), extras, progress)
 
 
-def _improving(setup: _Setup, order: Order, begin: float) -> tuple[float, float]:
-    """Runs a planner that improves; time to its first path and its best cost."""
+def _improving(setup: _Setup, order: Order, begin: float) -> list[tuple[float, float]]:
+    """Runs a planner that improves; when there was a better path, and its cost.
+
+    It is asked each time that it asks whether to stop.
+    """
     planner = make(order.planner, setup.info, order.parameters)
     planner.setProblemDefinition(setup.problem)
     planner.setup()
     end = begin + order.limit_s
     most = math.inf if order.edge_limit is None else order.edge_limit
-    first = math.nan
     clock, motions = time.perf_counter, setup.motions
     asked = [planner.bestCost]
+    told: list[tuple[float, float]] = []
+    best = math.inf
+
+    def look() -> float:
+        nonlocal best
+        cost, now = asked[0]().value(), clock()
+        if cost < best:
+            best = cost
+            told.append((now - begin, cost))
+            if len(told) > MOST_TOLD:
+                del told[1:-1:2]
+        return now
 
     def stop() -> bool:
-        nonlocal first
-        now = clock()
-        if first != first and asked[0]().value() < math.inf:
-            first = now - begin
-        return now >= end or motions.count >= most
+        return look() >= end or motions.count >= most
 
     planner.solve(ob.PlannerTerminationCondition(stop))
-    best = planner.bestCost().value()
+    look()
     asked.clear()  # AORRTC keeps the condition: it must not keep the planner in turn.
-    return first, best if best < math.inf else math.nan
+    return told
 
 
-def _once(setup: _Setup, order: Order, begin: float) -> tuple[float, float]:
+def _once(setup: _Setup, order: Order, begin: float) -> None:
     """Runs a planner that ends with its first path, or a roadmap."""
     end = begin + order.limit_s
     most, clock, motions = order.edge_limit or math.inf, time.perf_counter, setup.motions
@@ -255,6 +272,6 @@ def _once(setup: _Setup, order: Order, begin: float) -> tuple[float, float]:
                 left if order.edge_limit is None else ob.PlannerTerminationCondition(stop)
             )
         if not batch or stop() or left <= SHORTEST_S or setup.problem.hasExactSolution():
-            return math.nan, math.nan
+            return
         setup.problem.clearSolutionPaths()
         samples *= 2

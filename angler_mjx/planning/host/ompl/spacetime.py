@@ -16,9 +16,10 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened
+from angler_mjx.planning.host.ompl.shortcut import shortened, thinned, ways
+from angler_mjx.planning.host.ompl.still import SAFE
 from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task
-from angler_mjx.planning.host.ompl.timing import SAFE, fastest, limits, water_at
+from angler_mjx.planning.host.ompl.timing import fastest, limits, water_at
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
@@ -34,6 +35,7 @@ class _Clock:
 
     def __init__(self, checks: EdgeChecker, speed: float, traffic: Traffic) -> None:
         self.checks, self.speed, self.traffic = checks, speed, traffic
+        self.ways = ways(checks, traffic, speed)
 
     def edge(self, a: np.ndarray, b: np.ndarray) -> bool:
         gone, way = b[3] - a[3], b[:3] - a[:3]
@@ -158,7 +160,10 @@ def _searched(
         return None
     if task.settings.simplify != "none":
         until = time.perf_counter() + limit
-        path = shortened(path[:, None], clock.edges, np.array([clock.speed]), 4, until)[:, 0]
+        path = shortened(path[:, None], clock.ways, np.array([clock.speed]), until)[:, 0]
+    most = task.settings.points
+    if len(path) > most:
+        path = thinned(path[:, None], clock.ways, np.array([clock.speed]), most)[:, 0]
     return path
 
 

@@ -16,8 +16,8 @@ from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.search import Order, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
-from angler_mjx.planning.host.ompl.shortcut import shortened
-from angler_mjx.planning.host.ompl.timing import TooStrongError, limits, timed
+from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
+from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
@@ -64,6 +64,8 @@ class Task:
     end: float
     """Of `time.perf_counter`."""
     extras: dict[str, float] = field(default_factory=dict)
+    progress: list[tuple[float, float]] = field(default_factory=list)
+    """Of the search of the whole team: s since the first one began, and the best cost then."""
 
     def left(self) -> float:
         """Time that is left, s."""
@@ -114,21 +116,34 @@ def motion(
         if attempt and time.perf_counter() >= end:
             break
         path = _searched(problem, robots, task, space, checks, end, attempt)
-        bounds = limits(problem, list(robots), settings.thrust_share, settings.turn_radps)
         try:
-            when, path = timed(path, problem, list(robots), bounds, settings.points - 1)
+            when, path = _flown(path, problem, list(robots), settings, checks)
         except TooStrongError as error:
             reason = str(error)
             continue
         if when[-1] > problem.horizon_s:
             reason = f"the way takes {when[-1]:.0f} s of {problem.horizon_s:.0f} s"
             continue
-        delay = _delay(problem, checks, when, path, traffic or Traffic.none())
+        delay = _delay(problem, checks, when, path, traffic or NOBODY)
         if delay is not None:
             task.note({"delay_s": delay, "attempts": attempt + 1.0})
             return Motion(time_s=when, path=path, delay_s=delay)
         reason = "what moves is in the way, however long it waits"
     raise NoWayError(reason)
+
+
+def _flown(
+    path: np.ndarray, problem: Problem, robots: list[int], settings: Common, checks: EdgeChecker
+) -> tuple[np.ndarray, np.ndarray]:
+    """A path in time, with as few points of each robot as can be flown, if there is such a one."""
+    when, flown = timed(path, problem, robots, settings)
+    most = settings.points - 1
+    if len(when) <= most:
+        return when, flown
+    if max(len(apart(when, flown[:, robot], 0.0)[0]) for robot in range(len(robots))) <= most:
+        return when, flown
+    speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
+    return timed(thinned(path, ways(checks), speed, most), problem, robots, settings)
 
 
 def _searched(
@@ -153,8 +168,10 @@ def _searched(
         first=settings.first,
         simplify_s=(1.0 - SEARCH) * left if settings.simplify == "ompl" else 0.0,
     )
+    before = task.extras.get("search_s", 0.0)
     found = search(space, start.reshape(-1), goal.reshape(-1), order)
     task.note(found.extras)
+    task.progress = [(before + when, cost) for when, cost in found.progress]
     if found.points is None:
         raise NoWayError(f"no way found in {order.limit_s:.3g} s")
     path = found.points.reshape(-1, *start.shape)
@@ -162,7 +179,7 @@ def _searched(
     if settings.simplify == "shortcut":
         begin = time.perf_counter()
         speed = np.asarray(problem.team.cruise_speed_mps, float)[list(robots)]
-        path = shortened(path, checks.edges, speed, 3, end)
+        path = shortened(path, ways(checks), speed, end)
         task.note({"simplify_s": time.perf_counter() - begin})
     return path
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from angler_mjx.planning.host.ompl.settings import Common
+from angler_mjx.planning.host.ompl.still import SAFE, SAME_M, SLOWEST_MPS, needed, still_timed
 from angler_mjx.planning.problem import Problem
 
 PIECE_M = 1.0
@@ -26,15 +28,6 @@ PASSES = 2
 
 PADDED = 256
 """Points are looked up in multiples of it, so that few programs are compiled."""
-
-SLOWEST_MPS = 1e-3
-"""Over ground; a robot that can only be slower cannot go there."""
-
-SAFE = 1.0 - 1e-3
-"""Of the speeds that may be: what float32 rounds off places and times."""
-
-SAME_M = 1e-6
-"""How far a point may lie off the line of its neighbours, in time too, to be left out."""
 
 
 class TooStrongError(Exception):
@@ -73,16 +66,15 @@ def limits(problem: Problem, robots: list[int], share: float, turn_radps: float)
 
 
 def timed(
-    path: np.ndarray, problem: Problem, robots: list[int], bounds: Limits, most_points: int
+    path: np.ndarray, problem: Problem, robots: list[int], settings: Common
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times of a path.
 
     Args:
         path: [k, R, d] x, y, z (and heading) of the team at each point.
-        problem: its current is looked up.
+        problem: its current is looked up, where one is known.
         robots: which of the team the path is of.
-        bounds: of these robots.
-        most_points: of the path in time.
+        settings: ``thrust_share``, ``turn_radps`` and ``points``, of which one less is given.
 
     Returns:
         Times [n] from 0, s, and the path [n, R, d] there.
@@ -90,19 +82,19 @@ def timed(
     Raises:
         TooStrongError: a robot cannot go where the path does.
     """
-    flows = bool(problem.current.components)
-    if flows:
-        path = _cut(path, most_points)
+    if not problem.current.components:
+        speed = np.asarray(problem.team.cruise_speed_mps, float)[robots]
+        return still_timed(np.ascontiguousarray(path), speed, settings.turn_radps)
+    bounds = limits(problem, robots, settings.thrust_share, settings.turn_radps)
+    path = _cut(path, settings.points - 1)
     way = np.diff(path, axis=0)
     length = np.linalg.norm(way[..., :3], axis=-1)
     ahead = way[..., :3] / np.maximum(length, 1e-12)[..., None]
     slowest = length.max(axis=1) / bounds.cruise_mps.min()
     time = np.concatenate([[0.0], np.cumsum(slowest)])
-    speed = np.broadcast_to(bounds.cruise_mps, length.shape)
-    for _ in range(PASSES if flows else 1):
-        if flows:
-            water = [water_at(problem, path, time, share) for share in (0.0, 0.5, 1.0)]
-            speed = np.min([fastest(ahead, each, bounds) for each in water], axis=0)
+    for _ in range(PASSES):
+        water = [water_at(problem, path, time, share) for share in (0.0, 0.5, 1.0)]
+        speed = np.min([fastest(ahead, each, bounds) for each in water], axis=0)
         weak = np.argwhere((length > SAME_M) & (speed < SLOWEST_MPS))
         if len(weak):
             at, robot = weak[0]
@@ -151,14 +143,7 @@ def apart(time: np.ndarray, path: np.ndarray, delay_s: float) -> tuple[np.ndarra
         path = np.concatenate([path[:1], path])
     if len(time) == 1:
         return np.array([0.0, 1.0]), np.concatenate([path, path])
-    kept = [0]
-    for k in range(1, len(time) - 1):
-        begin, share = kept[-1], 0.0
-        share = (time[k] - time[begin]) / (time[k + 1] - time[begin])
-        line = path[begin] + share * (path[k + 1] - path[begin])
-        if np.abs(line - path[k]).max() > SAME_M:
-            kept.append(k)
-    kept.append(len(time) - 1)
+    kept = needed(time, path)
     return time[kept], path[kept]
 
 

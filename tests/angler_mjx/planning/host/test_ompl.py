@@ -15,6 +15,9 @@ from ..problems import problem
 
 pytest.importorskip("ompl", reason="needs the extra plan: OMPL")
 pytest.importorskip("numba", reason="needs the extra plan: numba")
+from angler_mjx.planning.host.edges import EdgeChecker
+from angler_mjx.planning.host.ompl.shortcut import ways
+from angler_mjx.planning.host.ompl.straightening import through
 
 WALL = (5, slice(0, 7), slice(None))
 """Of a cube of ten cells: open where y is above 7 m."""
@@ -27,7 +30,8 @@ def plan(name, asked, **settings):
     planner = kind(kind.Settings(**settings))
     begin = time.perf_counter()
     paths = planner.plan(asked)
-    return answer(paths, asked, time.perf_counter() - begin, planner.extras)
+    taken = time.perf_counter() - begin
+    return answer(paths, asked, taken, planner.extras, planner.settings.points, planner.progress)
 
 
 def at(path, when):
@@ -73,7 +77,10 @@ def test_every_planner_goes_around_a_wall(name):
     assert box_gap(places, (5, 0, 0), (6, 7, 10)).min() > RADIUS
     assert places.min() > RADIUS
     assert places.max() < 10 - RADIUS
-    assert 0 < got.extras["first_s"] <= got.extras["search_s"]
+    told = got.extras
+    assert 0 < told["first_s"] <= told["best_s"] <= told["search_s"]
+    assert got.progress[0][0] == told["first_s"]
+    assert got.progress[-1] == (told["best_s"], told["best_cost"])
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -236,3 +243,74 @@ def test_parameters_reach_ompl():
     short = plan("RRTConnect", ONE, range_m=0.2, simplify="none")
     long = plan("RRTConnect", ONE, range_m=8.0, simplify="none")
     assert short.extras["edges"] > 2 * long.extras["edges"]
+
+
+@pytest.mark.parametrize("name", ["RRTstar", "BITstar", "AORRTC"])
+def test_each_better_path_is_told_of(name):
+    got = plan(name, ONE, time_limit_s=0.4, simplify="none")
+    when, cost = np.array(got.progress).T
+    assert 2 <= len(when) <= 1000
+    assert (np.diff(when) >= 0).all()
+    assert (np.diff(cost) < 0).all()
+    way = np.linalg.norm(np.diff(got.paths[0].position_m, axis=0), axis=1).sum()
+    assert way == pytest.approx(cost[-1], rel=1e-4)
+    # Nothing that keeps 0.3 m from the wall's edge at y = 7 is shorter than past that corner.
+    assert cost[-1] >= 2 * np.hypot(2.5, 5.0)
+
+
+@pytest.mark.parametrize("simplify", ["none", "ompl"])
+@pytest.mark.parametrize(("asked", "most"), [(ONE, 12), (SWAP, 8)], ids=["one", "two"])
+def test_a_path_of_too_many_points_is_thinned_to_what_can_be_flown(asked, most, simplify):
+    """The way past the wall needs three edges; that of two who swap a few more."""
+    many = plan("RRTConnect", asked, range_m=0.2, simplify=simplify, points=1024)
+    assert simplify == "ompl" or max(len(path.time_s) for path in many.paths) > most
+    got = plan("RRTConnect", asked, range_m=0.2, simplify=simplify, points=most)
+    assert got.status == "planned", got.reason
+    wall = [((5, 0, 0), (6, 7, 10))]
+    if asked is SWAP:
+        wall = [((5, 0, 0), (6, 4, 10)), ((5, 6, 0), (6, 10, 10))]
+        assert least_between(*got.paths) > 0.8
+    radius = float(asked.team.radius_m[0])
+    for path, end in zip(got.paths, asked.team.goal_m, strict=True):
+        assert len(path.time_s) <= most
+        np.testing.assert_allclose(path.position_m[-1], end, atol=1e-6)
+        places = at(path, fine(path))
+        assert min(box_gap(places, *box).min() for box in wall) > radius
+
+
+def quickest(path, edges, speed):
+    """Least time of the slowest robot, and a tenth of the mean, through points of a path.
+
+    Each edge is looked at; the least is relaxed until nothing changes.
+    """
+    count = len(path)
+    price = np.full((count, count), np.inf)
+    for i in range(count):
+        for j in range(i + 1, count):
+            took = np.linalg.norm(path[j] - path[i], axis=-1) / speed
+            if j == i + 1 or edges(path[i][None], path[j][None])[0]:
+                price[i, j] = took.max() + 0.1 * took.mean()
+    least = np.where(np.arange(count) == 0, 0.0, np.inf)
+    for _ in range(count):
+        least = np.minimum(least, (least[:, None] + price).min(axis=0))
+    return least[-1]
+
+
+@pytest.mark.parametrize("robots", [1, 3])
+def test_the_way_through_points_is_the_quickest_there_is(robots):
+    """Of a random walk of a team among rock, against every edge of it looked at."""
+    rng = np.random.default_rng(robots)
+    asked = problem([(2, 2 + 2 * n, 2) for n in range(robots)], [(8, 2, 2)] * robots, rock=[WALL])
+    checks, speed = EdgeChecker(asked), rng.uniform(0.3, 1.0, robots)
+    walk = [np.array(asked.team.start_m, float)]
+    while len(walk) < 20:
+        step = walk[-1] + rng.normal(0.0, 1.2, (robots, 3))
+        if checks.edge(walk[-1], step):
+            walk.append(step)
+    walk = np.array(walk)
+    got = through(ways(checks), walk, speed)
+    took = np.linalg.norm(np.diff(got, axis=0), axis=-1) / speed
+    assert checks.edges(got[:-1], got[1:]).all()
+    assert (took.max(axis=1) + 0.1 * took.mean(axis=1)).sum() == pytest.approx(
+        quickest(walk, checks.edges, speed), rel=1e-12
+    )
