@@ -115,7 +115,12 @@ def motion(
     for attempt in range(ATTEMPTS):
         if attempt and time.perf_counter() >= end:
             break
-        path = _searched(problem, robots, task, space, checks, end, attempt)
+        try:
+            path = _searched(problem, robots, task, space, checks, end, attempt)
+        except NoWayError:
+            if reason:  # what was wrong with the way that was found tells more
+                break
+            raise
         try:
             when, path = _flown(path, problem, list(robots), settings, checks)
         except TooStrongError as error:
