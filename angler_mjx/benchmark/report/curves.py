@@ -128,7 +128,8 @@ def _said(results: Results) -> str:
     closed = int(np.sum(~results.runs.asked))
     less = f"; {closed:,} of {len(results.runs):,} runs were not asked and count nowhere"
     return (
-        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked (too high where cells are pooled)"
+        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked "
+        "(too high where cells are pooled)"
         f"{less if closed else ''}"
     )
 
