@@ -126,9 +126,9 @@ def _figure(results: Results, width_in: float, height_in: float) -> Figure:
 
 def _said(results: Results) -> str:
     closed = int(np.sum(~results.runs.asked))
-    less = f"; {closed:,} of {len(results.runs):,} runs were not asked and count nowhere"
+    less = f"; {closed:,} of {len(results.runs):,} runs not asked"
     return (
-        f"lines: Wilson's 95 %; hollow: fewer than {FEW} runs, or not all asked (then too high)"
+        f"Wilson's 95 %; hollow: under {FEW} runs, or not all asked (if pooled, too high)"
         f"{less if closed else ''}"
     )
 

@@ -71,5 +71,5 @@ function drawPair() {
   at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `${data.judged === "success" ? "Success" : "Planning"} does not tell ${x} and ${y} apart here.${few}`;
   const body = html("tbody");
   for (const [label, value] of lines) body.append(html("tr", {}, html("th", { class: "text", scope: "row" }, label), html("td", {}, value)));
-  at("pair").replaceChildren(html("table", {}, body));
+  at("pair").replaceChildren(...(state.first === state.second ? [] : [html("table", {}, body)]));
 }
