@@ -137,7 +137,7 @@ def _still(problem: Problem, row: int) -> list[float]:
 
 def matrix(q: np.ndarray) -> np.ndarray:
     """Matrix [3, 3] of a quaternion [4] wxyz, which turns the body's frame into W."""
-    w, x, y, z = q / np.linalg.norm(q)
+    w, x, y, z = (q / np.linalg.norm(q)).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

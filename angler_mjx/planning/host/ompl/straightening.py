@@ -75,10 +75,11 @@ def _cost(a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> float:
     robots = a.shape[0]
     most, total = 0.0, 0.0
     for robot in range(robots):
-        took: float = _length(a, b, robot) / speed[robot]
+        took = _length(a, b, robot) / speed[robot]
         most = max(most, took)
         total += took
-    return most + FLOW * (total / robots)
+    slowest: float = most + FLOW * (total / robots)
+    return slowest
 
 
 @compiled
@@ -112,12 +113,12 @@ def _through(
 
     An edge is looked at only where it would be quicker, and where the way through it, straight on
     to the last point, would be no slower than the quickest that is known. Points to ``ends`` [k] of
-    each lie on one edge that is free.
+    each lie on one edge that is free. From the first straight to the last there is no way.
     """
     last = path.shape[0] - 1
     before, least = np.zeros(last + 1, np.int64), np.zeros(last + 1)
-    if last == 1 or _goes(ways, world, path[0], path[last]):
-        return _picked(path, before)
+    if last == 1:
+        return path
     left = np.zeros(last + 1)
     for k in range(last - 1, -1, -1):
         left[k] = left[k + 1] + _cost(path[k], path[k + 1], speed)
@@ -212,12 +213,15 @@ def _one_by_one(ways: Ways, world: Fields, path: np.ndarray) -> None:
 def through(ways: Ways, path: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """The quickest way through the points of a path [k, R, d], of speeds [R] m/s."""
     world = fields(ways.head, ways.reals)
+    last = path.shape[0] - 1
+    if last > 1 and _goes(ways, world, path[0], path[last]):
+        return _picked(path, np.zeros(last + 1, np.int64))
     return _through(ways, world, path, _own_ends(path.shape[0]), speed)
 
 
 @compiled
 def straighter(ways: Ways, path: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """A round: the path [k, R, d], and its cost before and after."""
+    """A round, where no way goes straight to the goal: the path, and its cost before and after."""
     world = fields(ways.head, ways.reals)
     before = cost(path, speed)
     path, ends = _cut(path, speed, PIECES)
