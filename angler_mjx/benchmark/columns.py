@@ -69,7 +69,7 @@ ASKED: tuple[Column, ...] = (
     Column("knows_current", _S, "", "what was known of the current", None),
     Column("problem_seed", pa.int64(), "1", "seed of the world", None),
     Column("world", pa.int64(), "1", "index of the world", None),
-    Column("plan_status", _S, "", "how planning ended; closed: it was not asked", None),
+    Column("plan_status", _S, "", "how planning ended; closed, no room: it was not asked", None),
     Column("plan_reason", _S, "", "why there are not plans for all robots", None),
 )
 """What says which run it is, and how planning ended."""
@@ -88,5 +88,6 @@ NUMBERS = tuple((one, one.stored or one.name) for one in MEASURED if one.stored 
 WORDS = ("plan_reason", "failure", "failure_pair")
 """Columns that its table of words holds."""
 
-NOT_ASKED = "closed"
-"""The status of problems that a planner was not asked."""
+CLOSED, NO_ROOM = "closed", "no room"
+"""Statuses of problems that a planner was not asked: it had been given up on; the world has no room
+for the team."""

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from angler_mjx.benchmark import paths as bytes_of
-from angler_mjx.benchmark.columns import WORDS
+from angler_mjx.benchmark.columns import CLOSED, NO_ROOM, WORDS
 from angler_mjx.benchmark.measures import of_answer
 from angler_mjx.benchmark.questions import Contestant, Setting
 from angler_mjx.benchmark.store import Store
@@ -21,9 +21,6 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.simulator.prepare import device_planner
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world.environment import Environment
-
-NO_ROOM = "the world cannot hold the team"
-"""Why nobody is asked a problem."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +104,7 @@ def plan(
             worlds = [world for world in todo[number] if world in chosen]
             if worlds and part.start and _hopeless(asked, number, store, first):
                 reason = f"no plan for any of its first {first} problems here"
-                store.close_cell(asked.experiment, number, worlds, reason)
+                store.leave(asked.experiment, number, worlds, CLOSED, reason)
                 advance(len(worlds))
             elif worlds:
                 orders.append((number, one, worlds))
@@ -128,7 +125,7 @@ def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], Non
     }
     worlds = [world for world in range(len(asked.problems)) if world not in done]
     barred = [world for world in worlds if not asked.fits[world]]
-    store.close_cell(asked.experiment, planner, barred, NO_ROOM)
+    store.leave(asked.experiment, planner, barred, NO_ROOM, "the world cannot hold the team")
     advance(len(done) + len(barred))
     return [world for world in worlds if asked.fits[world]]
 

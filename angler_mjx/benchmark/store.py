@@ -49,7 +49,8 @@ CREATE TABLE tracks (runid INTEGER PRIMARY KEY, track BLOB,
     FOREIGN KEY (runid) REFERENCES runs(id) ON DELETE CASCADE);
 CREATE TABLE scenery (experimentid INTEGER, world INTEGER, arrays BLOB,
     PRIMARY KEY (experimentid, world));
-CREATE TABLE closed (experimentid INTEGER, plannerid INTEGER, world INTEGER, reason TEXT,
+CREATE TABLE closed (experimentid INTEGER, plannerid INTEGER, world INTEGER, status TEXT,
+    reason TEXT,
     PRIMARY KEY (experimentid, plannerid, world));
 """
 
@@ -172,10 +173,12 @@ class Store:
             )
         return run
 
-    def close_cell(self, experiment: int, planner: int, worlds: Iterable[int], reason: str) -> None:
+    def leave(
+        self, experiment: int, planner: int, worlds: Iterable[int], status: str, reason: str
+    ) -> None:
         """Say that a planner is not asked some problems, and why."""
-        rows = [(experiment, planner, world, reason) for world in worlds]
-        self._write("INSERT OR REPLACE INTO closed VALUES (?, ?, ?, ?)", rows)
+        rows = [(experiment, planner, world, status, reason) for world in worlds]
+        self._write("INSERT OR REPLACE INTO closed VALUES (?, ?, ?, ?, ?)", rows)
 
     def add_flights(
         self,

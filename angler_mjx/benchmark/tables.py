@@ -7,7 +7,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from angler_mjx.benchmark.columns import NOT_ASKED, NUMBERS, RUN_SCHEMA, WORDS
+from angler_mjx.benchmark.columns import NUMBERS, RUN_SCHEMA, WORDS
 from angler_mjx.benchmark.store import STATUS, Store
 from angler_mjx.storage import atomic
 from angler_mjx.storage.results import EPISODE_SCHEMA
@@ -33,9 +33,10 @@ def runs(store: Store) -> pa.Table:
         )
     ]
     rows += [
-        {**dict(row), "plan_status": NOT_ASKED}
+        dict(row)
         for row in store.rows(
-            f"SELECT {_WHICH}, world, reason AS plan_reason FROM closed {_JOINED} {_ORDER}"
+            f"SELECT {_WHICH}, world, status AS plan_status, reason AS plan_reason "
+            f"FROM closed {_JOINED} {_ORDER}"
         )
     ]
     columns = {field.name: [_cell(field, row) for row in rows] for field in RUN_SCHEMA}

@@ -15,11 +15,9 @@ import tyro
 from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
-    benchmark,
     control,
     env,
     export,
-    plan,
     rollout,
     scenarios,
     teleop,
@@ -29,6 +27,7 @@ from angler_mjx.cli import (
     verify,
     warm,
 )
+from angler_mjx.cli.planners import benchmark, plan
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck

@@ -28,7 +28,7 @@ def success_by_team(results: Results) -> Figure:
     runs, scenes = results.runs, results.scenes
     teams = sorted(set(runs["robots"].tolist()))
     groups = (runs["scene"], runs["planner"], runs["robots"])
-    found = by(groups, runs[results.judged], runs.asked)
+    found = by(groups, runs[results.judged], runs.counted)
     across = min(len(scenes), 3)
     down = -(-len(scenes) // across)
     with look.styled():
@@ -56,7 +56,7 @@ def success_by_density(results: Results) -> Figure:
     """Success against the density of rock, over all scenes."""
     runs = results.runs
     bins = density_bins(runs, results.problem)
-    found = by((runs["planner"], bins.of), runs[results.judged], runs.asked)
+    found = by((runs["planner"], bins.of), runs[results.judged], runs.counted)
     with look.styled():
         figure = _figure(results, 9.6, 4.2)
         style.headline(
@@ -125,12 +125,9 @@ def _figure(results: Results, width_in: float, height_in: float) -> Figure:
 
 
 def _said(results: Results) -> str:
-    closed = int(np.sum(~results.runs.asked))
-    less = f"; {closed:,} of {len(results.runs):,} runs not asked"
-    return (
-        f"Wilson's 95 %; hollow: under {FEW} runs, or not all asked (if pooled, too high)"
-        f"{less if closed else ''}"
-    )
+    given_up = int(np.sum(results.runs.counted & ~results.runs.asked))
+    less = f"; {given_up:,} of {len(results.runs):,} runs not asked: their planner was given up"
+    return f"Wilson's 95 %; hollow: under {FEW} runs{less if given_up else ''}"
 
 
 def _deadline(results: Results) -> str:
@@ -150,7 +147,7 @@ def _rates(axes: Axes, ticks: Sequence[str], lines: Sequence[Mapping[int, Rate |
         for at, rate in zip(x, held.values(), strict=True):
             color = drawn["color"]
             axes.plot([at, at], [rate.low, rate.high], color=color, linewidth=1.0, alpha=0.5)
-            hollow = rate.few or rate.closed > 0
+            hollow = rate.few
             axes.plot(
                 at,
                 rate.share,

@@ -32,6 +32,7 @@ def data(results: Results) -> dict[str, Any]:
         "problem": results.problem.tolist(),
         "world": results.world.tolist(),
         "asked": runs.asked.astype(int).tolist(),
+        "counted": runs.counted.astype(int).tolist(),
         "planned": runs["planned"].astype(int).tolist(),
         "success": runs["success"].astype(int).tolist(),
         "bin": bins.of.tolist(),

@@ -79,7 +79,7 @@ def compare(results: Results, first: str, second: str) -> Comparison:
         second: label.
     """
     runs = results.runs
-    rows = [np.flatnonzero((runs["planner"] == name) & runs.asked) for name in (first, second)]
+    rows = [np.flatnonzero((runs["planner"] == name) & runs.counted) for name in (first, second)]
     here, there = (results.problem[at] for at in rows)
     _, i, j = np.intersect1d(here, there, return_indices=True)
     a, b = rows[0][i], rows[1][j]

@@ -23,7 +23,7 @@ COSTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Profiles:
-    """Profiles of several planners over the problems that all of them were asked."""
+    """Profiles of several planners over the problems that all were asked, or given up on."""
 
     ratios: Mapping[str, np.ndarray]
     """By planner: finite ratios, sorted."""
@@ -55,7 +55,7 @@ def profiles(runs: Runs, problem: np.ndarray, planners: Sequence[str], cost: str
     """
     values = np.where(runs[COSTS[cost]], runs[cost], np.nan)
     known = [name for name in planners if np.any(np.isfinite(values[runs["planner"] == name]))]
-    asked = {name: (runs["planner"] == name) & runs.asked for name in known}
+    asked = {name: (runs["planner"] == name) & runs.counted for name in known}
     common = np.unique(problem)
     for rows in asked.values():
         common = np.intersect1d(common, problem[rows])

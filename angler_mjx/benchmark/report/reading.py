@@ -16,6 +16,8 @@ from angler_mjx.files import named, read_json
 RUNS, ROBOTS, ABOUT, EXAMPLES = "runs.parquet", "robots.parquet", "about.json", "examples"
 CLOSED = "closed"
 """Status of a run that was not asked, as its cell had been given up."""
+NO_ROOM = "no room"
+"""Status of a run that nobody was asked, as its world cannot hold the team."""
 
 TEXTS = ("planner", "scene", "preset", "knows_obstacles", "knows_current", "plan_status")
 WHOLE = ("run", "robots", "problem_seed", "world", "robots_planned", "robots_reached")
@@ -58,9 +60,18 @@ class Runs:
 
     @property
     def asked(self) -> np.ndarray:
-        """Bool [n]: not closed."""
-        asked: np.ndarray = self["plan_status"] != CLOSED
-        return asked
+        """Bool [n]: neither closed nor without room."""
+        return ~np.isin(self["plan_status"].astype(str), (CLOSED, NO_ROOM))
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Bool [n]: asked, or taken to fail as the planner had been given up.
+
+        Where cells are pooled, or planners compared, what hopeless planners were not asked must
+        not be left out: the easy problems alone would be left.
+        """
+        counted: np.ndarray = self["plan_status"] != NO_ROOM
+        return counted
 
     @cached_property
     def knowledge(self) -> np.ndarray:

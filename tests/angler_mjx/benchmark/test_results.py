@@ -225,4 +225,4 @@ def test_a_world_that_cannot_hold_the_team_is_nobodys_failure(source, tmp_path):
     found = pq.read_table(out / "runs.parquet").to_pylist()
     assert len(found) == 6
     assert {row["plan_reason"] for row in found} == {"the world cannot hold the team"}
-    assert {row["plan_status"] for row in found} == {"closed"}
+    assert {row["plan_status"] for row in found} == {"no room"}

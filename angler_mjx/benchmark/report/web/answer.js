@@ -12,11 +12,9 @@ function drawAnswer() {
   const won = winner(kept);
   if (data.judged === "planned") say("Nothing has been flown yet", ": shares are of problems that were planned for every robot.");
   if (won.best !== undefined && some) {
-    const { one } = won, alike = won.alike.length ? `; not told apart from it by paired comparison: ${listed(won.alike, 5)}` : won.all.length > 1 ? "; ahead of every other planner that was asked everything" : "";
-    const shut = won.shut.length ? `. Not ranked, given up in some cells: ${listed(won.shut, 8)}` : "";
-    say(names[won.best], ` ${JUDGED} most often: ${percent(one.success / one.asked)} (${between(wilson(one.success, one.asked))}) of ${one.asked} runs${alike}${shut}.`);
-  } else if (!some) say("No run has succeeded yet", ".");
-  else say("No planner was asked everything", " chosen here: all were given up in some cells. See the scenes below.");
+    const { one } = won, alike = won.alike.length ? `; not told apart from it by paired comparison: ${listed(won.alike, 5)}` : won.all.length > 1 ? "; ahead of every other planner" : "";
+    say(names[won.best], ` ${JUDGED} most often: ${percent(one.success / one.runs)} (${between(wilson(one.success, one.runs))}) of ${one.runs} runs${alike}.`);
+  } else say("No run has succeeded", ".");
   for (const [cost, words] of [["planning_s", "plans fastest"], ["makespan_s", "arrives soonest"], ["energy_j", "needs least energy"]]) {
     const found = profile(rows, state.planners, cost, COSTS[cost][0], kept);
     if (found.lines.length < 2 || !found.problems) continue;
@@ -37,13 +35,13 @@ function drawWinners() {
     for (const team of columns.length > 1 ? [null, ...columns] : columns) {
       const won = winner((i) => kept(i) && rows.scene[i] === scene && (team === null || rows.team[i] === team));
       const cell = html("td");
-      if (won.best === undefined) cell.append(won.all.length ? "all given up" : "–");
-      else if (!won.one.success) cell.append("none", html("small", {}, `${won.one.asked} runs each`));
+      if (won.best === undefined) cell.append("–");
+      else if (!won.one.success) cell.append("none", html("small", {}, `${won.one.runs} runs each`));
       else {
-        const { one } = won, rate = one.success / one.asked, open = won.all.length - won.shut.length;
-        const clear = won.alike.length === 0 || 2 * won.alike.length < open - 1;
+        const { one } = won, rate = one.success / one.runs;
+        const clear = won.alike.length === 0 || 2 * won.alike.length < won.all.length - 1;
         cell.style.background = `rgba(var(--good), ${(0.06 + 0.3 * rate).toFixed(2)})`;
-        cell.append(html("b", {}, clear ? names[won.best] : "no clear winner"), `${clear ? "" : `${names[won.best]} `}${percent(rate)}${one.asked < data.few ? " *" : ""}`);
+        cell.append(html("b", {}, clear ? names[won.best] : "no clear winner"), `${clear ? "" : `${names[won.best]} `}${percent(rate)}${one.runs < data.few ? " *" : ""}`);
         if (won.alike.length) cell.append(html("small", {}, `≈ ${listed(won.alike, 2)}`));
       }
       row.append(cell);
@@ -52,7 +50,7 @@ function drawWinners() {
   }
   table.append(body);
   at("winners").replaceChildren(table);
-  at("winners-note").textContent = `${data.judged === "success" ? "Success: every robot has a path and arrives." : "Share of problems planned for every robot."} ≈: Newcombe's paired 95 % interval of the difference holds 0; no clear winner: so for half of the others or more. Planners given up in a cell are not ranked in it. *: fewer than ${data.few} runs.`;
+  at("winners-note").textContent = `${data.judged === "success" ? "Success: every robot has a path and arrives." : "Share of problems planned for every robot."} ≈: Newcombe's paired 95 % interval of the difference holds 0; no clear winner: so for half of the others or more. *: fewer than ${data.few} runs.`;
 }
 
 function drawPair() {
@@ -60,7 +58,7 @@ function drawPair() {
   const [both, first, second, neither] = counts(hit, a, b), n = both + first + second + neither;
   const difference = (first - second) / n, interval = newcombe(both, first, second, neither);
   const points = (x) => `${x > 0 ? "+" : ""}${(100 * x).toFixed(1)}`, p = mcnemar(first, second);
-  const lines = [["problems both were asked", String(n)], [data.judged === "success" ? "both succeed" : "both plan for all robots", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
+  const lines = [["problems of both", String(n)], [data.judged === "success" ? "both succeed" : "both plan for all robots", String(both)], [`only ${names[state.first]}`, String(first)], [`only ${names[state.second]}`, String(second)], ["neither", String(neither)]];
   if (n) lines.push([`difference of share (${data.judged}), percentage points`, `${points(difference)} (${points(interval[0])} to ${points(interval[1])})`], ["McNemar's exact p", p < 1e-4 ? p.toExponential(1) : p.toFixed(4)]);
   for (const [cost, needs] of Object.entries({ planning_s: "planned", makespan_s: "success", energy_j: "success" })) {
     const found = ratioOf(rows, a, b, cost, needs), label = `${COSTS[cost][1].toLowerCase()}, median ratio first / second`;

@@ -49,7 +49,7 @@ function drawCells() {
 }
 
 function drawMade() {
-  const { about } = data, list = at("made"), asked = rows.asked.reduce((a, b) => a + b, 0), closed = rows.asked.length - asked;
+  const { about } = data, list = at("made"), sum = (x) => x.reduce((a, b) => a + b, 0), asked = sum(rows.asked), closed = sum(rows.counted) - asked, barred = rows.asked.length - sum(rows.counted);
   const say = (name, text) => text && list.append(html("dt", {}, name), html("dd", {}, text));
   const pairs = (held) => (held && typeof held === "object" ? Object.entries(held).map(([k, v]) => `${k} ${typeof v === "object" ? JSON.stringify(v) : v}`).join(", ") : String(held ?? ""));
   say("command", about.command);
@@ -58,7 +58,8 @@ function drawMade() {
   say("versions", pairs(about.versions));
   say("deadline", about.deadline_s && `${about.deadline_s} s a problem`);
   say("runs asked", `${asked} of ${rows.asked.length}`);
-  say("not asked", closed ? `${closed} runs: their cells were given up after the first problems all failed. They count in no rate.` : "none");
+  say("not asked", closed ? `${closed} runs: their cells were given up after the first ${about.close_after ?? ""} problems all failed. They are taken to fail everywhere but in the table of cells.` : "none");
+  if (barred) say("left out", `${barred} runs, whose worlds cannot hold the team`);
   const given = data.cells.filter((c) => c.closed).map((c) => `${names[c.planner]} on ${data.scenes[c.scene]} with ${c.team} (${c.closed})`);
   say("cells given up", given.join("; "));
   for (const planner of about.planners || []) say(planner.label, `${planner.name ?? ""} ${JSON.stringify(planner.settings ?? {})}`);

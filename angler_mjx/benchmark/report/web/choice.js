@@ -49,41 +49,40 @@ const kept = (i) => keepsScene(rows.scene[i], rows.team[i], rows.knows[i]);
 const scenes = () => (state.scene < 0 ? data.scenes.map((_, i) => i) : [state.scene]);
 const teams = () => (state.team < 0 ? data.teams : [data.teams[state.team]]);
 
-// Runs asked, solved and left unasked, by planner and a key of rows.
+// Runs that count, successes, and how many of them were given up, by planner and a key of rows.
 function tally(key, keep) {
   const found = new Map();
   for (let i = 0; i < rows.planner.length; i++) {
     if (!keep(i)) continue;
     const name = `${rows.planner[i]} ${key(i)}`;
     let one = found.get(name);
-    if (!one) found.set(name, (one = { asked: 0, success: 0, closed: 0 }));
-    if (rows.asked[i]) {
-      one.asked++;
-      one.success += hit[i];
-    } else one.closed++;
+    if (!one) found.set(name, (one = { runs: 0, success: 0, closed: 0 }));
+    if (!rows.counted[i]) continue;
+    one.runs++;
+    one.success += hit[i];
+    one.closed += !rows.asked[i];
   }
   return found;
 }
 
 function point(at, planner, one, what) {
-  const interval = wilson(one.success, one.asked), rate = one.success / one.asked;
-  const closed = one.closed ? `; ${one.closed} not asked` : "";
-  return { at, rate, interval, hollow: one.asked < data.few || one.closed > 0, words: `${names[planner]}, ${what}: ${percent(rate)} (${between(interval)}) of ${one.asked} runs${closed}` };
+  const interval = wilson(one.success, one.runs), rate = one.success / one.runs;
+  const closed = one.closed ? `; ${one.closed} of them given up` : "";
+  return { at, rate, interval, hollow: one.runs < data.few, words: `${names[planner]}, ${what}: ${percent(rate)} (${between(interval)}) of ${one.runs} runs${closed}` };
 }
 
 // The planner with the highest rate, and those that paired intervals do not tell from it.
 function winner(keep) {
   const total = tally(() => "", keep), of = (p) => total.get(`${p} `);
-  const there = state.planners.filter((p) => of(p));
-  const open = there.filter((p) => of(p).closed === 0), shut = there.filter((p) => of(p).closed > 0);
-  if (!open.length) return { shut, all: there };
-  const best = open.reduce((a, b) => (of(b).success * of(a).asked > of(a).success * of(b).asked ? b : a));
+  const all = state.planners.filter((p) => of(p)?.runs);
+  if (!all.length) return { all };
+  const best = all.reduce((a, b) => (of(b).success * of(a).runs > of(a).success * of(b).runs ? b : a));
   const held = byProblem(rows, best, keep), alike = [];
   if (of(best).success) {
-    for (const other of open) {
+    for (const other of all) {
       if (other === best) continue;
       if (newcombe(...counts(hit, held, byProblem(rows, other, keep)))[0] <= 0) alike.push(other);
     }
   }
-  return { best, one: of(best), alike, shut, all: there };
+  return { best, one: of(best), alike, all };
 }

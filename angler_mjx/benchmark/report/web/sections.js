@@ -6,7 +6,7 @@ function drawRates() {
     planner,
     points: ticks.flatMap((team, i) => {
       const one = byTeam.get(`${planner} ${scene} ${team}`);
-      return one && one.asked ? [point(i, planner, one, `${team} robots`)] : [];
+      return one && one.runs ? [point(i, planner, one, `${team} robots`)] : [];
     }),
   })))));
   const byBin = tally((i) => rows.bin[i], kept), { centres } = data.bins;
@@ -15,7 +15,7 @@ function drawRates() {
     planner,
     points: bins.flatMap((bin, i) => {
       const one = byBin.get(`${planner} ${bin}`);
-      return one && one.asked ? [point(i, planner, one, `density ${(100 * centres[bin]).toFixed(1)} %`)] : [];
+      return one && one.runs ? [point(i, planner, one, `density ${(100 * centres[bin]).toFixed(1)} %`)] : [];
     }),
   }))));
 }

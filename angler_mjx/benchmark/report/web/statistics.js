@@ -83,7 +83,7 @@ function medianRatio(logs, worlds, resamples = 1000) {
 function byProblem(rows, planner, keep) {
   const found = new Map();
   for (let i = 0; i < rows.planner.length; i++) {
-    if (rows.planner[i] === planner && rows.asked[i] && keep(i)) found.set(rows.problem[i], i);
+    if (rows.planner[i] === planner && rows.counted[i] && keep(i)) found.set(rows.problem[i], i);
   }
   return found;
 }

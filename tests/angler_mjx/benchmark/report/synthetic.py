@@ -66,6 +66,9 @@ def write(
                         "free_lines": float(np.exp(-12 * density[world])),
                         "straight_m": 20.0 * team,
                     }  # fmt: skip
+                    if preset == presets[0] and team == max(teams) and world == worlds - 1:
+                        rows.append(row | {"plan_status": "no room"})
+                        continue
                     if closed and world >= 5:
                         rows.append(row | {"plan_status": "closed"})
                         continue

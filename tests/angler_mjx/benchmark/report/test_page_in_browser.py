@@ -61,7 +61,7 @@ def test_everything_is_drawn_and_a_pair_is_compared_as_in_python(made, results, 
     pair = within(document, "pair")
     values = dict(zip(texts(pair, "th"), texts(pair, "td"), strict=True))
     one = paired.compare(results, "RRTConnect", "KPIECE1")
-    assert values["problems both were asked"] == str(one.pairs)
+    assert values["problems of both"] == str(one.pairs)
     assert values["only RRTConnect"] == str(one.only_first)
     said = [
         float(x) / 100
@@ -109,7 +109,7 @@ def test_filters_in_the_address_choose_what_is_shown(made, results, tmp_path):
     assert rows[0][7] == f"{100 * won.mean():.0f} %"
     answer = texts(within(document, "answer"), "li")
     assert answer[0].startswith("RRTConnect succeeds most often")
-    assert "given up in some cells: KPIECE1" in answer[0]
+    assert "ahead of every other planner" in answer[0]
 
 
 def test_odd_labels_are_shown_as_they_are(tmp_path):
@@ -125,5 +125,6 @@ def test_odd_labels_are_shown_as_they_are(tmp_path):
     planned = [
         sum(row["planned"] for row in rows if row["planner"] == name) for name in labels.values()
     ]
+    worlds = 4 - 1  # the last has no room for the team
     best = max(zip(planned, labels.values(), strict=True), key=lambda pair: pair[0])
-    assert f"plans for all robots most often: {100 * best[0] / 4:.0f} %" in document
+    assert f"plans for all robots most often: {100 * best[0] / worlds:.0f} %" in document

@@ -1,0 +1,1 @@
+"""Commands about planners: plans, problems, and planners against each other."""
