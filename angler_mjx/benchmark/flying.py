@@ -22,6 +22,7 @@ from angler_mjx.sim.state import World
 from angler_mjx.simulator import hosted
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import harvest, results
+from angler_mjx.storage.damage import reading
 from angler_mjx.storage.harvest import FinishedTile
 
 TRACK_SAMPLES = 240
@@ -41,7 +42,11 @@ class Flight:
 
 
 def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Flight]:
-    """Plans of a setting that were not flown yet."""
+    """Plans of a setting that were not flown yet.
+
+    Raises:
+        ConfigError: the database is damaged.
+    """
     made = []
     for planner in planners:
         rows = store.rows(
@@ -50,13 +55,10 @@ def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Fligh
             (experiment, planner),
         )
         if rows:
-            made.append(
-                Flight(
-                    planner=planner,
-                    runs={row["world"]: row["id"] for row in rows},
-                    plans={row["world"]: bytes_of.unpacked(row["paths"]) for row in rows},
-                )
-            )
+            with reading(store.path):
+                plans = {row["world"]: bytes_of.unpacked(row["paths"]) for row in rows}
+            runs = {row["world"]: row["id"] for row in rows}
+            made.append(Flight(planner=planner, runs=runs, plans=plans))
     return made
 
 

@@ -18,7 +18,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.storage import atomic, claims, inputs
 from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table
+from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.storage.folder import ENVIRONMENT, write_json
 
 SOURCE, RESOLVED, ABOUT = "benchmark.toml", "resolved.json", "about.json"
@@ -97,11 +97,14 @@ def read(folder: Path) -> Benchmark:
     place = (folder / inputs.FOLDER).resolve()
     planners = {one.named: str(place / one.copy_path) for one in kept if one.role == inputs.PLANNER}
     instead = inputs.stand_ins(folder)
-    scenario: dict[str, Any] = dict(table["scenario"])
-    scenario["fleet"] = [
-        {**one, "vehicle": instead.get(one["vehicle"], one["vehicle"])} for one in scenario["fleet"]
-    ]
-    return questions.again(folder, {**table, "scenario": scenario}, planners)
+    with reading(folder / RESOLVED):
+        scenario: dict[str, Any] = dict(table["scenario"])
+        scenario["fleet"] = [
+            {**one, "vehicle": instead.get(one["vehicle"], one["vehicle"])}
+            for one in scenario["fleet"]
+        ]
+        config = table["benchmark"]
+    return questions.again(folder, {"benchmark": config, "scenario": scenario}, planners)
 
 
 def about(benchmark: Benchmark, building: Path, *, complete: bool) -> None:

@@ -4,7 +4,7 @@ A `Setting` is a set of problems: worlds of one scenario and seed, with what may
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -195,29 +195,35 @@ def _settings(
     made = []
     for preset in config.presets or (None,):
         for scene in config.scene or (None,):
+            table = merged(base, {} if scene is None else scene.set)
+            if preset is not None:
+                table = merged(table, {"world": {"preset": preset}})
+            names = [text for text in (preset, None if scene is None else scene.name) if text]
+            called = " ".join(names) or PLAIN
+            whole = parse(Scenario, table, source=f"{source} ({called})")
             for team in config.teams or (None,):
-                table = merged(base, {} if scene is None else scene.set)
-                if preset is not None:
-                    table["world"] = {**table["world"], "preset": preset}
-                if team is not None:
-                    table["fleet"] = _fleet(table["fleet"], team)
-                called = " ".join(
-                    text for text in (preset, None if scene is None else scene.name) if text
-                )
-                about = (called or PLAIN) + (f", {team} robots" if team else "")
-                found = parse(Scenario, table, source=f"{source} ({about})")
-                for seed in config.seeds or (found.seed,):
-                    made += [
-                        Setting(
-                            scene=called or PLAIN,
-                            robots=len(found.members()),
-                            knows=knows,
-                            scenario=found,
-                            seed=seed,
-                        )
-                        for knows in dict.fromkeys(known)
-                    ]
+                found = whole if team is None else _with_team(whole, table, team, source, called)
+                made += [
+                    Setting(
+                        scene=called,
+                        robots=len(found.members()),
+                        knows=knows,
+                        scenario=found,
+                        seed=seed,
+                    )
+                    for seed in config.seeds or (found.seed,)
+                    for knows in dict.fromkeys(known)
+                ]
     return made
+
+
+def _with_team(
+    whole: Scenario, table: Mapping[str, Any], robots: int, source: str, called: str
+) -> Scenario:
+    """A scenario with another number of robots."""
+    entries = [one.model_dump(mode="json", exclude_unset=True) for one in whole.fleet]
+    about = f"{source} ({called}, {robots} robots)"
+    return parse(Scenario, {**table, "fleet": _fleet(entries, robots)}, source=about)
 
 
 def _told(config: BenchmarkConfig, scenario: Scenario) -> list[Knows]:
@@ -225,9 +231,9 @@ def _told(config: BenchmarkConfig, scenario: Scenario) -> list[Knows]:
     return [one.knows() for one in config.knows or (scenario.planner.knows,)]
 
 
-def _fleet(entries: Any, robots: int) -> list[dict[str, Any]]:
+def _fleet(entries: Sequence[dict[str, Any]], robots: int) -> list[dict[str, Any]]:
     """Entries of a team of another size: as near to their shares as whole robots can be."""
-    counts = [int(entry.get("count", 1)) for entry in entries]
+    counts = [entry.get("count", 1) for entry in entries]
     exact = [count * robots / sum(counts) for count in counts]
     shares = [int(share) for share in exact]
     rest = sorted(range(len(exact)), key=lambda i: (shares[i] - exact[i], i))

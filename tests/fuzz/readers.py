@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from angler_mjx.benchmark import questions
 from angler_mjx.errors import AnglerError
 from angler_mjx.files import FaultyError, check, parse
 from angler_mjx.interop import joint_trajectory_file
@@ -57,6 +58,36 @@ position_m = [1.0, 2.0, -5.0]
 size_m = [1.0, 1.0, 1.0]
 motion = { type = "circle", radius_m = 2.0, period_s = 30.0, axis = [0.0, 0.0, 1.0] }
 """
+BENCHMARK = b"""
+schema_version = 1
+name = "mine"
+scenario = "reef_fleet"
+presets = ["reef"]
+teams = [1, 4]
+seeds = [11]
+problems = 3
+deadline_s = 1.0
+close_after = 2
+set.engine = "fused"
+set.fleet = [{ vehicle = "bluerov2", count = 2 }]
+
+[[knows]]
+obstacles = "nothing"
+
+[[scene]]
+name = "still"
+set.world.currents = []
+set.world.obstacles.dynamic.count = 0
+
+[[planner]]
+name = "grid"
+settings = { start_hold_s = 10.0 }
+
+[[planner]]
+name = "grid"
+label = "other"
+knows = { obstacles = "nothing", current = "nothing" }
+"""
 PARAMETERS = b"# tuned\nPSC_POSXY_P,1.25\nATC_RAT_YAW_P 0.18 # for people\nSERVO1_TRIM,1500\n"
 KEYS = b"# drive\n0.5 i\n1-3.5 u\n4 <tab>\n4.5 <space>\n5 Q\n"
 TRAJECTORY = json.dumps(
@@ -90,6 +121,14 @@ def _scenario(path):
     loaded.members()
     again = parse(Scenario, json.loads(loaded.model_dump_json()), source="again")
     assert again == loaded
+
+
+def _benchmark(path):
+    found = questions.read(path)
+    resolved = json.loads(json.dumps(found.resolved()))
+    again = questions.again(path.parent, resolved, {})
+    assert [str(one) for one in again.settings] == [str(one) for one in found.settings]
+    assert again.resolved()["problems"] == resolved["problems"]
 
 
 def _vehicle(path):
@@ -194,6 +233,7 @@ READERS = {
     reader.name: reader
     for reader in (
         Reader("scenario", (*(p.read_bytes() for p in shipped().values()), GAINS), _scenario),
+        Reader("benchmark", (BENCHMARK,), _benchmark),
         Reader("vehicle", _files(DATA), _vehicle),
         Reader("thruster", _files(DATA / "thrusters"), _thruster),
         Reader("trajectory", (TRAJECTORY,), _trajectory, ".json"),

@@ -48,8 +48,20 @@ def test_bytes_from_nowhere_end_in_our_own_errors(name, tmp_path, data):
 
 FORBIDDEN = {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
 PACKAGES = ("angler_mjx", "kernels", "sitl_bridge", "experiments")
-WIRE = {f"angler_mjx/planning/host/{name}.py:pickle" for name in ("worker", "workers")}
-"""Between this process and those that it starts, through pipes that nobody else has an end of."""
+WIRE = {
+    f"angler_mjx/planning/host/{name}.py:pickle"
+    for name in (
+        "worker",
+        "workers",
+        "queued",
+        "processes/runner",
+        "ray_workers",
+        "cluster/runner",
+        "cluster/actor",
+    )
+}
+"""Between this process and those that it starts, through pipes that nobody else has an end of; and
+the actors of a Ray cluster that a person named, which runs their code anyway."""
 
 
 def test_no_code_is_made_from_what_is_read():

@@ -41,7 +41,7 @@ def read(tmp_path, more="", planner=""):
         ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),
         (
             "set.world = {cell_m = 0.1, obstacles = {dynamic = {count = 0}}}\nteams = [3]",
-            r"3 robots\).*world, for the fleet: robot radius",
+            r"x.toml \(as it is\).*world, for the fleet: robot radius",
         ),
         ('[[scene]]\nname = "a"\n[[scene]]\nname = "a"', "scene.name: 'a' is there twice"),
     ],
