@@ -80,7 +80,7 @@ def plan(
     asked: Asked,
     contestants: Sequence[tuple[int, Contestant]],
     store: Store,
-    pool: Callable[[], Pool],
+    pool: Pool,
     close_after: int,
     advance: Callable[[int], None],
 ) -> None:
@@ -90,7 +90,7 @@ def plan(
         asked: the problems.
         contestants: with their numbers in the database.
         store: where answers are kept.
-        pool: that plans, where a planner is one of the host.
+        pool: where planners of the host plan.
         close_after: a planner without any plan for so many first problems is not asked the others;
             0: never.
         advance: called with the number of problems that are done or given up.
@@ -142,7 +142,7 @@ def _hopeless(asked: Asked, planner: int, store: Store, first: int) -> bool:
 def _answers(
     asked: Asked,
     orders: Sequence[tuple[int, Contestant, Sequence[int]]],
-    pool: Callable[[], Pool],
+    pool: Pool,
 ) -> Iterator[tuple[int, int, Answer]]:
     """Planner, world and answer, as they come."""
     tickets: dict[int, tuple[int, int]] = {}
@@ -152,10 +152,10 @@ def _answers(
                 yield number, world, given
             continue
         for world in worlds:
-            ticket = pool().submit(asked.problems[world], one.spec_of(asked.setting))
+            ticket = pool.submit(asked.problems[world], one.spec_of(asked.setting))
             tickets[ticket] = number, world
     if tickets:
-        for ticket, given in pool().completed(tickets):
+        for ticket, given in pool.completed(tickets):
             yield *tickets[ticket], given
 
 

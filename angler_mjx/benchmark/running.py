@@ -6,7 +6,6 @@ then their own time. Each answer and each flight is in the database before the n
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -80,7 +79,7 @@ def run(
         benchmark: to be run.
         source: that it was read from.
         out: results folder.
-        workers: makes what planners of the host plan in.
+        workers: makes the pool in which planners of the host plan.
         resume: go on with one that was interrupted.
         told: what to tell meanwhile.
 
@@ -89,11 +88,18 @@ def run(
         RunError: the disk is full, or no worker can be started.
         KeyboardInterrupt: interrupted; what was finished is kept.
     """
+    with workers() as pool:  # before anything is made: a cluster may not answer
+        _run(benchmark, source, out, pool, resume, told)
+
+
+def _run(
+    benchmark: Benchmark, source: Path, out: Path, pool: Pool, resume: bool, told: Told
+) -> None:
     claimed = folder.reopen(benchmark, out) if resume else folder.begin(benchmark, source, out)
     building = claimed.building
     try:
         with Store(building / FILE) as store:
-            _all(benchmark, store, workers, told)
+            _all(benchmark, store, pool, told)
             told.at("tables and page")
             _results(benchmark, building, store, complete=True)
         claimed.publish()
@@ -144,30 +150,22 @@ def _results(benchmark: Benchmark, place: Path, store: Store, *, complete: bool)
     page.make(place)
 
 
-def _all(benchmark: Benchmark, store: Store, workers: Callable[[], Pool], told: Told) -> None:
+def _all(benchmark: Benchmark, store: Store, pool: Pool, told: Told) -> None:
     total = sum(
         setting.scenario.worlds * len(benchmark.asked(setting)) for setting in benchmark.settings
     )
     told.start(total)
     simulators = _Simulators()
     about = _about()
-    with ExitStack() as stack:
-        begun: list[Pool] = []
-
-        def pool() -> Pool:
-            if not begun:
-                begun.append(stack.enter_context(workers()))
-            return begun[0]
-
-        for setting in benchmark.settings:
-            begin = time.perf_counter()
-            experiment = store.setting(setting, about)
-            asked = [(store.contestant(one), one) for one in benchmark.asked(setting)]
-            if _is_done(setting, experiment, asked, store):
-                told.advance(setting.scenario.worlds * len(asked))
-                continue
-            _one(benchmark, setting, experiment, asked, simulators, store, pool, told)
-            store.add_time(experiment, time.perf_counter() - begin)
+    for setting in benchmark.settings:
+        begin = time.perf_counter()
+        experiment = store.setting(setting, about)
+        asked = [(store.contestant(one), one) for one in benchmark.asked(setting)]
+        if _is_done(setting, experiment, asked, store):
+            told.advance(setting.scenario.worlds * len(asked))
+            continue
+        _one(benchmark, setting, experiment, asked, simulators, store, pool, told)
+        store.add_time(experiment, time.perf_counter() - begin)
 
 
 def _one(
@@ -177,7 +175,7 @@ def _one(
     asked: Sequence[tuple[int, Contestant]],
     simulators: _Simulators,
     store: Store,
-    pool: Callable[[], Pool],
+    pool: Pool,
     told: Told,
 ) -> None:
     config = benchmark.config
