@@ -10,6 +10,9 @@ from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.prioritised import one_by_one
 from angler_mjx.planning.host.ompl.search import quiet
 from angler_mjx.planning.host.ompl.settings import Common
+from angler_mjx.planning.host.ompl.shortcut import ways
+from angler_mjx.planning.host.ompl.still import still_timed
+from angler_mjx.planning.host.ompl.straightening import fewer, straighter, through
 from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task, motion
 from angler_mjx.planning.host.ompl.timing import PADDED, apart
 from angler_mjx.planning.host.timed import Traffic
@@ -58,7 +61,14 @@ def warm_up(planner: str, settings: Common, problem: Problem) -> None:
     checks.state_flat(flat)
     checks.edges(start[None], start[None])
     checks.clearance(start)
+    speed = np.asarray(problem.team.cruise_speed_mps, float)
+    bent = np.stack([start, start, np.asarray(problem.team.goal_m, float), start])
+    straighter(ways(checks), through(ways(checks), bent, speed), speed)
+    fewer(ways(checks), bent, speed, 2, 1)
+    when, flown = still_timed(bent, speed, settings.turn_radps)
+    apart(when, flown[:, 0], 0.0)
     none = Traffic.none()
+    checks.timed_edge(0, start[0], 0.0, start[0], np.inf, none)
     checks.timed_edges(0, start[:1], np.zeros(1), start[:1], np.full(1, np.inf), none)
     if problem.current.components:
         problem.current_mps(np.zeros((PADDED, 3), np.float32), np.zeros(PADDED, np.float32))

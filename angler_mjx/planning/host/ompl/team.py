@@ -8,7 +8,7 @@ never is, another path is searched.
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,7 +33,8 @@ WAITS = 60
 WAIT_S = 1.0
 
 STAYS_S = (math.inf, 2.0)
-"""How long the goal has to be free after the arrival: for ever, or this long."""
+"""How long the goal has to be free of obstacles that move after the arrival: for ever, or this
+long. Other robots never go where one stands at its goal."""
 
 
 class NoWayError(Exception):
@@ -129,7 +130,7 @@ def motion(
         if when[-1] > problem.horizon_s:
             reason = f"the way takes {when[-1]:.0f} s of {problem.horizon_s:.0f} s"
             continue
-        delay = _delay(problem, checks, when, path, traffic or NOBODY)
+        delay = _delay(problem, robots, checks, settings.margin_m, when, path, traffic or NOBODY)
         if delay is not None:
             task.note({"delay_s": delay, "attempts": attempt + 1.0})
             return Motion(time_s=when, path=path, delay_s=delay)
@@ -191,7 +192,9 @@ def _searched(
 
 def _delay(
     problem: Problem,
+    robots: Sequence[int],
     checks: EdgeChecker,
+    margin_m: float,
     when: np.ndarray,
     path: np.ndarray,
     traffic: Traffic,
@@ -203,11 +206,32 @@ def _delay(
         return 0.0
     room = max(0.0, problem.horizon_s - when[-1])
     waits = np.arange(0.0, room + 1e-9, max(WAIT_S, room / WAITS))
-    for stays in STAYS_S:
-        for wait in waits:
-            if _clear(checks, when, path, traffic, float(wait), stays):
-                return float(wait)
+    for stays in STAYS_S if drift.any() else STAYS_S[:1]:
+        alone = _without_drift(problem, robots, margin_m) if stays < math.inf else checks
+        for wait in map(float, waits):
+            clear = _clear(checks, when, path, traffic, wait, stays)
+            if clear and _may_stand(alone, path[-1], when[-1] + wait, stays, traffic):
+                return wait
     return None
+
+
+def _may_stand(
+    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: Traffic
+) -> bool:
+    """Whether no other robot ever comes where some stand at their goals.
+
+    Asked only where `_clear` has looked for a while: it knows already where it looked for ever.
+    """
+    return stays == math.inf or all(
+        alone.timed_edge(k, end[:3], over, end[:3], math.inf, traffic) for k, end in enumerate(ends)
+    )
+
+
+def _without_drift(problem: Problem, robots: Sequence[int], margin_m: float) -> EdgeChecker:
+    """What looks at edges as if no obstacle moved."""
+    known = problem.obstacles
+    stay = np.asarray(known.exists, bool) & ~np.asarray(known.moves, bool)
+    return seeing.checker(replace(problem, obstacles=replace(known, exists=stay)), robots, margin_m)
 
 
 def _clear(

@@ -143,7 +143,7 @@ def apart(time: np.ndarray, path: np.ndarray, delay_s: float) -> tuple[np.ndarra
         path = np.concatenate([path[:1], path])
     if len(time) == 1:
         return np.array([0.0, 1.0]), np.concatenate([path, path])
-    kept = needed(time, path)
+    kept = needed(time, np.ascontiguousarray(path))
     return time[kept], path[kept]
 
 

@@ -1,5 +1,8 @@
 """OMPL's planners, judged by closed forms written here."""
 
+import pickle
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -142,6 +145,24 @@ def test_one_by_one_earlier_robots_keep_their_ways():
     assert least_between(first, later) > 2 * RADIUS
     # Both would be in the middle after 6 s.
     assert later.time_s[-1] > first.time_s[-1] + 1.0
+
+
+@pytest.mark.parametrize("drifting", [False, True])
+def test_one_by_one_nobody_passes_where_an_earlier_arrival_stands(drifting):
+    """The second's goal is on the first's way, and it cannot wait until the first has passed."""
+    far = {"radius_m": [0.1], "p_m": [[(0.5, 9.5, 0.5), (0.5, 9.5, 9.5)]], "time_s": [0.0, 60.0]}
+    asked = problem(
+        [(1, 5, 5), (8, 1, 5)],
+        [(9, 5, 5), (8, 5, 5)],
+        radius=0.45,
+        horizon_s=16.1,
+        obstacles=far if drifting else None,
+    )
+    got = plan("RRTConnect", asked, mode="prioritised", time_limit_s=0.5)
+    first, second = got.paths
+    assert not isinstance(first, NoPlan) or not isinstance(second, NoPlan)
+    if not isinstance(first, NoPlan) and not isinstance(second, NoPlan):
+        assert least_between(first, second) > 0.9
 
 
 def test_a_current_slows_robots_down_by_what_it_takes():
@@ -314,3 +335,38 @@ def test_the_way_through_points_is_the_quickest_there_is(robots):
     assert (took.max(axis=1) + 0.1 * took.mean(axis=1)).sum() == pytest.approx(
         quickest(walk, checks.edges, speed), rel=1e-12
     )
+
+
+COUNT = """
+import gc, sys
+sys.path.insert(0, sys.argv[1])
+from angler_mjx.planning.host.ompl.planners import PLANNERS
+from numba.core.dispatcher import Dispatcher
+from tests_of_planning import asked
+
+planner = PLANNERS["RRTConnect"](PLANNERS["RRTConnect"].Settings(mode=sys.argv[2]))
+planner.warm_up(asked[0])
+made = lambda: {(d.__name__, s) for d in gc.get_objects() if isinstance(d, Dispatcher)
+                for s in d.signatures}
+before = made()
+for problem in asked[1:]:
+    planner.plan(problem)
+print(*(name for name, _ in made() - before))
+"""
+
+
+@pytest.mark.parametrize("mode", ["composite", "prioritised"])
+def test_all_is_compiled_before_the_clock_starts(mode, tmp_path):
+    """Warmed up where every way is straight and free; then asked for ways around a wall."""
+    easy = problem([(2, 2, 2), (2, 6, 2)], [(8, 2, 2), (8, 6, 2)])
+    hard = problem([(2, 2, 2), (2, 6, 2)], [(8, 2, 2), (8, 6, 2)], rock=[WALL])
+    data = pickle.dumps([easy, hard, SWAP])
+    text = f"import pickle\nasked = pickle.loads({data!r})\n"
+    (tmp_path / "tests_of_planning.py").write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, str(tmp_path), mode],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []
