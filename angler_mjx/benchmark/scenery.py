@@ -57,13 +57,14 @@ def write(store: Store, folder: Path) -> int:
     place = folder / FOLDER
     place.mkdir(exist_ok=True)
     found = store.rows(
-        "SELECT experimentid, world, arrays, name, robots FROM scenery "
-        "JOIN experiments ON experiments.id = experimentid ORDER BY experimentid, world"
+        "SELECT name, robots, world, group_concat(experimentid) AS asked FROM scenery "
+        "JOIN experiments ON experiments.id = experimentid "
+        "GROUP BY name, robots, problem_seed, world ORDER BY min(experimentid), world"
     )
     for number, row in enumerate(found):
-        arrays: dict[str, Any] = unpacked(row["arrays"])
+        arrays = _world(store, row["asked"], row["world"])
         labels = []
-        for k, run in enumerate(_runs(store, row["experimentid"], row["world"])):
+        for k, run in enumerate(_runs(store, row["asked"], row["world"])):
             labels.append(run["name"])
             arrays |= {f"{name}_{k}": x for name, x in _drawn(store, run, row["robots"]).items()}
         data = packed(
@@ -78,13 +79,21 @@ def write(store: Store, folder: Path) -> int:
     return len(found)
 
 
-def _runs(store: Store, experiment: int, world: int) -> list[Any]:
+def _world(store: Store, asked: str, world: int) -> dict[str, Any]:
+    """What is known of a world by those who know most of it."""
+    rows = store.rows(
+        f"SELECT arrays FROM scenery WHERE experimentid IN ({asked}) AND world = ?", (world,)
+    )
+    return max((unpacked(row["arrays"]) for row in rows), key=lambda x: len(x["obstacle_p_m"]))
+
+
+def _runs(store: Store, asked: str, world: int) -> list[Any]:
     return store.rows(
         "SELECT runs.id, name, paths, track FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
         "LEFT JOIN plans ON plans.runid = runs.id LEFT JOIN tracks ON tracks.runid = runs.id "
-        "WHERE experimentid = ? AND world = ? ORDER BY plannerid",
-        (experiment, world),
+        f"WHERE experimentid IN ({asked}) AND world = ? ORDER BY plannerid",
+        (world,),
     )
 
 

@@ -116,12 +116,11 @@ def main(folder: Annotated[Path, tyro.conf.Positional], robots: int = 4) -> None
         robots: Team of which the tables of what successes took are.
     """
     results = reading.read(folder)
-    for lines in (
-        success(results),
-        truth(results),
-        took(results, robots),
-        pairs(results, results.planners),
-    ):
+    runs = results.runs
+    won = {name: int(runs["success"][runs["planner"] == name].sum()) for name in results.planners}
+    best_first = sorted(results.planners, key=lambda name: -won[name])
+    tables = (success(results), truth(results), took(results, robots), pairs(results, best_first))
+    for lines in tables:
         print("\n".join(lines))
 
 

@@ -1,6 +1,6 @@
 """The figures of a benchmark, drawn from its results alone into ``figures/``."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -23,6 +23,13 @@ ALL: dict[str, Callable[[Results], Figure | None]] = {
 """Figures by name; one gives None where the results hold nothing to draw."""
 
 
+def _spread(paths: Sequence[Path], most: int) -> list[Path]:
+    """Some of them, from the beginning to the end."""
+    if len(paths) <= most:
+        return list(paths)
+    return [paths[round((i + 0.5) * len(paths) / most - 0.5)] for i in range(most)]
+
+
 def make(results: Results) -> list[Path]:
     """Draw all figures that the results have something for; older ones are replaced.
 
@@ -42,7 +49,7 @@ def make(results: Results) -> list[Path]:
         figure = draw(results)
         if figure is not None:
             written.append(save(figure, folder / f"{name}.png"))
-    for path in results.examples[:_EXAMPLES]:
+    for path in _spread(results.examples, _EXAMPLES):
         figure = pictures.example(scenes.read(path))
         if figure is not None:
             written.append(save(figure, folder / f"example_{path.stem}.png"))

@@ -32,7 +32,7 @@ def failures(results: Results) -> Figure | None:
         style.headline(
             figure,
             f"{results.about.get('name', '')}: where robots failed",
-            "centres of robots when they failed, from above, of all planners",
+            "centres of robots that had a path when they failed, from above, of all planners",
         )
         for axes, name in zip(
             look.panels(figure, len(shown), across, sharey=False), shown, strict=True

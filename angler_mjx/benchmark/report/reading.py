@@ -219,11 +219,12 @@ def _numbers(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def _failures(path: Path, runs: Runs) -> Failures:
-    """All robots that failed; without their table the first one of each run."""
-    needed = ("run", "outcome", *FAILURES)
+    """All robots that had a path and failed; without their table the first of each run."""
+    needed = ("run", "planned", "outcome", *FAILURES)
     if path.is_file():
         table = _table(path)
         if all(name in table.column_names for name in needed):
+            table = table.filter(table["planned"])
             return _placed(
                 table["run"].to_numpy(),
                 _texts(table["outcome"]),
