@@ -1,0 +1,1 @@
+"""Benchmarks of planners, and their tables for a page."""
