@@ -93,7 +93,7 @@ def _runs(folder: Path) -> dict[_Key, dict[str, Any]]:
     """What is compared of each run, by planner and problem; what was not asked counts too."""
     if not (folder / FILE).is_file():
         raise ConfigError(f"{folder}: is no results folder of a benchmark (no {FILE} in it)")
-    with Store(folder / FILE) as store:
+    with Store(folder / FILE, only_read=True) as store:
         which = (
             "plannerConfigs.name AS label, experiments.name, robots, knows_obstacles, "
             "knows_current, problem_seed, world"

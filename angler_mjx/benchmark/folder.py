@@ -42,7 +42,9 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> Claim:
         inputs.take(building, vehicles, planners)
         write_json(building / ENVIRONMENT, describe_environment())
         write_json(building / RESOLVED, benchmark.resolved())
-        Store(building / FILE, new=True).close()
+        unfinished = building / f".unfinished.{FILE}"
+        Store(unfinished, new=True).close()
+        unfinished.replace(building / FILE)  # who is killed before leaves nothing to go on with
     except OSError as error:
         claimed.withdraw()
         raise RunError(f"--out {out}: cannot be written ({error.strerror or error})") from error

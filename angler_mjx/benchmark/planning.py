@@ -14,11 +14,14 @@ from angler_mjx.benchmark.measures import of_answer
 from angler_mjx.benchmark.questions import Contestant, Setting
 from angler_mjx.benchmark.store import Store
 from angler_mjx.control import plans
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.answers import Answer, answer, failed
 from angler_mjx.planning.host.pool import Pool
-from angler_mjx.planning.planner import NoPlan, Path
+from angler_mjx.planning.host.processes.runner import LATE
+from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
-from angler_mjx.simulator.prepare import device_planner
+from angler_mjx.simulator.prepare import device_planner, with_paths
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world.environment import Environment
 
@@ -96,24 +99,24 @@ def plan(
         advance: called with the number of problems that are done or given up.
     """
     todo = {number: _left(asked, number, store, advance) for number, _ in contestants}
-    first = close_after or len(asked.problems)
-    for part in (slice(0, first), slice(first, None)):
-        chosen = set(range(len(asked.problems))[part])
+    fitting = np.flatnonzero(asked.fits).tolist()
+    first = fitting[:close_after] if close_after else fitting
+    for part in (first, fitting[len(first) :]):
         orders = []
         for number, one in contestants:
-            worlds = [world for world in todo[number] if world in chosen]
-            if worlds and part.start and _hopeless(asked, number, store, first):
-                reason = f"no plan for any of its first {first} problems here"
+            worlds = [world for world in part if world in todo[number]]
+            if worlds and part is not first and _hopeless(asked, number, store, first[-1]):
+                reason = f"no plan for any of its first {len(first)} problems here"
                 store.leave(asked.experiment, number, worlds, CLOSED, reason)
                 advance(len(worlds))
             elif worlds:
                 orders.append((number, one, worlds))
-        for number, world, given in _answers(asked, orders, pool):
-            _keep(asked, number, world, given, store)
+        for number, one, world, given in _answers(asked, orders, pool):
+            _keep(asked, number, world, _of_kind(given, one), store)
             advance(1)
 
 
-def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], None]) -> list[int]:
+def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], None]) -> set[int]:
     """Problems that a planner is still to be asked."""
     where = (asked.experiment, planner)
     done = {
@@ -127,14 +130,15 @@ def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], Non
     barred = [world for world in worlds if not asked.fits[world]]
     store.leave(asked.experiment, planner, barred, NO_ROOM, "the world cannot hold the team")
     advance(len(done) + len(barred))
-    return [world for world in worlds if asked.fits[world]]
+    return {world for world in worlds if asked.fits[world]}
 
 
-def _hopeless(asked: Asked, planner: int, store: Store, first: int) -> bool:
+def _hopeless(asked: Asked, planner: int, store: Store, last: int) -> bool:
+    """Whether a planner has no plan for any problem up to the last of the first."""
     rows = store.rows(
         "SELECT count(*) AS runs, coalesce(sum(robots_planned), 0) AS paths FROM runs "
-        "WHERE experimentid = ? AND plannerid = ? AND world < ?",
-        (asked.experiment, planner, first),
+        "WHERE experimentid = ? AND plannerid = ? AND world <= ?",
+        (asked.experiment, planner, last),
     )
     return bool(rows[0]["runs"] and not rows[0]["paths"])
 
@@ -143,20 +147,34 @@ def _answers(
     asked: Asked,
     orders: Sequence[tuple[int, Contestant, Sequence[int]]],
     pool: Pool,
-) -> Iterator[tuple[int, int, Answer]]:
-    """Planner, world and answer, as they come."""
-    tickets: dict[int, tuple[int, int]] = {}
+) -> Iterator[tuple[int, Contestant, int, Answer]]:
+    """Planner, world and answer, as they come; nobody is asked while a device plans."""
     for number, one, worlds in orders:
         if one.on_device:
             for world, given in _of_device(asked, one, worlds):
-                yield number, world, given
-            continue
-        for world in worlds:
+                yield number, one, world, given
+    tickets: dict[int, tuple[int, Contestant, int]] = {}
+    for number, one, worlds in orders:
+        for world in worlds if not one.on_device else ():
             ticket = pool.submit(asked.problems[world], one.spec_of(asked.setting))
-            tickets[ticket] = number, world
-    if tickets:
-        for ticket, given in pool.completed(tickets):
-            yield *tickets[ticket], given
+            tickets[ticket] = number, one, world
+    for ticket, given in pool.completed(tickets):
+        yield *tickets[ticket], given
+
+
+def _of_kind(given: Answer, one: Contestant) -> Answer:
+    """An answer whose paths are all of the kind that the planner says it gives."""
+    wrong = [
+        path
+        for path in given.paths
+        if not isinstance(path, NoPlan | JointTrajectory if one.joints else NoPlan | Trajectory)
+    ]
+    if not wrong:
+        return given
+    reason = f"gives {type(wrong[0]).__name__}, and its class says joints = {one.joints}"
+    paths = [NoPlan(reason) if any(path is x for x in wrong) else path for path in given.paths]
+    none = all(isinstance(path, NoPlan) for path in paths)
+    return replace(given, paths=paths, status="none" if none else "partial", reason=reason)
 
 
 def _of_device(
@@ -164,6 +182,8 @@ def _of_device(
 ) -> Iterator[tuple[int, Answer]]:
     """Answers of a planner that plans a batch: each took its share of the batch's time."""
     setting, simulator = asked.setting, asked.simulator
+    shape = PathShape(points=setting.scenario.planner.points, joints=one.joints)
+    limit_s = LATE * setting.scenario.planner.deadline_s
     compiled, extras = None, {}
     for first in _tiles(setting, simulator):
         wanted = [world for world in worlds if first <= world < first + simulator.tile]
@@ -177,15 +197,22 @@ def _of_device(
                 jax.block_until_ready(compiled(*given))
                 extras = {"warm_up_s": time.perf_counter() - begin}
             begin = time.perf_counter()
-            path = jax.device_get(jax.block_until_ready(compiled(*given)))
+            path = jax.block_until_ready(compiled(*given))
+            seconds = time.perf_counter() - begin
+            with_paths(given[0], path, one.label, shape)
+            host = jax.device_get(path)
+            teams = {w: [_robot(host, w - first, r) for r in range(setting.robots)] for w in wanted}
         except Exception as error:  # anybody's code: it is this planner's failure, and no more
             text = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
             yield from ((w, failed(setting.robots, "error", text, 0.0)) for w in wanted)
             continue
-        seconds = (time.perf_counter() - begin) / min(simulator.tile, setting.scenario.worlds)
-        for world in wanted:
-            own = [_robot(path, world - first, robot) for robot in range(setting.robots)]
-            yield world, answer(own, asked.problems[world], seconds, extras)
+        share_s = seconds / min(simulator.tile, setting.scenario.worlds)
+        for world, own in teams.items():
+            if share_s > limit_s:
+                text = f"took {share_s:.3g} s a problem; it had {limit_s / LATE:g} s"
+                yield world, failed(setting.robots, "timeout", text, share_s)
+            else:
+                yield world, answer(own, asked.problems[world], share_s, extras, shape.points)
             extras = {}
 
 
@@ -194,9 +221,10 @@ def _robot(host: Any, world: int, robot: int) -> Path | NoPlan:
     one: Any = jax.tree.map(lambda leaf: leaf[world, robot], host)
     if not bool(plans.found(one)):
         return NoPlan("no way found")
-    end = int(np.argmax(one.time_s >= one.time_s[-1])) + 1
+    differing = np.flatnonzero(one.time_s != one.time_s[-1])
+    end = int(differing[-1]) + 2 if len(differing) else 2
     cut = {
-        name: getattr(one, name)[: max(end, 2)]
+        name: getattr(one, name)[:end]
         for name in ("time_s", "position_m", "position", "velocity", "acceleration", "degree")
         if hasattr(one, name) and np.ndim(getattr(one, name)) > 0
     }

@@ -181,6 +181,8 @@ def _settings(
     contestants: tuple[Contestant, ...],
     source: str,
 ) -> list[Setting]:
+    for table in (config.set, *(one.set for one in config.scene)):
+        _require_ours_left(table, source)
     base = scenario.model_dump(mode="json", exclude_unset=True)
     base["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]
     base["worlds"] = config.problems
@@ -215,6 +217,27 @@ def _settings(
                     for knows in dict.fromkeys(known)
                 ]
     return made
+
+
+OURS = {
+    "worlds": "problems",
+    "seed": "seeds",
+    "planner.name": "[[planner]]",
+    "planner.settings": "settings in [[planner]]",
+    "planner.points": "points",
+    "planner.deadline_s": "deadline_s",
+    "planner.knows": "[[knows]]",
+}
+"""Keys of a scenario that a benchmark file says by keys of its own."""
+
+
+def _require_ours_left(table: Mapping[str, Any], source: str) -> None:
+    """Refuse changes of a scenario that a key of the benchmark stands for."""
+    for key, instead in OURS.items():
+        name, _, inner = key.partition(".")
+        held = table.get(name)
+        if name in table and (not inner or (isinstance(held, Mapping) and inner in held)):
+            raise ConfigError(f"{named(source)}: set.{key}: give {instead} instead")
 
 
 def _with_team(

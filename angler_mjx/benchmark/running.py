@@ -129,7 +129,7 @@ def report(place: Path) -> Path:
 
 def summary(place: Path) -> str:
     """How the planners of a results folder did, a line each."""
-    with Store(place / FILE) as store:
+    with Store(place / FILE, only_read=True) as store:
         rows = store.rows(
             "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
             "(SELECT count(*) FROM closed WHERE plannerid = plannerConfigs.id) AS closed "

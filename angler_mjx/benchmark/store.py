@@ -11,6 +11,7 @@ import json
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
@@ -61,19 +62,26 @@ SETTING_COLUMNS = ("preset", "robots", "knows_obstacles", "knows_current", "prob
 class Store:
     """The database, open."""
 
-    def __init__(self, path: Path, *, new: bool = False) -> None:
+    def __init__(self, path: Path, *, new: bool = False, only_read: bool = False) -> None:
         """Open or make it.
+
+        Args:
+            path: of the file.
+            new: make it.
+            only_read: leave it as it is.
 
         Raises:
             ConfigError: it is none, or is damaged.
             RunError: it cannot be written.
         """
-        self.path = path
+        self.path, self._only_read = path, only_read
         try:
-            self._base = sqlite3.connect(path)
+            mode = "ro" if only_read else "rwc"
+            self._base = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
             self._base.row_factory = sqlite3.Row
-            self._base.execute("PRAGMA journal_mode = WAL")
-            self._base.execute("PRAGMA synchronous = FULL")
+            if not only_read:
+                self._base.execute("PRAGMA journal_mode = WAL")
+                self._base.execute("PRAGMA synchronous = FULL")
             if new:
                 columns = ", ".join(f"{name} {_KINDS[str(one.kind)]}" for one, name in NUMBERS)
                 self._base.executescript(_SCHEMA.format(columns=columns))
@@ -94,7 +102,8 @@ class Store:
     def close(self) -> None:
         """Leave one file that holds everything."""
         with suppress(sqlite3.Error):  # another one reads it: it is whole with its log beside it
-            self._base.execute("PRAGMA journal_mode = DELETE")
+            if not self._only_read:
+                self._base.execute("PRAGMA journal_mode = DELETE")
         self._base.close()
 
     def setting(self, setting: Setting, about: Mapping[str, Any]) -> int:
@@ -204,7 +213,7 @@ class Store:
                 )
                 self._base.executemany(
                     "INSERT OR REPLACE INTO robots VALUES (?, ?, ?)",
-                    [(run, row["robot"], json.dumps(dict(row))) for row in robots],
+                    [(run, row["robot"], _json(row)) for row in robots],
                 )
 
     def add_scenery(self, experiment: int, world: int, arrays: bytes) -> None:
@@ -276,6 +285,12 @@ def _numbers(measured: Mapping[str, Any]) -> dict[str, Any]:
     """By the database's names; what is not measured is left out."""
     known = {name: measured.get(one.name) for one, name in NUMBERS if one.name in measured}
     return {name: value for name, value in known.items() if value is not None}
+
+
+def _json(row: Mapping[str, Any]) -> str:
+    """As JSON, which has no NaN."""
+    finite = {k: None if isinstance(x, float) and not isfinite(x) else x for k, x in row.items()}
+    return json.dumps(finite)
 
 
 def _words(measured: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def benchmark(
     Args:
         source: Benchmark file (.toml); or the results folder of a benchmark, which is made again
             and compared with what it was.
-        out: Results folder to make; benchmarks/NAME if left out.
+        out: Results folder to make; runs/NAME if left out.
         workers: Processes that plan; one for each processor if left out.
         ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
             127.0.0.1:6379.
@@ -39,7 +39,7 @@ def benchmark(
     """
     choose(device)
     keep_all_programs()
-    from angler_mjx.benchmark import again, running
+    from angler_mjx.benchmark import running
     from angler_mjx.cli.shared.given import at_least_one
 
     if report:
@@ -49,7 +49,10 @@ def benchmark(
         return
     found = running.read(source)
     name = f"{found.config.name}-again" if source.is_dir() else found.config.name
-    place = out or Path("benchmarks") / name
+    place = out or Path("runs") / name
+    if source.is_dir() and resume and (place / "about.json").is_file():
+        _compare(source, place)
+        return
     pool = _pool(at_least_one("workers", workers), ray)
     with _Bar() as bar:
         try:
@@ -61,10 +64,17 @@ def benchmark(
     print(running.summary(place))
     print(place / "report.html")
     if source.is_dir():
-        compared = again.compare(source, place)
-        print(_told(compared))
-        if not compared.same:
-            sys.exit(1)
+        _compare(source, place)
+
+
+def _compare(first: Path, second: Path) -> None:
+    """Say whether two results folders are the same; ends with 1 if not."""
+    from angler_mjx.benchmark import again
+
+    compared = again.compare(first, second)
+    print(_told(compared))
+    if not compared.same:
+        sys.exit(1)
 
 
 def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":

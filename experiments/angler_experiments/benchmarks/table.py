@@ -1,6 +1,6 @@
 """Tables of a benchmark for a page: success by scene and team, and what successes took.
 
-    python -m angler_experiments.benchmarks.table benchmarks/reference
+    python -m angler_experiments.benchmarks.table runs/reference
 
 Shares are of all problems; those that a planner was not asked, as it had been given up on, count as
 failed. What plans and flights took is the median of runs that succeeded.

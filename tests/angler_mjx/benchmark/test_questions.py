@@ -36,6 +36,11 @@ def read(tmp_path, more="", planner=""):
         ('presets = ["reaf"]', "'reaf' is no preset; there are angler2024"),
         ("nonsense = 1", "nonsense = 1: unknown key"),
         ("close_after = -1", "close_after = -1"),
+        ("set.worlds = 5", "set.worlds: give problems instead"),
+        (
+            '[[scene]]\nname = "a"\nset.planner.knows.obstacles = "truth"',
+            r"set.planner.knows: give \[\[knows\]\] instead",
+        ),
         ("set.world.density = 3.0", r"x.toml \(as it is\).*world.density = 3.0"),
         ('knows = [{obstacles = "all"}]', r"knows\[0\].obstacles = 'all'"),
         ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),

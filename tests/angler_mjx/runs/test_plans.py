@@ -23,7 +23,7 @@ from angler_mjx.storage.plans import write as plan_writer
 from angler_mjx.storage.plans.read import open_plans
 
 DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
-TEN_LINES, _, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
+TEN_LINES, *_, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
 LAME = '''
 
 class Lame(Straight):
