@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import count_not_above, take
+from angler_kernels.table import take
 from angler_mjx.control.commands import PoseTarget
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.control.trajectory import Trajectory, segment_at
 
 VEHICLE_JOINTS = ("x", "y", "z", "yaw")
 """Joints of every vehicle: m along W's axes, and rad about z up, 0 = east."""
@@ -91,18 +91,21 @@ def turns(joint: str) -> bool:
     return joint == "yaw"
 
 
-def sample(trajectory: JointTrajectory, t: jax.Array) -> JointState:
+def sample(
+    trajectory: JointTrajectory, t: jax.Array, segment_of: jax.Array | None = None
+) -> JointState:
     """The reference at a time.
 
     Args:
         trajectory: of one robot.
         t: [] s since its start, at least 0.
+        segment_of: int32 [] `segment_at` that time; looked for if left out.
 
     Returns:
         State of all joints; at rest at the last point once that is reached.
     """
     time = trajectory.time_s
-    k = jnp.clip(count_not_above(time, t) - 1, 0, time.shape[0] - 2)
+    k = segment_at(time, t) if segment_of is None else segment_of
     begin, end = _row(trajectory, k), _row(trajectory, k + 1)
     start = take(time, k)
     span = take(time, k + 1) - start

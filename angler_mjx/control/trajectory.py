@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.table import count_not_above, take
+from angler_kernels.table import count_not_above, last_not_above, take
 
 
 @jax.tree_util.register_dataclass
@@ -34,18 +34,38 @@ def hold(start_m: jax.Array, n_point: int) -> Trajectory:
     )
 
 
-def sample(trajectory: Trajectory, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+def segment_at(time_s: jax.Array, t: jax.Array, near: jax.Array | None = None) -> jax.Array:
+    """Which segment of a path is flown at a time: int32 [], the row of its first point.
+
+    Args:
+        time_s: [n_point] of the points.
+        t: [] s.
+        near: int32 [] segment of a little before, where the search begins; by bisection if left
+            out. Past the end of the path the segment does not matter, and is what ``near`` is.
+    """
+    n = time_s.shape[0]
+    if near is None:
+        return jnp.clip(count_not_above(time_s, t) - 1, 0, n - 2)
+    # Padding is not walked along.
+    until = jnp.where(t < time_s[-1], t, take(time_s, near))
+    return jnp.minimum(last_not_above(time_s, until, near), n - 2)
+
+
+def sample(
+    trajectory: Trajectory, t: jax.Array, segment: jax.Array | None = None
+) -> tuple[jax.Array, jax.Array]:
     """Position and velocity of the reference at a time.
 
     Args:
         trajectory: of one robot.
         t: [] s.
+        segment: int32 [] `segment_at` that time; looked for if left out.
 
     Returns:
         Position [3] m and velocity [3] m/s, in W; velocity is zero past the last way-point.
     """
     time, point = trajectory.time_s, trajectory.position_m
-    k = jnp.clip(count_not_above(time, t) - 1, 0, time.shape[0] - 2)
+    k = segment_at(time, t) if segment is None else segment
     begin, start, end = take(time, k), take(point, k), point[-1]
     span = take(time, k + 1) - begin
     inside = (span > 0) & (t < time[-1])

@@ -28,6 +28,30 @@ def count_not_above(table: jax.Array, value: jax.Array) -> jax.Array:
     return _count(table, lambda entry: entry <= value)
 
 
+def last_not_above(table: jax.Array, value: jax.Array, near: jax.Array) -> jax.Array:
+    """Where the last entry that is at most ``value`` stands, looked for from a place on.
+
+    A search from the last place found costs two reads where the value has moved on by no entry or
+    by one; from a place behind the value it begins at the first entry.
+
+    Args:
+        table: [n] non-decreasing.
+        value: [] to look for; no derivative is taken of it.
+        near: int32 [] place in [0, n) to begin at.
+
+    Returns:
+        int32 [], the same wherever it begins; 0 where no entry is.
+    """
+    last = table.shape[0] - 1
+    begin = jnp.where(take(table, near) <= value, near, 0)
+
+    def on(k: jax.Array) -> jax.Array:
+        return (k < last) & (take(table, jnp.minimum(k + 1, last)) <= value)
+
+    found: jax.Array = jax.lax.while_loop(on, lambda k: k + 1, begin)
+    return found
+
+
 def _count(table: jax.Array, holds: Predicate) -> jax.Array:
     """Length of the stretch at the beginning of ``table`` [n] for which ``holds``, bit by bit."""
     n = table.shape[0]

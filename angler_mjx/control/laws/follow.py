@@ -16,7 +16,7 @@ from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.laws.checks import check_gains
 from angler_mjx.control.laws.model import wrap
 from angler_mjx.control.laws.targets import TrackingTarget
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.control.trajectory import Trajectory, segment_at
 from angler_mjx.errors import ConfigError
 
 
@@ -42,6 +42,8 @@ class FollowCarry:
     """[] time along the trajectory; runs slower than time while the robot is behind."""
     yaw_rad: jax.Array
     """[] heading reference."""
+    segment: jax.Array
+    """int32 [] of the trajectory at that time: where the next step begins to look for its own."""
 
 
 def check(gains: FollowGains, law: str = "follow") -> None:
@@ -60,7 +62,9 @@ def check(gains: FollowGains, law: str = "follow") -> None:
 
 def reset(yaw_rad: jax.Array) -> FollowCarry:
     """Memory of a robot that starts with a heading []."""
-    return FollowCarry(clock_s=jnp.zeros_like(yaw_rad), yaw_rad=yaw_rad)
+    return FollowCarry(
+        clock_s=jnp.zeros_like(yaw_rad), yaw_rad=yaw_rad, segment=jnp.zeros((), jnp.int32)
+    )
 
 
 def step(
@@ -122,7 +126,8 @@ def _points(
     gains: FollowGains, carry: FollowCarry, estimate: Estimate, path: Trajectory, dt: float
 ) -> tuple[FollowCarry, PoseTarget, jax.Array]:
     """Along way-points; with the turn [] rad of the heading reference in this step."""
-    position, velocity = trajectory.sample(path, carry.clock_s)
+    segment = segment_at(path.time_s, carry.clock_s, carry.segment)
+    position, velocity = trajectory.sample(path, carry.clock_s, segment)
     pace = _pace(gains, position, estimate)
     moving = velocity[0] ** 2 + velocity[1] ** 2 > 0.05**2
     wanted = jnp.where(
@@ -133,7 +138,9 @@ def _points(
     turn = jnp.clip(
         wrap(wanted - carry.yaw_rad), -gains.yaw_rate_radps * dt, gains.yaw_rate_radps * dt
     )
-    carry = FollowCarry(clock_s=carry.clock_s + pace * dt, yaw_rad=wrap(carry.yaw_rad + turn))
+    carry = FollowCarry(
+        clock_s=carry.clock_s + pace * dt, yaw_rad=wrap(carry.yaw_rad + turn), segment=segment
+    )
     target = PoseTarget(position_m=position, velocity_mps=pace * velocity, yaw_rad=carry.yaw_rad)
     return carry, target, turn
 
@@ -142,11 +149,13 @@ def _joints(
     gains: FollowGains, carry: FollowCarry, estimate: Estimate, command: JointTrajectory, dt: float
 ) -> tuple[FollowCarry, TrackingTarget]:
     """Along a JointTrajectory, whose first joints are the vehicle's x, y, z and yaw."""
-    now = joint_trajectory.sample(command, carry.clock_s)
+    segment = segment_at(command.time_s, carry.clock_s, carry.segment)
+    now = joint_trajectory.sample(command, carry.clock_s, segment)
     position = now.position[:3]
     pace = _pace(gains, position, estimate)
     yaw = wrap(now.position[3])
-    return FollowCarry(clock_s=carry.clock_s + pace * dt, yaw_rad=yaw), TrackingTarget(
+    carry = FollowCarry(clock_s=carry.clock_s + pace * dt, yaw_rad=yaw, segment=segment)
+    return carry, TrackingTarget(
         position_m=position,
         velocity_mps=pace * now.velocity[:3],
         acceleration_mps2=pace * pace * now.acceleration[:3],

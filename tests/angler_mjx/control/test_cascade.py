@@ -4,6 +4,7 @@ The set `blue_ismc` of the six-thruster BlueROV2 is left out: it has no restorin
 vehicle has no authority in pitch, so nothing holds it level.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -179,7 +180,7 @@ def test_guidance_waits_for_a_robot_that_falls_behind():
     at = Estimate(p=jnp.zeros(3), q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
 
     def clock(start):
-        carry = follow.FollowCarry(clock_s=jnp.array(start), yaw_rad=jnp.zeros(()))
+        carry = replace(follow.reset(jnp.zeros(())), clock_s=jnp.array(start))
         carry, target = follow.step(gains, carry, at, path, 0.05)
         return float(carry.clock_s) - start, float(target.velocity_mps[0])
 

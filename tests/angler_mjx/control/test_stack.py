@@ -1,5 +1,6 @@
 """Stages stacked: where commands enter, what is remembered, what is refused. One robot, float32."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -147,7 +148,7 @@ def test_a_joint_trajectory_is_followed_with_its_motion():
     command, gains = goal(), follow.FollowGains()
     clock = jnp.array(1.3)
     now = joint_trajectory.sample(command, clock)
-    carry = follow.FollowCarry(clock_s=clock, yaw_rad=jnp.zeros(()))
+    carry = replace(follow.reset(jnp.zeros(())), clock_s=clock)
     on_it = Estimate(p=now.position[:3], q=jnp.array([1.0, 0, 0, 0]), nu=jnp.zeros(6))
     after, target = follow.track(gains, carry, on_it, command, DT)
     assert float(after.clock_s) == pytest.approx(1.35)

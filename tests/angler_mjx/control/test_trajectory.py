@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.trajectory import Trajectory, sample
+from angler_mjx.control.trajectory import Trajectory, sample, segment_at
 
 TIME = np.array([0.0, 1.0, 1.5, 4.0, 6.0])
 POINT = np.random.default_rng(0).normal(size=(5, 3))
@@ -36,6 +36,22 @@ def test_velocity_is_the_slope_and_zero_at_the_end(path):
     expected = np.concatenate([slope[[0, 0, 1, 2, 3]], np.zeros((2, 3))])
     # float32 on differences over half a second.
     np.testing.assert_allclose(velocity, expected, atol=1e-5)
+
+
+def test_a_clock_that_goes_on_finds_what_bisection_finds(path):
+    """Slow, fast over several points at once, standing, past the end, and put back."""
+    clock = np.concatenate([np.linspace(0, 5, 41), [1.4, 5.9, 5.9, 6.0, 8.0, 8.1, 0.2, 6.5, 3.0]])
+
+    def on(near, t):
+        k = segment_at(path.time_s, t, near)
+        return k, k
+
+    _, found = jax.lax.scan(on, jnp.int32(0), jnp.asarray(clock))
+    expected = jax.vmap(segment_at, (None, 0))(path.time_s, clock)
+    under_way = clock < TIME[-1]
+    np.testing.assert_array_equal(found[under_way], expected[under_way])
+    # Nothing is looked for in the padding.
+    assert np.all(np.asarray(found)[~under_way] <= TIME.size - 2)
 
 
 def test_a_path_of_one_place_is_that_place():
