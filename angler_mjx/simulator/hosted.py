@@ -51,10 +51,10 @@ def one_by_one(problems: Problem, names: Sequence[Name]) -> list[Problem]:
         problems: [world] leading on all arrays, on the host or a device.
         names: of the first of them; others are left out.
     """
-    host = jax.tree.map(np.asarray, problems)
+    leaves, structure = jax.tree.flatten(jax.tree.map(np.asarray, problems))
     made = []
     for i, name in enumerate(names):
-        one: Problem = jax.tree.map(lambda leaf, i=i: leaf[i], host)
+        one: Problem = structure.unflatten([leaf[i] for leaf in leaves])
         made.append(replace(one, name=name))
     return made
 

@@ -427,8 +427,13 @@ class Simulator:
             preset=self.scenario.world.preset,
             seed=seed,
             world=world,
-            digest=self.scenario.digest(),
+            digest=self._digest,
         )
+
+    @cached_property
+    def _digest(self) -> str:
+        """Of the scenario: half a millisecond to make, and the same for all worlds."""
+        return self.scenario.digest()
 
     def close(self) -> None:
         """End the processes that plan, where there are any."""
