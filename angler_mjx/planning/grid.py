@@ -6,8 +6,9 @@ have arrived, and of the starts of those after it during the first ``start_hold_
 pulled straight (see `pulling`). A robot for which no way is found is told to hold its start; a
 robot whose path runs over such a start holds too, so the plans that are handed out never meet.
 
-It knows cells, faces of the cube, sea floor and static obstacles. It does not know currents or
-obstacles that move: it is the base line that other planners are compared with.
+It knows cells, faces of the cube, sea floor and static obstacles; obstacles that move as far as a
+scenario lets it, as more of the traffic (see `bodies`). It does not know currents. Told nothing, it
+is the base line that other planners are compared with.
 """
 
 from dataclasses import dataclass, replace
@@ -16,11 +17,13 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.trajectory import Trajectory, hold
+from angler_mjx.planning.bodies import STANDS_S, bodies_traffic
+from angler_mjx.planning.knowledge import KnownObstacles
 from angler_mjx.planning.lattice import Terrain, free_space, terrain
 from angler_mjx.planning.pulling import pull
 from angler_mjx.planning.search import reachable
 from angler_mjx.planning.tracing import Route, trace_back
-from angler_mjx.planning.traffic import Balls, Traffic, balls, clear_of
+from angler_mjx.planning.traffic import Balls, Others, Traffic, balls, clear_of
 from angler_mjx.world.environment import Environment
 
 
@@ -62,7 +65,11 @@ class GridPlannerConfig:
 
 
 def plan(
-    environment: Environment, radius_m: jax.Array, speed_mps: jax.Array, config: GridPlannerConfig
+    environment: Environment,
+    radius_m: jax.Array,
+    speed_mps: jax.Array,
+    config: GridPlannerConfig,
+    known: KnownObstacles | None = None,
 ) -> Trajectory:
     """Plan the fleet of one world.
 
@@ -71,6 +78,7 @@ def plan(
         radius_m: [R] radius of the sphere about each robot's centre of mass that holds its hull.
         speed_mps: [R] cruise speed, positive.
         config: static.
+        known: obstacles that may move; none do, if left out.
 
     Returns:
         Trajectory with a leading axis R on every leaf: from start_m at time 0 to goal_m, never
@@ -79,6 +87,7 @@ def plan(
     land = terrain(environment)
     n_robot = radius_m.shape[0]
     held = hold(environment.start_m, config.n_point)
+    bodies = None if known is None else bodies_traffic(known, config.horizon_s)
 
     def one(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
         planned = jnp.arange(n_robot) < index
@@ -90,7 +99,7 @@ def plan(
         )
         new = _plan_one(
             land,
-            traffic,
+            Others(robots=traffic, bodies=_grown(bodies, radius_m[index] + config.margin_m)),
             environment.start_m[index],
             environment.goal_m[index],
             radius_m[index] + config.margin_m,
@@ -103,9 +112,13 @@ def plan(
     return _withdraw(plans, held, radius_m, config)
 
 
+def _grown(bodies: Traffic | None, by_m: jax.Array) -> Traffic | None:
+    return None if bodies is None else replace(bodies, reach_m=bodies.reach_m + by_m)
+
+
 def _plan_one(
     land: Terrain,
-    traffic: Traffic,
+    others: Others,
     start_m: jax.Array,
     goal_m: jax.Array,
     clearance_m: jax.Array,
@@ -117,9 +130,14 @@ def _plan_one(
     start, lead_in = _cell_of(land, start_m, speed_mps * layer_s)
     goal, lead_out = _cell_of(land, goal_m, speed_mps * layer_s)
     free = free_space(land, clearance_m)
-    around = balls(traffic, layer_s, config.n_layer)
+    around = balls(others.robots, layer_s, config.n_layer)
+    may_stay = _free_from_now(around, goal_m)
+    if others.bodies is not None:
+        drifting = balls(others.bodies, layer_s, config.n_layer)
+        may_stay &= _free_for(drifting, goal_m, STANDS_S / layer_s)
+        around = jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=1), around, drifting)
     history, last, reached = reachable(
-        land, free, around, _bit(land, start), lead_in, goal, _free_from_now(around, goal_m)
+        land, free, around, _bit(land, start), lead_in, goal, may_stay
     )
     route = trace_back(land, free, around, history, layer_s, (goal, last), (start, lead_in))
     arrive = (last + lead_out) * layer_s
@@ -138,7 +156,7 @@ def _plan_one(
         whole=route.whole,
     )
     # 0.1 mm: a way along cells' centres must not fail by rounding where it just fits.
-    path = pull(land, traffic, timetable, clearance_m - 1e-4, speed_mps, config.n_point)
+    path = pull(land, others, timetable, clearance_m - 1e-4, speed_mps, config.n_point)
     found = reached & path.found & (path.time_s[-1] <= config.horizon_s)
     stay = jax.tree.map(lambda leaf: leaf[0], hold(start_m[None], config.n_point))
     chosen: Trajectory = jax.tree.map(lambda a, b: jnp.where(found, a, b), path, stay)
@@ -164,12 +182,24 @@ def _bit(land: Terrain, cell: jax.Array) -> jax.Array:
     return jnp.where(jnp.arange(layout.total) == at, bit, jnp.uint32(0))
 
 
-def _free_from_now(around: Balls, p: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] from each layer on is never met, bool [L]."""
+def _met(around: Balls, p: jax.Array) -> jax.Array:
+    """Whether a robot that stands at p [3] is met in each layer, int32 [L]."""
     gap = around.centre_m - p
     inside = (around.radius_m >= 0.0) & (jnp.sum(gap * gap, axis=-1) < around.radius_m**2)
-    met = jnp.any(inside, axis=1)
-    return ~jax.lax.cummax(met.astype(jnp.int32), reverse=True).astype(bool)
+    return jnp.any(inside, axis=1).astype(jnp.int32)
+
+
+def _free_from_now(around: Balls, p: jax.Array) -> jax.Array:
+    """Whether a robot that stands at p [3] from each layer on is never met, bool [L]."""
+    return ~jax.lax.cummax(_met(around, p), reverse=True).astype(bool)
+
+
+def _free_for(around: Balls, p: jax.Array, layers: jax.Array) -> jax.Array:
+    """Whether a robot that stands at p [3] for ``layers`` [] from each layer on is not met."""
+    met = _met(around, p)
+    until = jnp.arange(met.size) + jnp.ceil(layers).astype(jnp.int32)
+    count = jnp.cumsum(met)
+    return count[jnp.minimum(until, met.size - 1)] - count + met == 0
 
 
 def _withdraw(

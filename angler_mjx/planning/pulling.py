@@ -1,7 +1,7 @@
 """String-pulling: from a way over cells to few way-points, at cruise speed where that is clear.
 
 The way over cells is a timetable that is clear as it stands. The pulled path goes ahead of it: a
-straight segment is taken only if it is clear of rock and, at its new times, of the other robots,
+straight segment is taken only if it is clear of rock and, at its new times, of all that moves,
 and if the robot can stand at its end until the timetable leaves there. So the timetable can be
 resumed at every way-point, and a wait that safety needs stays.
 """
@@ -13,9 +13,10 @@ import jax.numpy as jnp
 
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.batching import least_of_batch
+from angler_mjx.planning.bodies import STANDS_S
 from angler_mjx.planning.lattice import Terrain, line_of_sight
 from angler_mjx.planning.tracing import Route
-from angler_mjx.planning.traffic import Traffic, clear_of
+from angler_mjx.planning.traffic import Others, Traffic, clear_of
 
 
 @jax.tree_util.register_dataclass
@@ -31,6 +32,17 @@ class _String:
     """When the timetable leaves ``to_m``."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Row:
+    """Of a route."""
+
+    position_m: jax.Array
+    arrive_s: jax.Array
+    leave_s: jax.Array
+    leave_to_bodies_s: jax.Array
+    """Until then bodies must not meet the robot there."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class _Knot:
@@ -44,7 +56,7 @@ class _Knot:
 
 def pull(
     land: Terrain,
-    traffic: Traffic,
+    others: Others,
     route: Route,
     clearance_m: jax.Array,
     speed_mps: jax.Array,
@@ -54,7 +66,7 @@ def pull(
 
     Args:
         land: the world.
-        traffic: the other robots.
+        others: what moves.
         route: K rows, a timetable no faster than the cruise speed, ending with the time up to which
             the robot must be able to stand at its goal.
         clearance_m: [] to keep from cells and obstacles.
@@ -80,10 +92,18 @@ def pull(
         leave_s=jnp.zeros_like(route.leave_s),
     )
 
+    # Bodies pass by a robot that has long arrived; other robots must not meet it for ever.
+    leave_to_bodies = route.leave_s.at[-1].set(route.arrive_s[-1] + STANDS_S)
+
     def lengthen(k: jax.Array, state: tuple[_String, _Knot]) -> tuple[_String, _Knot]:
         string, knots = state
-        row = (route.position_m[k], route.arrive_s[k], route.leave_s[k])
-        string, knot = _lengthen(land, traffic, clearance_m, speed_mps, string, row)
+        row = _Row(
+            position_m=route.position_m[k],
+            arrive_s=route.arrive_s[k],
+            leave_s=route.leave_s[k],
+            leave_to_bodies_s=leave_to_bodies[k],
+        )
+        string, knot = _lengthen(land, others, clearance_m, speed_mps, string, row)
         return string, jax.tree.map(lambda many, one: many.at[k - 1].set(one), knots, knot)
 
     first = least_of_batch(jnp.maximum(route.begin, 1))
@@ -93,9 +113,10 @@ def pull(
     )
     knots = jax.tree.map(lambda many, one: many.at[-1].set(one), knots, end)
     path = _collect(route.position_m[0], knots, n_point)
-    return replace(
-        path, found=path.found & route.whole & _keeps_clear(traffic, path, route.leave_s[-1])
-    )
+    clear = _keeps_clear(others.robots, path, route.leave_s[-1])
+    if others.bodies is not None:
+        clear &= _keeps_clear(others.bodies, path, path.time_s[-1] + STANDS_S)
+    return replace(path, found=path.found & route.whole & clear)
 
 
 def _keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
@@ -113,28 +134,34 @@ def _keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.
 
 def _lengthen(
     land: Terrain,
-    traffic: Traffic,
+    others: Others,
     clearance_m: jax.Array,
     speed_mps: jax.Array,
     string: _String,
-    row: tuple[jax.Array, jax.Array, jax.Array],
+    row: _Row,
 ) -> tuple[_String, _Knot]:
     """Draw the string on to the route's next row, or knot it at its present end first."""
-    goal, arrive, leave = row
+    goal, arrive, leave = row.position_m, row.arrive_s, row.leave_s
     starts = jnp.stack([string.from_m, string.to_m])
     departs = jnp.stack([string.from_s, string.to_s])
     gap = goal - starts
     arrives = departs + jnp.sqrt(jnp.sum(gap * gap, axis=-1)) / speed_mps
     # Each way is a motion followed by standing at its end: four motions in one test.
     goals = jnp.broadcast_to(goal, (2, 3))
-    clear = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
-        traffic,
-        jnp.concatenate([starts, goals]),
-        jnp.concatenate([departs, arrives]),
-        jnp.concatenate([goals, goals]),
-        jnp.concatenate([arrives, jnp.maximum(arrives, leave)]),
-    )
-    clear = clear[:2] & clear[2:]
+
+    def all_clear(traffic: Traffic, until: jax.Array) -> jax.Array:
+        clear = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
+            traffic,
+            jnp.concatenate([starts, goals]),
+            jnp.concatenate([departs, arrives]),
+            jnp.concatenate([goals, goals]),
+            jnp.concatenate([arrives, jnp.maximum(arrives, until)]),
+        )
+        return clear[:2] & clear[2:]
+
+    clear = all_clear(others.robots, leave)
+    if others.bodies is not None:
+        clear &= all_clear(others.bodies, row.leave_to_bodies_s)
     seen = jax.vmap(line_of_sight, in_axes=(None, 0, None, None))(land, starts, goal, clearance_m)
     straight, at_once = clear[0] & seen[0], clear[1] & seen[1]
     go = jnp.where(at_once, string.to_s, string.leave_s)

@@ -1,4 +1,4 @@
-"""The other robots of the fleet in time: what one robot must keep clear of while it is planned."""
+"""What moves beside one robot, in time: what it must keep clear of while it is planned."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Traffic:
-    """Timed paths of all robots, as one robot has to respect them."""
+    """Timed paths of robots, or of other bodies, as one robot has to respect them."""
 
     time_s: jax.Array
     """[R, P] times of the way-points; held after the last."""
@@ -19,6 +19,16 @@ class Traffic:
     """[R] distance to keep between the centres."""
     until_s: jax.Array
     """[R] time up to which this robot counts; negative: never."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Others:
+    """All that moves beside one robot."""
+
+    robots: Traffic
+    bodies: Traffic | None
+    """Obstacles; None where none is known of."""
 
 
 @jax.tree_util.register_dataclass

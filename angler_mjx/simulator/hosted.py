@@ -54,7 +54,7 @@ def one_by_one(problems: Problem, names: Sequence[Name]) -> list[Problem]:
     leaves, structure = jax.tree.flatten(jax.tree.map(np.asarray, problems))
     made = []
     for i, name in enumerate(names):
-        one: Problem = structure.unflatten([leaf[i] for leaf in leaves])
+        one: Problem = jax.tree.unflatten(structure, [leaf[i] for leaf in leaves])
         made.append(replace(one, name=name))
     return made
 

@@ -13,12 +13,13 @@ import numpy as np
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.joint_trajectory import hold as hold_joints
-from angler_mjx.control.trajectory import hold
+from angler_mjx.control.stack import ControlParams
+from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
-from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.knowledge import KnownObstacles, Knows, obstacles
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -27,6 +28,7 @@ from angler_mjx.sim import fleet
 from angler_mjx.sim.state import World
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldRecipe, resolve
+from angler_mjx.world.environment import Environment
 
 AT_ONCE = 4096
 """Worlds drawn and planned in one go. 16,384 at once were a tenth faster on an H200, but took 209 s
@@ -123,11 +125,12 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
     config = _grid(scenario, spec)
 
     def built_in(worlds: World, problems: Problem) -> Path:
-        plan = partial(grid_planner.plan, config=config)
-        control = worlds.control
-        return jax.vmap(plan)(
-            worlds.environment, control.vehicle.radius_m, control.cruise_speed_mps
-        )
+        def plan(world: World, known: KnownObstacles | None) -> Trajectory:
+            return _by_grid(world.environment, world.control, config, known)
+
+        known = problems.obstacles if _foresees(scenario) else None
+        path: Path = jax.vmap(plan)(worlds, known)
+        return path
 
     return built_in
 
@@ -197,17 +200,33 @@ def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
 
 def _grid(scenario: Scenario, spec: PlannerSpec) -> grid_planner.GridPlannerConfig:
     knows = scenario.planner.knows
-    for what in ("obstacles", "current"):
-        if getattr(knows, what) != "nothing":
-            raise ConfigError(
-                f'planner.knows.{what} = "{getattr(knows, what)}": the planner grid plans in still '
-                'water without moving obstacles; take "nothing", or another planner'
-            )
+    if knows.current != "nothing" and knows.obstacles != "predicted":
+        raise ConfigError(
+            f'planner.knows.current = "{knows.current}": the planner grid plans in still water, '
+            "where the current can only help to predict obstacles; "
+            'take planner.knows.obstacles = "predicted", or "nothing" here, or another planner'
+        )
     return grid_planner.GridPlannerConfig(
         horizon_s=scenario.time.horizon_s,
         margin_m=scenario.planner.margin_m,
         n_point=scenario.planner.points,
         **spec.settings,
+    )
+
+
+def _foresees(scenario: Scenario) -> bool:
+    """Whether the planner may know of obstacles that move."""
+    return scenario.planner.knows.obstacles != "nothing"
+
+
+def _by_grid(
+    environment: Environment,
+    control: ControlParams,
+    config: grid_planner.GridPlannerConfig,
+    known: KnownObstacles | None,
+) -> Trajectory:
+    return grid_planner.plan(
+        environment, control.vehicle.radius_m, control.cruise_speed_mps, config, known
     )
 
 
@@ -238,9 +257,18 @@ def _one_world(
     elif planner is None:
         path = hold(environment.start_m, shape.points)
     else:
-        path = grid_planner.plan(
-            environment, control.vehicle.radius_m, control.cruise_speed_mps, planner
-        )
+        known = None
+        if _foresees(scenario):
+            spec = scenario.sim_spec()
+            known = obstacles(
+                environment,
+                scenario.planner.knows.knows(),
+                scenario.time.horizon_s,
+                spec.control_dt_s,
+                spec.water.density_kgpm3,
+                spec.water.gravity_mps2,
+            )
+        path = _by_grid(environment, control, planner, known)
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
     of_robot = children(of_senses, variant.shape[0])
     looked_up = scenario.engine == "fused"

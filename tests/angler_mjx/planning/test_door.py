@@ -123,8 +123,8 @@ def test_settings_or_class_say_that_paths_have_headings(tmp_path):
 
 
 def test_the_grid_planner_refuses_what_it_cannot_use(tmp_path):
-    file = written(tmp_path, '[planner.knows]\nobstacles = "truth"\n')
-    with pytest.raises(ConfigError, match=r'planner\.knows\.obstacles = "truth": the planner grid'):
+    file = written(tmp_path, '[planner.knows]\nobstacles = "truth"\ncurrent = "truth"\n')
+    with pytest.raises(ConfigError, match=r'planner\.knows\.current = "truth": the planner grid'):
         angler.Simulator(load_scenario(file, worlds=1))
 
 
