@@ -17,13 +17,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.trajectory import Trajectory, hold
-from angler_mjx.planning.bodies import STANDS_S, bodies_traffic
 from angler_mjx.planning.knowledge import KnownObstacles
-from angler_mjx.planning.lattice import Terrain, free_space, terrain
-from angler_mjx.planning.pulling import pull
-from angler_mjx.planning.search import reachable
-from angler_mjx.planning.tracing import Route, trace_back
-from angler_mjx.planning.traffic import Balls, Others, Traffic, balls, clear_of
+from angler_mjx.planning.ways.bodies import bodies_traffic
+from angler_mjx.planning.ways.lattice import terrain
+from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
+from angler_mjx.planning.ways.starts import meets_starts, only, standing
+from angler_mjx.planning.ways.traffic import Others, Traffic
 from angler_mjx.world.environment import Environment
 
 
@@ -31,7 +30,7 @@ from angler_mjx.world.environment import Environment
 class GridSettings:
     """What a scenario can choose of it, in [planner.grid]."""
 
-    start_hold_s: float = 30.0
+    start_hold_s: float = WayConfig.start_hold_s
     """How long the start of a robot that is not planned yet is kept clear."""
 
     def __post_init__(self) -> None:
@@ -46,29 +45,11 @@ class GridPlanner:
     Settings = GridSettings
 
 
-@dataclass(frozen=True, kw_only=True)
-class GridPlannerConfig:
-    """Settings of the grid planner; hashable, static under jit."""
-
-    horizon_s: float = 120.0
-    """A goal reached later is not found."""
-    margin_m: float = 0.1
-    """Kept beyond the radii, from rock and between robots."""
-    n_point: int = 32
-    """Way-points of a path; a path that needs more is not found."""
-    n_layer: int = 96
-    """Layers of the search. A layer is half a step along an axis, but at least
-    horizon_s / n_layer: with fewer layers than 2 horizon_s speed / cell the search moves slower
-    than the robot can, and finds less. Diagonal steps are up to 16 % slow: allow that much more."""
-    start_hold_s: float = GridSettings.start_hold_s
-    """How long the start of a robot that is not planned yet is kept clear."""
-
-
 def plan(
     environment: Environment,
     radius_m: jax.Array,
     speed_mps: jax.Array,
-    config: GridPlannerConfig,
+    config: WayConfig,
     known: KnownObstacles | None = None,
 ) -> Trajectory:
     """Plan the fleet of one world.
@@ -97,9 +78,9 @@ def plan(
             reach_m=radius_m + radius_m[index] + config.margin_m,
             until_s=jnp.where(planned, jnp.inf, config.start_hold_s).at[index].set(-1.0),
         )
-        new = _plan_one(
+        new = plan_one(
             land,
-            Others(robots=traffic, bodies=_grown(bodies, radius_m[index] + config.margin_m)),
+            Others(robots=traffic, bodies=grown(bodies, radius_m[index] + config.margin_m)),
             environment.start_m[index],
             environment.goal_m[index],
             radius_m[index] + config.margin_m,
@@ -112,134 +93,20 @@ def plan(
     return _withdraw(plans, held, radius_m, config)
 
 
-def _grown(bodies: Traffic | None, by_m: jax.Array) -> Traffic | None:
-    return None if bodies is None else replace(bodies, reach_m=bodies.reach_m + by_m)
-
-
-def _plan_one(
-    land: Terrain,
-    others: Others,
-    start_m: jax.Array,
-    goal_m: jax.Array,
-    clearance_m: jax.Array,
-    speed_mps: jax.Array,
-    config: GridPlannerConfig,
-) -> Trajectory:
-    """Plan one robot among the traffic; holds its start where there is no way."""
-    layer_s = jnp.maximum(0.5 * land.grid.cell_m / speed_mps, config.horizon_s / config.n_layer)
-    start, lead_in = _cell_of(land, start_m, speed_mps * layer_s)
-    goal, lead_out = _cell_of(land, goal_m, speed_mps * layer_s)
-    free = free_space(land, clearance_m)
-    around = balls(others.robots, layer_s, config.n_layer)
-    may_stay = _free_from_now(around, goal_m)
-    if others.bodies is not None:
-        drifting = balls(others.bodies, layer_s, config.n_layer)
-        may_stay &= _free_for(drifting, goal_m, STANDS_S / layer_s)
-        around = jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=1), around, drifting)
-    history, last, reached = reachable(
-        land, free, around, _bit(land, start), lead_in, goal, may_stay
-    )
-    route = trace_back(land, free, around, history, layer_s, (goal, last), (start, lead_in))
-    arrive = (last + lead_out) * layer_s
-    timetable = Route(
-        position_m=jnp.concatenate([start_m[None], route.position_m, goal_m[None]]),
-        arrive_s=jnp.concatenate([jnp.zeros_like(arrive)[None], route.arrive_s, arrive[None]]),
-        # Nobody moves after the horizon: who can stand there until then can stand there for ever.
-        leave_s=jnp.concatenate(
-            [
-                jnp.zeros_like(arrive)[None],
-                route.leave_s,
-                jnp.maximum(arrive, config.horizon_s)[None],
-            ]
-        ),
-        begin=route.begin + 1,
-        whole=route.whole,
-    )
-    # 0.1 mm: a way along cells' centres must not fail by rounding where it just fits.
-    path = pull(land, others, timetable, clearance_m - 1e-4, speed_mps, config.n_point)
-    found = reached & path.found & (path.time_s[-1] <= config.horizon_s)
-    stay = jax.tree.map(lambda leaf: leaf[0], hold(start_m[None], config.n_point))
-    chosen: Trajectory = jax.tree.map(lambda a, b: jnp.where(found, a, b), path, stay)
-    return replace(chosen, found=found)
-
-
-def _cell_of(land: Terrain, p: jax.Array, step_m: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Cell [3] that holds p [3], and the layers [] from p to its centre at ``step_m`` a layer."""
-    grid = land.grid
-    shape = jnp.array(land.layout.shape)
-    cell = jnp.clip(jnp.floor((p - grid.origin_m) / grid.cell_m).astype(jnp.int32), 0, shape - 1)
-    off = p - (grid.origin_m + (cell + 0.5) * grid.cell_m)
-    # A start at a centre must not cost a layer by rounding.
-    layers = jnp.ceil(jnp.sqrt(jnp.sum(off * off)) / step_m - 1e-3)
-    return cell, jnp.maximum(layers, 0.0).astype(jnp.int32)
-
-
-def _bit(land: Terrain, cell: jax.Array) -> jax.Array:
-    """Words [total] with one cell [3] set."""
-    layout = land.layout
-    at = layout.guard + cell[0] * layout.row + cell[1]
-    bit = jnp.uint32(1) << cell[2].astype(jnp.uint32)
-    return jnp.where(jnp.arange(layout.total) == at, bit, jnp.uint32(0))
-
-
-def _met(around: Balls, p: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] is met in each layer, int32 [L]."""
-    gap = around.centre_m - p
-    inside = (around.radius_m >= 0.0) & (jnp.sum(gap * gap, axis=-1) < around.radius_m**2)
-    return jnp.any(inside, axis=1).astype(jnp.int32)
-
-
-def _free_from_now(around: Balls, p: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] from each layer on is never met, bool [L]."""
-    return ~jax.lax.cummax(_met(around, p), reverse=True).astype(bool)
-
-
-def _free_for(around: Balls, p: jax.Array, layers: jax.Array) -> jax.Array:
-    """Whether a robot that stands at p [3] for ``layers`` [] from each layer on is not met."""
-    met = _met(around, p)
-    until = jnp.arange(met.size) + jnp.ceil(layers).astype(jnp.int32)
-    count = jnp.cumsum(met)
-    return count[jnp.minimum(until, met.size - 1)] - count + met == 0
-
-
 def _withdraw(
-    plans: Trajectory, held: Trajectory, radius_m: jax.Array, config: GridPlannerConfig
+    plans: Trajectory, held: Trajectory, radius_m: jax.Array, config: WayConfig
 ) -> Trajectory:
     """Take back every path that comes too near to the start of a robot without one.
 
-    Only robots planned later can be met so: the others' paths were made with that start in view. A
-    path that is taken back is one more robot at its start, hence the rounds.
+    Only robots planned later can be met so: the others' paths were made with that start in view.
     """
     n_robot = radius_m.shape[0]
     reach = radius_m[:, None] + radius_m + config.margin_m
 
     def meets(row: jax.Array) -> jax.Array:
-        """Bool [R]: whether path ``row`` comes too near to each robot's start."""
-        path = jax.tree.map(lambda leaf: leaf[row][None], plans)
-
-        def start_meets(other: jax.Array) -> jax.Array:
-            alone = Traffic(
-                time_s=path.time_s,
-                position_m=path.position_m,
-                # 1 mm: rounding must not take back a path that just fits.
-                reach_m=reach[row, other][None] - 1e-3,
-                until_s=jnp.full((1,), jnp.inf, radius_m.dtype),
-            )
-            place = held.position_m[other, 0]
-            zero = jnp.zeros((), radius_m.dtype)
-            return ~clear_of(alone, place, zero, place, zero + config.horizon_s)
-
-        return jax.vmap(start_meets)(jnp.arange(n_robot))
+        path = jax.tree.map(lambda leaf: leaf[row], plans)
+        return meets_starts(path, held.position_m[:, 0], reach[row], config.horizon_s)
 
     met = jax.vmap(meets)(jnp.arange(n_robot)) & ~jnp.eye(n_robot, dtype=bool)
-
-    def again(_: int, found: jax.Array) -> jax.Array:
-        return found & ~jnp.any(met & ~found, axis=1)
-
-    found = jax.lax.fori_loop(0, n_robot, again, plans.found)
-
-    def choose(a: jax.Array, b: jax.Array) -> jax.Array:
-        return jnp.where(found.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
-
-    chosen: Trajectory = jax.tree.map(choose, plans, held)
-    return replace(chosen, found=found)
+    found = standing(plans.found, met)
+    return replace(only(found, plans, held), found=found)

@@ -1,6 +1,6 @@
 """Planners by their names: of this package, of other packages, of files.
 
-    grid                            part of the program that draws the worlds
+    grid, priority                  part of the program that draws the worlds
     RRTConnect                      an entry point of that name, in the group `GROUP`
     planners/straight.py:Straight   a class of a file
 
@@ -25,7 +25,10 @@ from angler_mjx.planning.planner import MOST_POINTS
 GROUP = "angler_mjx.planners"
 """Of entry points by which other packages bring planners: NAME = "module:Class"."""
 
-DEVICE: Mapping[str, str] = {"grid": "angler_mjx.planning.grid:GridPlanner"}
+DEVICE: Mapping[str, str] = {
+    "grid": "angler_mjx.planning.grid:GridPlanner",
+    "priority": "angler_mjx.planning.priority.planner:PriorityPlanner",
+}
 """Planners that are part of the program which draws the worlds, and their classes."""
 
 

@@ -13,22 +13,22 @@ import numpy as np
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.joint_trajectory import hold as hold_joints
-from angler_mjx.control.stack import ControlParams
-from angler_mjx.control.trajectory import Trajectory, hold
+from angler_mjx.control.trajectory import hold
 from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
-from angler_mjx.planning.knowledge import KnownObstacles, Knows, obstacles
+from angler_mjx.planning.knowledge import Knows, obstacles
 from angler_mjx.planning.planner import Path, PathShape
+from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.state import World
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldRecipe, resolve
-from angler_mjx.world.environment import Environment
 
 AT_ONCE = 4096
 """Worlds drawn and planned in one go. 16,384 at once were a tenth faster on an H200, but took 209 s
@@ -36,6 +36,9 @@ to compile instead of 39 s, and memory grows with the planner's history."""
 
 PLANNING = 0x504C414E
 """Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
+
+GRID = "grid"
+"""The planner that plans each world as it is drawn."""
 
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
@@ -79,7 +82,7 @@ def preparer(
         policy: whether a policy is to command them, which needs a key in each.
     """
     recipe = resolve(scenario.world)
-    built_in = None if spec is None or not spec.reference.on_device else _grid(scenario, spec)
+    built_in = _ways(scenario, spec) if spec is not None and spec.reference.name == GRID else None
 
     def furnished(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
         return _one_world(scenario, recipe, shape, built_in, policy, kinds, seed, index)
@@ -97,12 +100,12 @@ def preparer(
 
     if spec is None or built_in is not None:
         return drawn
-    planner, knows = spec.make(), scenario.planner.knows.knows()
+    planner, knows = device_planner(scenario, spec), scenario.planner.knows.knows()
 
     def planned(kinds: fleet.Fleet, seed: jax.Array, first: jax.Array) -> World:
         worlds = drawn(kinds, seed, first)
         problems = ask_all(scenario, knows, worlds, seed, first)
-        return with_paths(worlds, planner.plan_batch(problems), spec.reference.name, shape)
+        return with_paths(worlds, planner(worlds, problems), spec.reference.name, shape)
 
     return planned
 
@@ -122,17 +125,35 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             return path
 
         return batch
-    config = _grid(scenario, spec)
+    config = _ways(scenario, spec)
+    if spec.reference.name == GRID:
+        plan = partial(grid_planner.plan, config=config)
 
-    def built_in(worlds: World, problems: Problem) -> Path:
-        def plan(world: World, known: KnownObstacles | None) -> Trajectory:
-            return _by_grid(world.environment, world.control, config, known)
+        def by_grid(worlds: World, problems: Problem) -> Path:
+            known = problems.obstacles if _foresees(scenario) else None
+            team = problems.team
+            path: Path = jax.vmap(plan)(
+                worlds.environment, team.radius_m, team.cruise_speed_mps, known=known
+            )
+            return path
 
+        return by_grid
+    effort = priority.PrioritySettings(**spec.settings).effort
+
+    def by_priority(worlds: World, problems: Problem) -> Path:
         known = problems.obstacles if _foresees(scenario) else None
-        path: Path = jax.vmap(plan)(worlds, known)
-        return path
+        team = problems.team
+        return priority.plan(
+            worlds.environment,
+            team.radius_m,
+            team.cruise_speed_mps,
+            problems.seed,
+            config,
+            effort,
+            known,
+        )
 
-    return built_in
+    return by_priority
 
 
 def ask_all(
@@ -198,20 +219,26 @@ def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
     return jax.random.bits(jax.random.fold_in(key, PLANNING), dtype=jnp.uint32)
 
 
-def _grid(scenario: Scenario, spec: PlannerSpec) -> grid_planner.GridPlannerConfig:
-    knows = scenario.planner.knows
+def _ways(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
+    """How a planner of this package looks for ways."""
+    knows, name = scenario.planner.knows, spec.reference.name
     if knows.current != "nothing" and knows.obstacles != "predicted":
         raise ConfigError(
-            f'planner.knows.current = "{knows.current}": the planner grid plans in still water, '
+            f'planner.knows.current = "{knows.current}": the planner {name} plans in still water, '
             "where the current can only help to predict obstacles; "
             'take planner.knows.obstacles = "predicted", or "nothing" here, or another planner'
         )
-    return grid_planner.GridPlannerConfig(
+    config = WayConfig(
         horizon_s=scenario.time.horizon_s,
         margin_m=scenario.planner.margin_m,
         n_point=scenario.planner.points,
-        **spec.settings,
     )
+    if name == GRID:
+        return replace(config, **spec.settings)
+    chosen = priority.PrioritySettings(**spec.settings)
+    fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
+    needed = priority.layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
+    return replace(config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or needed)
 
 
 def _foresees(scenario: Scenario) -> bool:
@@ -219,22 +246,11 @@ def _foresees(scenario: Scenario) -> bool:
     return scenario.planner.knows.obstacles != "nothing"
 
 
-def _by_grid(
-    environment: Environment,
-    control: ControlParams,
-    config: grid_planner.GridPlannerConfig,
-    known: KnownObstacles | None,
-) -> Trajectory:
-    return grid_planner.plan(
-        environment, control.vehicle.radius_m, control.cruise_speed_mps, config, known
-    )
-
-
 def _one_world(
     scenario: Scenario,
     recipe: WorldRecipe,
     shape: PathShape,
-    planner: grid_planner.GridPlannerConfig | None,
+    planner: WayConfig | None,
     policy: bool,
     kinds: fleet.Fleet,
     seed: jax.Array,
@@ -268,7 +284,9 @@ def _one_world(
                 spec.water.density_kgpm3,
                 spec.water.gravity_mps2,
             )
-        path = _by_grid(environment, control, planner, known)
+        path = grid_planner.plan(
+            environment, control.vehicle.radius_m, control.cruise_speed_mps, planner, known
+        )
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
     of_robot = children(of_senses, variant.shape[0])
     looked_up = scenario.engine == "fused"

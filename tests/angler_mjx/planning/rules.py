@@ -1,6 +1,6 @@
 """The rules of the planner's lattice, once more, in plain numpy and for every cell on its own.
 
-Written from the words of `angler_mjx.planning.search` and `tracing`: no packed words, no shifts, no
+Written from the words of `planning.ways.search` and `tracing`: no packed words, no shifts, no
 batch. Distances are in float64.
 """
 

@@ -5,15 +5,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from angler_mjx.planning.bodies import STANDS_S, bodies_traffic
-from angler_mjx.planning.grid import GridPlannerConfig, plan
+from angler_mjx.planning.grid import plan
 from angler_mjx.planning.knowledge import KnownObstacles
+from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
+from angler_mjx.planning.ways.robot import WayConfig
 
 from ..compiling import quickly
 from .test_grid import make_world
 
 HORIZON_S = 60.0
-CONFIG = GridPlannerConfig(horizon_s=HORIZON_S)
+CONFIG = WayConfig(horizon_s=HORIZON_S)
 RADIUS, SPEED, BODY = np.float32([0.4]), np.float32([0.5]), 0.6
 TIMES = np.arange(0.0, HORIZON_S + 0.25, 0.5)
 OPEN = make_world(np.zeros((9, 7, 7), bool), [(1, 3, 3)], [(7, 3, 3)])

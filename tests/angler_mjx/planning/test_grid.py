@@ -8,8 +8,9 @@ import pytest
 
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.planning import search
-from angler_mjx.planning.grid import GridPlannerConfig, plan
+from angler_mjx.planning.grid import plan
+from angler_mjx.planning.ways import search
+from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles
@@ -21,7 +22,7 @@ CELL = 1.5
 SHAPE = (12, 10, 9)
 RADIUS = np.array([0.4, 0.45, 0.35, 0.4], np.float32)
 SPEED = np.array([0.5, 0.42, 0.36, 0.5], np.float32)
-CONFIG = GridPlannerConfig()
+CONFIG = WayConfig()
 N_WORLD = 8
 
 # Corners of the grid, one cell in; every goal but the last is the start of another robot.
@@ -293,7 +294,7 @@ def test_closed_goal_fails_alone(planner, worlds):
 @pytest.fixture(scope="module")
 def passing():
     """A function (starts, goals, config) -> world and plans of two robots in open water."""
-    config = GridPlannerConfig(margin_m=0.9)
+    config = WayConfig(margin_m=0.9)
     run = quickly(partial(plan, config=config))
 
     def call(starts, goals):
@@ -351,7 +352,7 @@ def beside_rock():
     return lambda off: from_beside(world, off, off)
 
 
-run_beside = quickly(partial(plan, config=GridPlannerConfig(margin_m=0.2)))
+run_beside = quickly(partial(plan, config=WayConfig(margin_m=0.2)))
 
 
 def from_beside(world, start_off, goal_off):
@@ -364,7 +365,7 @@ def from_beside(world, start_off, goal_off):
 @pytest.fixture(scope="module")
 def hasty():
     """Plans within 10 s that keep off no start."""
-    return quickly(partial(plan, config=GridPlannerConfig(horizon_s=10.0, start_hold_s=0.0)))
+    return quickly(partial(plan, config=WayConfig(horizon_s=10.0, start_hold_s=0.0)))
 
 
 def test_a_path_that_meets_a_start_in_its_first_second_is_taken_back(hasty):

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.planning.lattice import EDGES, free_space, line_of_sight, span_bits, terrain
-from angler_mjx.planning.pulling import pull
-from angler_mjx.planning.search import reachable
-from angler_mjx.planning.tracing import Route, trace_back
-from angler_mjx.planning.traffic import Balls, Traffic, balls, clear_of
+from angler_mjx.planning.ways.lattice import EDGES, free_space, line_of_sight, span_bits, terrain
+from angler_mjx.planning.ways.pulling import pull
+from angler_mjx.planning.ways.search import reachable
+from angler_mjx.planning.ways.tracing import Route, trace_back
+from angler_mjx.planning.ways.traffic import Balls, Others, Traffic, balls, clear_of
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import SPHERE, STATIC, Obstacles
@@ -491,12 +491,12 @@ def round_a_wall(until_s):
         reach_m=jnp.array([0.5]),
         until_s=jnp.array([until_s]),
     )
-    return route, run_pull(make_world(occupied, FAR), stands, route)
+    return route, run_pull(make_world(occupied, FAR), Others(robots=stands, bodies=None), route)
 
 
 @quickly
-def run_pull(world, traffic, route):
-    return pull(terrain(world), traffic, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5)
+def run_pull(world, others, route):
+    return pull(terrain(world), others, route, jnp.asarray(0.3), jnp.asarray(0.5), n_point=5)
 
 
 def test_a_way_with_a_corner_is_pulled_to_its_three_points():

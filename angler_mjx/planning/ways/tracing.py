@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.lattice import EDGES, FreeSpace, Layout, Terrain
-from angler_mjx.planning.search import QUARTER
-from angler_mjx.planning.traffic import Balls
+from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, Layout, Terrain
+from angler_mjx.planning.ways.search import QUARTER
+from angler_mjx.planning.ways.traffic import Balls
 
 
 def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -1,0 +1,129 @@
+"""What scenarios call priority: whole teams in each world of a batch, on the device.
+
+The same ways as `grid`'s, which knows one order of priority only; see `team` for what is searched
+beyond it, and `queue` for how a batch of worlds is worked off.
+"""
+
+import math
+from dataclasses import dataclass
+
+import jax
+
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.planning.knowledge import KnownObstacles
+from angler_mjx.planning.priority import team
+from angler_mjx.planning.priority.queue import work_off
+from angler_mjx.planning.priority.team import Effort, Task
+from angler_mjx.planning.ways.bodies import bodies_traffic
+from angler_mjx.planning.ways.lattice import terrain
+from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.world.environment import Environment
+
+MOST_LAYERS = 1024
+"""More memory than any search needs."""
+
+SLOTS = 2048
+"""Worlds that are searched side by side; what they come to does not depend on it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrioritySettings:
+    """What a scenario can choose of it, in [planner.priority]."""
+
+    start_hold_s: float = WayConfig.start_hold_s
+    """How long the start of a robot that is not planned yet is kept clear."""
+    budget: int = Effort.budget
+    """Searches of single robots, for each robot of the team; then what is planned is flown."""
+    orders: int = Effort.orders
+    """Passes that plan the whole team, those first that had no way; then neighbourhoods."""
+    neighbours: int = Effort.neighbours
+    """Robots that are taken out and planned again beside one that has no way."""
+
+    layers: int = 0
+    """Layers of time that are searched; 0: as many as the fastest robot's steps need."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is none."""
+        if not 0.0 <= self.start_hold_s <= 86400.0:
+            raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 86400 s")
+        bounds = {"budget": (1, 10000), "orders": (1, 10000), "neighbours": (0, 255)}
+        for name, (low, high) in {**bounds, "layers": (0, MOST_LAYERS)}.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be {low} to {high}")
+
+    @property
+    def effort(self) -> Effort:
+        """Of the search."""
+        return Effort(budget=self.budget, orders=self.orders, neighbours=self.neighbours)
+
+
+def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
+    """Layers with which a search to the horizon goes as fast as a robot of that speed can.
+
+    A layer is half a step along an axis; diagonal steps are rounded up by up to 16 %.
+    """
+    needed = math.ceil(2.0 * 1.16 * horizon_s * speed_mps / cell_m)
+    return min(max(needed, WayConfig.n_layer), MOST_LAYERS)
+
+
+class PriorityPlanner:
+    """What scenarios call priority; `plan` is part of the program that draws the worlds."""
+
+    Settings = PrioritySettings
+
+
+def plan(
+    environments: Environment,
+    radius_m: jax.Array,
+    speed_mps: jax.Array,
+    seeds: jax.Array,
+    config: WayConfig,
+    effort: Effort,
+    known: KnownObstacles | None = None,
+    slots: int = SLOTS,
+) -> Trajectory:
+    """Plan the fleets of a batch of worlds, [W] leading everywhere.
+
+    Args:
+        environments: the worlds.
+        radius_m: [W, R] radius of the sphere about each robot's centre of mass that holds its hull.
+        speed_mps: [W, R] cruise speed, positive.
+        seeds: uint32 [W] for the orders that are drawn.
+        config: static.
+        effort: static.
+        known: obstacles that may move; none do, if left out.
+        slots: worlds that are searched side by side.
+
+    Returns:
+        Trajectory [W, R], as `angler_mjx.planning.grid.plan` gives it for one world. No two paths
+        meet, nor does one meet a robot without a way, which stands at its start.
+    """
+
+    def task(
+        environment: Environment,
+        radius: jax.Array,
+        speed: jax.Array,
+        seed: jax.Array,
+        known: KnownObstacles | None,
+    ) -> Task:
+        return Task(
+            land=terrain(environment),
+            start_m=environment.start_m,
+            goal_m=environment.goal_m,
+            radius_m=radius,
+            speed_mps=speed,
+            bodies=None if known is None else bodies_traffic(known, config.horizon_s),
+            seed=seed,
+        )
+
+    tasks = jax.vmap(task)(environments, radius_m, speed_mps, seeds, known)
+    paths: Trajectory = work_off(
+        tasks,
+        radius_m.shape[0],
+        slots,
+        begin=lambda one: team.begin(one, config.n_point),
+        step=lambda one, search: team.step(one, search, config, effort),
+        ended=lambda search: team.ended(search, effort),
+        result=lambda search: search.best,
+    )
+    return paths

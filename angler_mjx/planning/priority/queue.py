@@ -1,0 +1,87 @@
+"""Many teams, planned side by side: who is done makes room for the next.
+
+Worlds need very different effort: most teams are planned in the first pass, a few only after the
+whole budget. Stepped in lock-step all would wait for the hardest. Here a fixed number of slots hold
+a world each; a slot whose team is done hands its paths out and takes the next world. What a team
+comes to depends on that team alone, so neither the slots nor the others in the batch change it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class _Slots[State, Out]:
+    state: State
+    world: jax.Array
+    """int32 [S] which world each slot holds; past the last: none."""
+    taken: jax.Array
+    """int32 [] worlds that were taken so far."""
+    out: Out
+
+
+def work_off[Task, State, Out](
+    tasks: Task,
+    count: int,
+    slots: int,
+    *,
+    begin: Callable[[Task], State],
+    step: Callable[[Task, State], State],
+    ended: Callable[[State], jax.Array],
+    result: Callable[[State], Out],
+) -> Out:
+    """Step every task until it has ended.
+
+    Args:
+        tasks: [count] leads on every leaf.
+        count: of them.
+        slots: how many are stepped side by side, at most.
+        begin: state of one task.
+        step: a step of one task.
+        ended: bool [] whether one has ended; asked after at least one step.
+        result: what is kept of one.
+
+    Returns:
+        [count] leading.
+    """
+    slots = min(slots, count)
+
+    def of(world: jax.Array) -> Task:
+        at = jnp.minimum(world, count - 1)
+        some: Task = jax.tree.map(lambda leaf: leaf[at], tasks)
+        return some
+
+    def going(now: _Slots[State, Out]) -> jax.Array:
+        return jnp.any(now.world < count)
+
+    def turn(now: _Slots[State, Out]) -> _Slots[State, Out]:
+        mine = of(now.world)
+        state = jax.vmap(step)(mine, now.state)
+        done = jax.vmap(ended)(state) & (now.world < count)
+        given = jax.vmap(result)(state)
+        place = jnp.where(done, now.world, count)
+        out = jax.tree.map(lambda all_, some: all_.at[place].set(some, mode="drop"), now.out, given)
+        world = jnp.where(done, now.taken + jnp.cumsum(done) - 1, now.world)
+        fresh = jax.vmap(begin)(of(world))
+
+        def choose(a: jax.Array, b: jax.Array) -> jax.Array:
+            return jnp.where(done.reshape((-1,) + (1,) * (a.ndim - 1)), a, b)
+
+        return _Slots(
+            state=jax.tree.map(choose, fresh, state),
+            world=world.astype(jnp.int32),
+            taken=now.taken + jnp.sum(done, dtype=jnp.int32),
+            out=out,
+        )
+
+    world = jnp.arange(slots, dtype=jnp.int32)
+    state = jax.vmap(begin)(of(world))
+    one = jax.eval_shape(lambda: jax.vmap(result)(state))
+    out = jax.tree.map(lambda leaf: jnp.zeros((count, *leaf.shape[1:]), leaf.dtype), one)
+    start = _Slots(state=state, world=world, taken=jnp.int32(slots), out=out)
+    end: _Slots[State, Out] = jax.lax.while_loop(going, turn, start)
+    return end.out

@@ -1,0 +1,84 @@
+"""How many teams the planners of the device plan, and how fast.
+
+    python -m angler_experiments.fleets_planned --presets reef dense --teams 16 32 --worlds 512
+
+Still water without drifting obstacles, robots of the reef fleet's two kinds crossing the middle.
+Rates are of the second of two drawings with plans, less one without plans.
+"""
+
+import time
+from typing import Any
+
+import jax
+import numpy as np
+import tyro
+
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.simulator.simulator import Simulator
+
+
+def scenario(preset: str, robots: int, worlds: int, horizon_s: float, planner: str) -> Scenario:
+    """Teams of one size in worlds of one preset."""
+    small = robots // 2
+    heavy = load_scenario("reef_fleet").fleet[0].model_copy(update={"count": robots - small})
+    fleet: list[Any] = [heavy.model_dump(exclude_unset=True)]
+    if small:
+        fleet.append({"vehicle": "bluerov2", "count": small, "parameter_set": "blue_gazebo"})
+    return load_scenario(
+        "reef_fleet",
+        worlds=worlds,
+        tile=worlds,
+        fleet=fleet,
+        world={"preset": preset, "currents": [], "obstacles": {"dynamic": {"count": 0}}},
+        time={"horizon_s": horizon_s, "record_hz": 0.0},
+        planner={"name": planner, "points": 64},
+    )
+
+
+def drawn(simulator: Simulator) -> tuple[Any, float]:
+    """Worlds, and the seconds that the second drawing of them took."""
+    jax.block_until_ready(simulator.worlds())
+    begun = time.perf_counter()
+    worlds = jax.block_until_ready(simulator.worlds())
+    return worlds, time.perf_counter() - begun
+
+
+def main(
+    presets: tuple[str, ...] = ("reef",),
+    teams: tuple[int, ...] = (4, 16),
+    planners: tuple[str, ...] = ("grid", "priority"),
+    worlds: int = 64,
+    horizon_s: float = 180.0,
+) -> None:
+    """Print a row for each planner, preset and size of team.
+
+    Args:
+        presets: of the worlds.
+        teams: robots in each.
+        planners: of the device.
+        worlds: of each row, in one tile.
+        horizon_s: that plans must end in.
+    """
+    print(
+        "| preset | robots | planner | teams, % | robots, % | worlds/s |\n|---|---|---|---|---|---|"
+    )
+    for preset in presets:
+        for robots in teams:
+            wanted = scenario(preset, robots, worlds, horizon_s, "grid")
+            _, without_s = drawn(Simulator(wanted, paths=PathShape(points=64)))
+            for name in planners:
+                simulator = Simulator(scenario(preset, robots, worlds, horizon_s, name))
+                made, seconds = drawn(simulator)
+                fits = np.asarray(made.environment.valid)
+                found = np.asarray(made.planned)[fits]
+                rate = worlds / max(seconds - without_s, 1e-9)
+                print(
+                    f"| {preset} | {robots} | {name} | {100 * found.all(axis=1).mean():.1f} | "
+                    f"{100 * found.mean():.1f} | {rate:.3g} |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,148 @@
+"""Search over priorities: teams that one order cannot plan, judged by places sampled with NumPy."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning import grid
+from angler_mjx.planning.priority import planner
+from angler_mjx.planning.priority.queue import work_off
+from angler_mjx.planning.priority.team import Effort
+from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator.simulator import Simulator
+
+from ..compiling import quickly
+from .test_grid import make_world, stack
+
+CONFIG = WayConfig(horizon_s=90.0, start_hold_s=5.0)
+EFFORT = Effort(budget=12, orders=2, neighbours=1)
+RADIUS, SPEED = np.full(3, 0.4, np.float32), np.full(3, 0.5, np.float32)
+
+
+def tube():
+    """A dead end, open on the left; robot 0's goal stands in the way to robot 1's.
+
+    In the order of their index robot 0 goes first and blocks; robot 2 is alone above.
+    """
+    rock = np.ones((9, 5, 5), bool)
+    rock[:3] = False
+    rock[:, 2, 2] = False
+    rock[:, :, 4] = False
+    return make_world(rock, [(0, 2, 2), (0, 0, 2), (0, 0, 4)], [(5, 2, 2), (8, 2, 2), (8, 0, 4)])
+
+
+def walled():
+    """Robot 1's goal is in rock all around: nobody can plan it, whatever the order."""
+    rock = np.zeros((9, 5, 5), bool)
+    rock[5:8, 1:4, 1:4] = True
+    rock[6, 2, 2] = False
+    return make_world(rock, [(0, 2, 2), (0, 0, 2), (0, 0, 4)], [(8, 2, 2), (6, 2, 2), (8, 0, 4)])
+
+
+def easy():
+    """Open water: the first order will do."""
+    rock = np.zeros((9, 5, 5), bool)
+    return make_world(rock, [(0, 2, 2), (0, 0, 2), (0, 0, 4)], [(8, 2, 2), (8, 0, 2), (8, 4, 4)])
+
+
+WORLDS = stack([tube(), walled(), easy(), tube()])
+SEEDS = np.arange(4, dtype=np.uint32)
+
+
+def plans(worlds, seeds, slots):
+    n = len(seeds)
+    run = partial(planner.plan, config=CONFIG, effort=EFFORT, slots=slots)
+    return quickly(run)(worlds, np.tile(RADIUS, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return plans(WORLDS, SEEDS, slots=2)
+
+
+@pytest.fixture(scope="module")
+def in_order():
+    run = jax.vmap(partial(grid.plan, config=CONFIG), in_axes=(0, None, None))
+    return quickly(run)(WORLDS, RADIUS, SPEED)
+
+
+def test_another_order_plans_what_the_first_cannot(found, in_order):
+    np.testing.assert_array_equal(in_order.found[0], [True, False, True])
+    assert np.asarray(found.found)[[0, 2, 3]].all()
+    # Whose goal cannot be reached has no way, and takes nobody else's.
+    np.testing.assert_array_equal(found.found[1], [True, False, True])
+
+
+def test_a_team_that_the_first_order_plans_is_planned_as_by_grid(found, in_order):
+    for leaf, other in zip(jax.tree.leaves(found), jax.tree.leaves(in_order), strict=True):
+        np.testing.assert_array_equal(leaf[2], other[2])
+
+
+def test_no_two_robots_meet_whether_they_have_ways_or_not(found):
+    t = np.arange(0.0, CONFIG.horizon_s, 0.02)
+    for w in range(4):
+        at = np.stack(
+            [
+                np.stack([np.interp(t, found.time_s[w, r], p[:, k]) for k in range(3)], axis=1)
+                for r, p in enumerate(np.asarray(found.position_m[w]))
+            ]
+        )
+        np.testing.assert_array_equal(at[:, 0], WORLDS.start_m[w])
+        for r in range(3):
+            goal = WORLDS.goal_m[w, r] if found.found[w, r] else WORLDS.start_m[w, r]
+            np.testing.assert_allclose(at[r, -1], goal, atol=1e-5)
+            for other in range(r):
+                gap = np.linalg.norm(at[r] - at[other], axis=1).min()
+                # Sampled every 1 cm of way.
+                assert gap >= RADIUS[r] + RADIUS[other] + CONFIG.margin_m - 0.02
+
+
+def test_a_world_is_planned_alike_whatever_lies_beside_it(found):
+    alone = plans(jax.tree.map(lambda leaf: leaf[:1], WORLDS), SEEDS[:1], slots=1)
+    for leaf, other in zip(jax.tree.leaves(alone), jax.tree.leaves(found), strict=True):
+        np.testing.assert_array_equal(leaf[0], other[0])
+
+
+@pytest.mark.parametrize(("count", "slots"), [(1, 4), (7, 1), (7, 3), (7, 7)])
+def test_the_queue_steps_each_task_to_its_own_end(count, slots):
+    """Collatz sequences, whose lengths differ much; against a loop in Python."""
+    starts = np.array([27, 1, 6, 97, 2, 11, 3])[:count]
+
+    def length(n):
+        steps = 1
+        n = n // 2 if n % 2 == 0 else 3 * n + 1
+        while n != 1:
+            n, steps = (n // 2 if n % 2 == 0 else 3 * n + 1), steps + 1
+        return steps
+
+    found = work_off(
+        jnp.asarray(starts),
+        count,
+        slots,
+        begin=lambda n: (n, jnp.int32(0)),
+        step=lambda _, at: (jnp.where(at[0] % 2 == 0, at[0] // 2, 3 * at[0] + 1), at[1] + 1),
+        ended=lambda at: at[0] == 1,
+        result=lambda at: at[1],
+    )
+    np.testing.assert_array_equal(found, [length(int(n)) for n in starts])
+
+
+def test_layers_let_a_robot_search_as_fast_as_it_is():
+    # 180 s at 0.5 m/s are 60 cells of 1.5 m: 120 half steps, and a sixth more for diagonals.
+    assert planner.layers(180.0, 0.5, 1.5) == 140
+    assert planner.layers(10.0, 0.5, 1.5) == WayConfig().n_layer
+    assert planner.layers(86400.0, 3.0, 0.1) == planner.MOST_LAYERS
+
+
+def test_settings_out_of_bounds_are_refused_by_name():
+    with pytest.raises(ConfigError, match=r"planner\.priority.*budget = 0: must be 1 to 10000"):
+        load_scenario("reef_fleet", planner={"name": "priority", "priority": {"budget": 0}})
+    with pytest.raises(ConfigError, match=r"knows\.current = \"truth\": the planner priority"):
+        Simulator(
+            load_scenario("reef_fleet", planner={"name": "priority", "knows": {"current": "truth"}})
+        )
