@@ -138,7 +138,7 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             return path
 
         return by_grid
-    effort = priority.PrioritySettings(**spec.settings).effort
+    budget = priority.PrioritySettings(**spec.settings).budget
 
     def by_priority(worlds: World, problems: Problem) -> Path:
         known = problems.obstacles if _foresees(scenario) else None
@@ -149,7 +149,7 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             team.cruise_speed_mps,
             problems.seed,
             config,
-            effort,
+            budget,
             known,
         )
 

@@ -3,7 +3,8 @@
     python -m angler_experiments.fleets_planned --presets reef dense --teams 16 32 --worlds 512
 
 Still water without drifting obstacles, robots of the reef fleet's two kinds crossing the middle.
-Rates are of the second of two drawings with plans, less one without plans.
+Rates are of the second of two drawings with plans, less one without plans. Of teams that are not
+whole it says how many are proved to have no plan at all (`planning.priority.proofs`).
 """
 
 import time
@@ -14,6 +15,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.planning.planner import PathShape
+from angler_mjx.planning.priority.proofs import unsolvable
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
@@ -72,10 +74,14 @@ def main(
                 made, seconds = drawn(simulator)
                 fits = np.asarray(made.environment.valid)
                 found = np.asarray(made.planned)[fits]
+                left = np.flatnonzero(~np.asarray(made.planned).all(axis=1) & fits)
+                asked = simulator.problems(0, worlds) if left.size else []
+                margin_m = simulator.scenario.planner.margin_m
+                proved = sum(unsolvable(asked[i], margin_m) is not None for i in left)
                 rate = worlds / max(seconds - without_s, 1e-9)
                 print(
                     f"| {preset} | {robots} | {name} | {100 * found.all(axis=1).mean():.1f} | "
-                    f"{100 * found.mean():.1f} | {rate:.3g} |",
+                    f"{100 * found.mean():.1f} | {rate:.3g} | {left.size}, {proved} |",
                     flush=True,
                 )
 

@@ -1,7 +1,7 @@
 """What scenarios call priority: whole teams in each world of a batch, on the device.
 
-The same ways as `grid`'s, which knows one order of priority only; see `team` for what is searched
-beyond it, and `queue` for how a batch of worlds is worked off.
+The ways are those of `grid`, which knows one order of priority only; see `team` for how a team
+comes to its own, and `queue` for how a batch of worlds is worked off.
 """
 
 import math
@@ -13,7 +13,7 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.knowledge import KnownObstacles
 from angler_mjx.planning.priority import team
 from angler_mjx.planning.priority.queue import work_off
-from angler_mjx.planning.priority.team import Effort, Task
+from angler_mjx.planning.priority.team import Task
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import terrain
 from angler_mjx.planning.ways.robot import WayConfig
@@ -22,7 +22,7 @@ from angler_mjx.world.environment import Environment
 MOST_LAYERS = 1024
 """More memory than any search needs."""
 
-SLOTS = 2048
+SLOTS = 1024
 """Worlds that are searched side by side; what they come to does not depend on it."""
 
 
@@ -32,13 +32,8 @@ class PrioritySettings:
 
     start_hold_s: float = WayConfig.start_hold_s
     """How long the start of a robot that is not planned yet is kept clear."""
-    budget: int = Effort.budget
+    budget: int = 16
     """Searches of single robots, for each robot of the team; then what is planned is flown."""
-    orders: int = Effort.orders
-    """Passes that plan the whole team, those first that had no way; then neighbourhoods."""
-    neighbours: int = Effort.neighbours
-    """Robots that are taken out and planned again beside one that has no way."""
-
     layers: int = 0
     """Layers of time that are searched; 0: as many as the fastest robot's steps need."""
 
@@ -46,15 +41,9 @@ class PrioritySettings:
         """Refuse what is none."""
         if not 0.0 <= self.start_hold_s <= 86400.0:
             raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 86400 s")
-        bounds = {"budget": (1, 10000), "orders": (1, 10000), "neighbours": (0, 255)}
-        for name, (low, high) in {**bounds, "layers": (0, MOST_LAYERS)}.items():
+        for name, low, high in (("budget", 1, 10000), ("layers", 0, MOST_LAYERS)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be {low} to {high}")
-
-    @property
-    def effort(self) -> Effort:
-        """Of the search."""
-        return Effort(budget=self.budget, orders=self.orders, neighbours=self.neighbours)
 
 
 def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
@@ -78,7 +67,7 @@ def plan(
     speed_mps: jax.Array,
     seeds: jax.Array,
     config: WayConfig,
-    effort: Effort,
+    budget: int,
     known: KnownObstacles | None = None,
     slots: int = SLOTS,
 ) -> Trajectory:
@@ -88,9 +77,9 @@ def plan(
         environments: the worlds.
         radius_m: [W, R] radius of the sphere about each robot's centre of mass that holds its hull.
         speed_mps: [W, R] cruise speed, positive.
-        seeds: uint32 [W] for the orders that are drawn.
+        seeds: uint32 [W] for what is drawn by lot.
         config: static.
-        effort: static.
+        budget: searches of single robots, for each robot of the team.
         known: obstacles that may move; none do, if left out.
         slots: worlds that are searched side by side.
 
@@ -117,13 +106,14 @@ def plan(
         )
 
     tasks = jax.vmap(task)(environments, radius_m, speed_mps, seeds, known)
-    paths: Trajectory = work_off(
+    best: Trajectory = work_off(
         tasks,
         radius_m.shape[0],
         slots,
-        begin=lambda one: team.begin(one, config.n_point),
-        step=lambda one, search: team.step(one, search, config, effort),
-        ended=lambda search: team.ended(search, effort),
+        begin=lambda one: team.begin(one, config),
+        step=lambda one, search: team.step(one, search, config),
+        ended=lambda search: team.ended(search, budget),
         result=lambda search: search.best,
     )
+    paths: Trajectory = jax.vmap(lambda one, plans: team.to_fly(one, plans, config))(tasks, best)
     return paths

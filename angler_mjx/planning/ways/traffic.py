@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.control.trajectory import Trajectory
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +78,29 @@ def clear_of(
     Returns:
         bool [].
     """
+    return ~jnp.any(_meetings(traffic, a, t_a, b, t_b))
+
+
+def met_by(path: Trajectory, traffic: Traffic) -> jax.Array:
+    """Whom of the traffic a path meets, its end held for ever; exact.
+
+    Returns:
+        bool [R].
+    """
+    place = jnp.concatenate([path.position_m, path.position_m[-1:]])
+    # Nothing moves after the last way-point of all: standing so long is standing for ever.
+    last = jnp.maximum(jnp.max(traffic.time_s), path.time_s[-1]) + 1.0
+    time = jnp.append(path.time_s, last)
+    legs = jax.vmap(_meetings, in_axes=(None, 0, 0, 0, 0))(
+        traffic, place[:-1], time[:-1], place[1:], time[1:]
+    )
+    return jnp.any(legs, axis=(0, 2))
+
+
+def _meetings(
+    traffic: Traffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
+) -> jax.Array:
+    """Whether steady motion comes within reach of each leg of the traffic, bool [R, P]."""
     begin = traffic.time_s
     end = jnp.concatenate([begin[:, 1:], jnp.full_like(begin[:, :1], jnp.inf)], axis=1)
     low = jnp.maximum(begin, t_a)
@@ -95,7 +120,7 @@ def clear_of(
     s = jnp.clip(-_dot(near, step) / jnp.where(square > 0.0, square, 1.0), 0.0, 1.0)
     gap = [n + s * d for n, d in zip(near, step, strict=True)]
     meets = _dot(gap, gap) < (traffic.reach_m**2)[:, None]
-    return ~jnp.any(meets & (low <= high))
+    return meets & (low <= high)
 
 
 def _dot(a: list[jax.Array], b: list[jax.Array]) -> jax.Array:

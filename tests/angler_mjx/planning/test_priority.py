@@ -11,7 +11,6 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
 from angler_mjx.planning.priority import planner
 from angler_mjx.planning.priority.queue import work_off
-from angler_mjx.planning.priority.team import Effort
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
@@ -20,7 +19,7 @@ from ..compiling import quickly
 from .test_grid import make_world, stack
 
 CONFIG = WayConfig(horizon_s=90.0, start_hold_s=5.0)
-EFFORT = Effort(budget=12, orders=2, neighbours=1)
+BUDGET = 12
 RADIUS, SPEED = np.full(3, 0.4, np.float32), np.full(3, 0.5, np.float32)
 
 
@@ -56,7 +55,7 @@ SEEDS = np.arange(4, dtype=np.uint32)
 
 def plans(worlds, seeds, slots):
     n = len(seeds)
-    run = partial(planner.plan, config=CONFIG, effort=EFFORT, slots=slots)
+    run = partial(planner.plan, config=CONFIG, budget=BUDGET, slots=slots)
     return quickly(run)(worlds, np.tile(RADIUS, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
 
 
@@ -78,7 +77,7 @@ def test_another_order_plans_what_the_first_cannot(found, in_order):
     np.testing.assert_array_equal(found.found[1], [True, False, True])
 
 
-def test_a_team_that_the_first_order_plans_is_planned_as_by_grid(found, in_order):
+def test_a_team_in_which_nobody_is_in_the_way_is_planned_as_by_grid(found, in_order):
     for leaf, other in zip(jax.tree.leaves(found), jax.tree.leaves(in_order), strict=True):
         np.testing.assert_array_equal(leaf[2], other[2])
 
