@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning import knowledge
 from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.problem import Problem, Team
@@ -22,28 +23,13 @@ def ask(
         horizon_s: nothing is flown after it.
         deadline_s: wall-clock time for the problem.
     """
-    environment, vehicle = world.environment, world.control.vehicle
-    water = spec.water
-    speed = vehicle.terminal_speed_mps
-    added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
-    # At terminal speed damping takes all the force there is; from rest the mass does.
-    force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
-    team = Team(
-        start_m=environment.start_m,
-        start_yaw_rad=environment.start_yaw_rad,
-        goal_m=environment.goal_m,
-        radius_m=vehicle.radius_m,
-        capsule_a_m=vehicle.capsule_a_m,
-        capsule_b_m=vehicle.capsule_b_m,
-        capsule_r_m=vehicle.capsule_r_m,
-        cruise_speed_mps=world.control.cruise_speed_mps,
-        terminal_speed_mps=speed,
-        acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
-    )
+    environment, water = world.environment, spec.water
     return Problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
-        team=team,
+        team=team(
+            world.control, environment.start_m, environment.start_yaw_rad, environment.goal_m
+        ),
         obstacles=knowledge.obstacles(
             environment,
             knows,
@@ -58,4 +44,34 @@ def ask(
         goal_tolerance_m=spec.goal_tolerance_m,
         knows=knows,
         deadline_s=deadline_s,
+    )
+
+
+def team(
+    control: ControlParams, start_m: jax.Array, start_yaw_rad: jax.Array, goal_m: jax.Array
+) -> Team:
+    """The robots of a problem, from where they are to where they go.
+
+    Args:
+        control: of the robots, [R] leading.
+        start_m: [R, 3].
+        start_yaw_rad: [R].
+        goal_m: [R, 3].
+    """
+    vehicle = control.vehicle
+    speed = vehicle.terminal_speed_mps
+    added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
+    # At terminal speed damping takes all the force there is; from rest the mass does.
+    force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
+    return Team(
+        start_m=start_m,
+        start_yaw_rad=start_yaw_rad,
+        goal_m=goal_m,
+        radius_m=vehicle.radius_m,
+        capsule_a_m=vehicle.capsule_a_m,
+        capsule_b_m=vehicle.capsule_b_m,
+        capsule_r_m=vehicle.capsule_r_m,
+        cruise_speed_mps=control.cruise_speed_mps,
+        terminal_speed_mps=speed,
+        acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
     )

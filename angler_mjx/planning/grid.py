@@ -20,7 +20,7 @@ from angler_mjx.planning.lattice import Terrain, free_space, terrain
 from angler_mjx.planning.pulling import pull
 from angler_mjx.planning.search import reachable
 from angler_mjx.planning.tracing import Route, trace_back
-from angler_mjx.planning.traffic import Balls, Traffic, balls, clear_of
+from angler_mjx.planning.traffic import Balls, Traffic, balls, beside, clear_of
 from angler_mjx.world.environment import Environment
 
 
@@ -62,7 +62,11 @@ class GridPlannerConfig:
 
 
 def plan(
-    environment: Environment, radius_m: jax.Array, speed_mps: jax.Array, config: GridPlannerConfig
+    environment: Environment,
+    radius_m: jax.Array,
+    speed_mps: jax.Array,
+    config: GridPlannerConfig,
+    others: Traffic | None = None,
 ) -> Trajectory:
     """Plan the fleet of one world.
 
@@ -71,6 +75,7 @@ def plan(
         radius_m: [R] radius of the sphere about each robot's centre of mass that holds its hull.
         speed_mps: [R] cruise speed, positive.
         config: static.
+        others: bodies that move and are no robots, ``reach_m`` their own radii.
 
     Returns:
         Trajectory with a leading axis R on every leaf: from start_m at time 0 to goal_m, never
@@ -88,6 +93,9 @@ def plan(
             reach_m=radius_m + radius_m[index] + config.margin_m,
             until_s=jnp.where(planned, jnp.inf, config.start_hold_s).at[index].set(-1.0),
         )
+        if others is not None:
+            reach = others.reach_m + radius_m[index] + config.margin_m
+            traffic = beside(traffic, replace(others, reach_m=reach))
         new = _plan_one(
             land,
             traffic,

@@ -4,16 +4,18 @@ Plain arrays with robots leading, in every engine: filters and policies are matr
 lanes have nothing to offer for. The fused engines run them between their own phases.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import knowledge, senses
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.knowledge import Observation
+from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief
@@ -72,22 +74,43 @@ class Aboard:
             return {}
         if self.obstacles is None:
             raise RuntimeError("an engine does not say where obstacles are to a policy that asks")
-        knows, environment, water = self.policy.knows, self.world.environment, self.spec.water
-        at_m = self.vehicles.p
-        return {
-            "grid": environment.grid,
-            "floor_z_m": environment.floor_z_m,
-            "obstacles": knowledge.obstacles(
+        policy, knows = self.policy, self.policy.knows
+        environment, water = self.world.environment, self.spec.water
+        at_m, seen = (
+            self.vehicles.p,
+            Observation(time_s=self.t, obstacles=self.obstacles, at_m=self.vehicles.p),
+        )
+
+        def look() -> KnownObstacles:
+            return knowledge.obstacles(
                 environment,
                 knows,
-                self.policy.ahead_s,
+                policy.ahead_s,
                 self.spec.control_dt_s,
                 water.density_kgpm3,
                 water.gravity_mps2,
-                Observation(time_s=self.t, obstacles=self.obstacles, at_m=at_m),
-            ),
+                seen,
+            )
+
+        return {
+            "grid": environment.grid,
+            "floor_z_m": environment.floor_z_m,
+            "obstacles": self._at_times(look, policy.looks),
             "current": knowledge.current(environment, knows.current, at_m, self.t),
         }
+
+    def _at_times[T](self, look: Callable[[], T], every: int) -> T:
+        """What is seen in every n-th control step, and zeros of its shapes in the others."""
+        if every == 1:
+            return look()
+        shapes = jax.eval_shape(look)
+
+        def nothing() -> T:
+            zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+            return zeros
+
+        seen: T = jax.lax.cond(self.number % every == 0, look, nothing)
+        return seen
 
 
 def sense(here: Aboard, now: Slots) -> Done:

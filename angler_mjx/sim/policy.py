@@ -68,11 +68,14 @@ class Policy(ABC):
     Attributes:
         period: control steps from one call of `act` to the next; its command holds until then.
         knows: what may be known of the scenery at each call; None: nothing is told of it.
+        looks: control steps from one look at the scenery to the next; obstacles are not told
+            (none exists) in the steps between. Where looking far ahead is dear.
         ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
     """
 
     period: int = 1
     knows: Knows | None = None
+    looks: int = 1
     ahead_s: float = 0.0
 
     def reset(self, known: Known, key: jax.Array) -> Any:

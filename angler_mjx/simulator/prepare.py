@@ -77,7 +77,7 @@ def preparer(
         policy: whether a policy is to command them, which needs a key in each.
     """
     recipe = resolve(scenario.world)
-    built_in = None if spec is None or not spec.reference.on_device else _grid(scenario, spec)
+    built_in = None if spec is None or not spec.reference.on_device else grid_config(scenario, spec)
 
     def furnished(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
         return _one_world(scenario, recipe, shape, built_in, policy, kinds, seed, index)
@@ -120,7 +120,7 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             return path
 
         return batch
-    config = _grid(scenario, spec)
+    config = grid_config(scenario, spec)
 
     def built_in(worlds: World, problems: Problem) -> Path:
         plan = partial(grid_planner.plan, config=config)
@@ -195,9 +195,15 @@ def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
     return jax.random.bits(jax.random.fold_in(key, PLANNING), dtype=jnp.uint32)
 
 
-def _grid(scenario: Scenario, spec: PlannerSpec) -> grid_planner.GridPlannerConfig:
+def grid_config(scenario: Scenario, spec: PlannerSpec) -> grid_planner.GridPlannerConfig:
+    """The grid planner's settings of a scenario.
+
+    Raises:
+        ConfigError: it is to know what it cannot use. Obstacles that move it uses where it plans
+            while robots fly.
+    """
     knows = scenario.planner.knows
-    for what in ("obstacles", "current"):
+    for what in ("current",) if scenario.planner.replan_hz else ("obstacles", "current"):
         if getattr(knows, what) != "nothing":
             raise ConfigError(
                 f'planner.knows.{what} = "{getattr(knows, what)}": the planner grid plans in still '

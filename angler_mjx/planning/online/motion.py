@@ -1,0 +1,63 @@
+"""Known obstacles and other plans as timed traffic: the one place where they become rows of it."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.planning.knowledge import KnownObstacles
+from angler_mjx.planning.traffic import Traffic, clear_of
+
+AHEAD_S = 3600.0
+"""How far ahead an observed velocity is followed."""
+
+
+def later(known: KnownObstacles, delay_s: float) -> KnownObstacles:
+    """What is known of obstacles, its times counted from ``delay_s`` after the observation."""
+    time, where = known.time_s, known.p_m
+    if delay_s == 0.0:
+        return known
+    if time.shape[-1] == 1:
+        return replace(known, p_m=where + known.velocity_mps[:, None] * delay_s)
+    along = jax.vmap(jax.vmap(jnp.interp, (None, None, 1), 0), (None, None, 0))
+    moved = jnp.moveaxis(along(time + delay_s, time, where), 1, 2)
+    return replace(known, p_m=moved)
+
+
+def obstacle_rows(known: KnownObstacles) -> Traffic:
+    """Obstacles that move, as traffic [n] of plans that begin when they are observed.
+
+    Where only a place and a velocity are known, they are taken to go straight on. ``reach_m`` is
+    the obstacle's own radius: add the robot's.
+    """
+    time, where = known.time_s, known.p_m
+    if time.shape[-1] == 1:
+        time = jnp.array([0.0, AHEAD_S], where.dtype)
+        where = jnp.concatenate([where, where + known.velocity_mps[:, None] * AHEAD_S], axis=1)
+    rows = where.shape[0]
+    counts = known.exists & known.moves
+    return Traffic(
+        time_s=jnp.broadcast_to(time, (rows, time.shape[0])),
+        position_m=where,
+        reach_m=known.radius_m,
+        until_s=jnp.where(counts, jnp.inf, -1.0),
+    )
+
+
+def plan_rows(plan: Trajectory, radius_m: jax.Array, counts: jax.Array) -> Traffic:
+    """Plans [R] as traffic; ``counts`` [R] which of them do."""
+    return Traffic(
+        time_s=plan.time_s,
+        position_m=plan.position_m,
+        reach_m=radius_m,
+        until_s=jnp.where(counts, jnp.inf, -1.0),
+    )
+
+
+def is_clear(path: Trajectory, traffic: Traffic, horizon_s: float) -> jax.Array:
+    """Whether the path of one robot keeps the reach of all traffic until the horizon, bool []."""
+    begin, end = path.time_s, jnp.append(path.time_s[1:], jnp.maximum(path.time_s[-1], horizon_s))
+    after = jnp.concatenate([path.position_m[1:], path.position_m[-1:]])
+    legs = jax.vmap(clear_of, (None, 0, 0, 0, 0))(traffic, path.position_m, begin, after, end)
+    return jnp.all(legs | (begin >= horizon_s))
