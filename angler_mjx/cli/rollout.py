@@ -102,8 +102,8 @@ def rollout(
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
         tables = ("time", "planner", "execution")
-        given = [x for key in overrides for x in (overrides[key] if key in tables else [key])]
-        flags = ", ".join("--planner" if key == "name" else flag(key) for key in given)
+        named = [x for key in overrides for x in (overrides[key] if key in tables else [key])]
+        flags = ", ".join("--planner" if key == "name" else flag(key) for key in named)
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario, **overrides)
     place = out or Path("runs") / loaded.name

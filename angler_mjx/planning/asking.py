@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning import knowledge
-from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.knowledge import Knows, Observation
 from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.sim.state import SimSpec, World
 
@@ -23,13 +23,53 @@ def ask(
         horizon_s: nothing is flown after it.
         deadline_s: wall-clock time for the problem.
     """
+    place = world.environment
+    begun = team(world.control, place.start_m, place.start_yaw_rad, place.goal_m)
+    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, None)
+
+
+def ask_now(
+    world: World,
+    seed: jax.Array,
+    spec: SimSpec,
+    knows: Knows,
+    horizon_s: float,
+    deadline_s: float,
+    now: Observation,
+    yaw_rad: jax.Array,
+) -> Problem:
+    """As `ask`, at a time of the flight; the problem's time is counted from it.
+
+    Args:
+        world: drawn; its path is not looked at.
+        seed: uint32 [] for what the planner draws.
+        spec: of the simulation.
+        knows: what may be known.
+        horizon_s: nothing is flown so long after it.
+        deadline_s: wall-clock time for the problem.
+        now: what is observed; robots start where they are then.
+        yaw_rad: [R] their headings.
+    """
+    begun = team(world.control, now.at_m, yaw_rad, world.environment.goal_m)
+    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, now)
+
+
+def _asked(
+    world: World,
+    begun: Team,
+    seed: jax.Array,
+    spec: SimSpec,
+    knows: Knows,
+    horizon_s: float,
+    deadline_s: float,
+    now: Observation | None,
+) -> Problem:
     environment, water = world.environment, spec.water
+    at_m, begin_s = (None, None) if now is None else (now.at_m, now.time_s)
     return Problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
-        team=team(
-            world.control, environment.start_m, environment.start_yaw_rad, environment.goal_m
-        ),
+        team=begun,
         obstacles=knowledge.obstacles(
             environment,
             knows,
@@ -37,8 +77,9 @@ def ask(
             spec.control_dt_s,
             water.density_kgpm3,
             water.gravity_mps2,
+            now,
         ),
-        current=knowledge.current(environment, knows.current),
+        current=knowledge.current(environment, knows.current, at_m, begin_s),
         seed=seed,
         horizon_s=horizon_s,
         goal_tolerance_m=spec.goal_tolerance_m,

@@ -9,6 +9,9 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.knowledge import Knows
+from angler_mjx.session.batch import BatchSession
+from angler_mjx.session.online import Flyer, problem_of
 from angler_mjx.sim.state import Outcome
 
 SCENARIO = """
@@ -141,6 +144,26 @@ def test_both_engines_replan_alike(load, replanned):
     np.testing.assert_allclose(p[:15], q[:15], atol=2e-3)
 
 
+@pytest.mark.nightly(by="the same policy in a batch, and session/ for what sessions are told")
+def test_a_session_flies_as_a_batch(load, replanned):
+    _, robots, _ = fly(replanned, replanned.worlds())
+    session = BatchSession(load(planner=REPLANNED))
+    seen, flyer, places = session.reset(), Flyer(session), []
+    for step in range(200):
+        if step % 4 == 0:
+            places.append(np.asarray(seen.estimate.p))
+        seen = session.step(flyer.commands(seen))
+    # 10 s, ten plans.
+    np.testing.assert_allclose(places, robots[:50], atol=5e-3)
+    asked = problem_of(session, Knows(obstacles="observed"))
+    body = np.asarray(session.inside().state.obstacles.p)[0]
+    np.testing.assert_allclose(asked.obstacles.p_m[:, 0], body, atol=1e-5)
+    np.testing.assert_allclose(asked.obstacles.velocity_mps[0], [0.0, -0.15, 0.0], atol=5e-3)
+    np.testing.assert_allclose(asked.team.start_m, seen.estimate.p, atol=1e-6)
+    assert asked.horizon_s == pytest.approx(20.0)
+    session.close()
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -154,7 +177,10 @@ def test_both_engines_replan_alike(load, replanned):
             {"execution": {"order": "kept"}, "controller": {"name": "los"}},
             r'execution\.order = "kept": guides robots by poses, and no stage of controller',
         ),
-        ({"planner": {"replan_hz": 1.0, "knows": {"obstacles": "all"}}}, r"planner\.knows.*obstacles = .all."),
+        (
+            {"planner": {"replan_hz": 1.0, "knows": {"obstacles": "all"}}},
+            r"knows.*obstacles = 'all'",
+        ),
     ],
 )
 def test_what_cannot_be_flown_is_refused_by_its_key(load, changes, said):
