@@ -32,6 +32,8 @@ def rollout(
     processes: int | None = None,
     process: int | None = None,
     planner: str | None = None,
+    replan_hz: float | None = None,
+    order: Literal["free", "kept"] | None = None,
     workers: int | None = None,
     plans: Path | None = None,
     figures: bool = True,
@@ -62,6 +64,8 @@ def rollout(
         process: Index of this one, from 0; Slurm and Open MPI tell it.
         planner: That gives robots their paths; the scenario's if left out. One that angler plan
             --list names, or FILE.py:CLASS.
+        replan_hz: How often robots are planned for anew while they fly; 0: never.
+        order: Whether robots that are in time wait for those that are to pass a place before them.
         workers: Processes that plan, where the planner is one of the host; one for each processor
             if left out. Changes no byte of the results.
         plans: File of plans to fly (angler plan, or written by anything else), instead of a
@@ -88,7 +92,8 @@ def rollout(
         "engine": engine,
         "kernels": kernels,
         "tile": tile,
-        "planner": planner_given(planner),
+        "planner": planner_given(planner, replan_hz=replan_hz),
+        "execution": None if order is None else {"order": order},
     }
     if planner is not None and plans is not None:
         raise ConfigError("--planner and --plans: give one of them; plans are made already")
@@ -96,7 +101,9 @@ def rollout(
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
-        flags = ", ".join("--record-hz" if key == "time" else flag(key) for key in overrides)
+        tables = ("time", "planner", "execution")
+        named = [x for key in overrides for x in (overrides[key] if key in tables else [key])]
+        flags = ", ".join("--planner" if key == "name" else flag(key) for key in named)
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario, **overrides)
     place = out or Path("runs") / loaded.name

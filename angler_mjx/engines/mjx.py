@@ -26,6 +26,7 @@ from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.currents import Current
+from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles import ObstacleState
 
 
@@ -67,7 +68,7 @@ class OneWorld:
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
         """See `phase.Here`."""
-        return start.region(self.world.environment)
+        return region(self.world.environment)
 
     def flow(self, vehicle: VehicleState) -> jax.Array:
         """See `phase.Here`."""
@@ -163,7 +164,9 @@ def control_step(
     policy = aboard.asked(policy, command)
     if aboard.tells(spec, policy):
         count = state.step if number is None else number
-        minds, told = aboard.tell(spec, policy, world, minds, count, state.vehicles)
+        minds, told = aboard.tell(
+            spec, policy, world, minds, count, state.vehicles, state.obstacles
+        )
     here = OneWorld(
         spec=spec,
         world=world,

@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning import knowledge
-from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.knowledge import Knows, Observation
 from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.sim.state import SimSpec, World
 
@@ -22,28 +23,53 @@ def ask(
         horizon_s: nothing is flown after it.
         deadline_s: wall-clock time for the problem.
     """
-    environment, vehicle = world.environment, world.control.vehicle
-    water = spec.water
-    speed = vehicle.terminal_speed_mps
-    added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
-    # At terminal speed damping takes all the force there is; from rest the mass does.
-    force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
-    team = Team(
-        start_m=environment.start_m,
-        start_yaw_rad=environment.start_yaw_rad,
-        goal_m=environment.goal_m,
-        radius_m=vehicle.radius_m,
-        capsule_a_m=vehicle.capsule_a_m,
-        capsule_b_m=vehicle.capsule_b_m,
-        capsule_r_m=vehicle.capsule_r_m,
-        cruise_speed_mps=world.control.cruise_speed_mps,
-        terminal_speed_mps=speed,
-        acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
-    )
+    place = world.environment
+    begun = team(world.control, place.start_m, place.start_yaw_rad, place.goal_m)
+    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, None)
+
+
+def ask_now(
+    world: World,
+    seed: jax.Array,
+    spec: SimSpec,
+    knows: Knows,
+    horizon_s: float,
+    deadline_s: float,
+    now: Observation,
+    yaw_rad: jax.Array,
+) -> Problem:
+    """As `ask`, at a time of the flight; the problem's time is counted from it.
+
+    Args:
+        world: drawn; its path is not looked at.
+        seed: uint32 [] for what the planner draws.
+        spec: of the simulation.
+        knows: what may be known.
+        horizon_s: nothing is flown so long after it.
+        deadline_s: wall-clock time for the problem.
+        now: what is observed; robots start where they are then.
+        yaw_rad: [R] their headings.
+    """
+    begun = team(world.control, now.at_m, yaw_rad, world.environment.goal_m)
+    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, now)
+
+
+def _asked(
+    world: World,
+    begun: Team,
+    seed: jax.Array,
+    spec: SimSpec,
+    knows: Knows,
+    horizon_s: float,
+    deadline_s: float,
+    now: Observation | None,
+) -> Problem:
+    environment, water = world.environment, spec.water
+    at_m, begin_s = (None, None) if now is None else (now.at_m, now.time_s)
     return Problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
-        team=team,
+        team=begun,
         obstacles=knowledge.obstacles(
             environment,
             knows,
@@ -51,11 +77,42 @@ def ask(
             spec.control_dt_s,
             water.density_kgpm3,
             water.gravity_mps2,
+            now,
         ),
-        current=knowledge.current(environment, knows.current),
+        current=knowledge.current(environment, knows.current, at_m, begin_s),
         seed=seed,
         horizon_s=horizon_s,
         goal_tolerance_m=spec.goal_tolerance_m,
         knows=knows,
         deadline_s=deadline_s,
+    )
+
+
+def team(
+    control: ControlParams, start_m: jax.Array, start_yaw_rad: jax.Array, goal_m: jax.Array
+) -> Team:
+    """The robots of a problem, from where they are to where they go.
+
+    Args:
+        control: of the robots, [R] leading.
+        start_m: [R, 3].
+        start_yaw_rad: [R].
+        goal_m: [R, 3].
+    """
+    vehicle = control.vehicle
+    speed = vehicle.terminal_speed_mps
+    added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
+    # At terminal speed damping takes all the force there is; from rest the mass does.
+    force = (vehicle.D_l[..., :3] + vehicle.D_q[..., :3] * speed) * speed
+    return Team(
+        start_m=start_m,
+        start_yaw_rad=start_yaw_rad,
+        goal_m=goal_m,
+        radius_m=vehicle.radius_m,
+        capsule_a_m=vehicle.capsule_a_m,
+        capsule_b_m=vehicle.capsule_b_m,
+        capsule_r_m=vehicle.capsule_r_m,
+        cruise_speed_mps=control.cruise_speed_mps,
+        terminal_speed_mps=speed,
+        acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
     )

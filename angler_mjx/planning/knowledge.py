@@ -1,179 +1,23 @@
-"""What a planner may know of what moves, and how it comes to know it.
+"""What a planner may know of what moves: names of `angler_mjx.sim.knowledge`."""
 
-Four levels, of obstacles and of the current each. Drifting obstacles do not feel robots, so their
-true motion can be rolled out ahead of the flight. What is predicted is worked out from one
-observation at t = 0: drifting obstacles in the current as far as that is known; scripted ones,
-whose script nobody knows, straight on.
-"""
+from angler_mjx.sim.knowledge import (
+    STEP_S,
+    KnownCurrent,
+    KnownObstacles,
+    Knows,
+    Level,
+    Observation,
+    current,
+    obstacles,
+)
 
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
-
-import jax
-import jax.numpy as jnp
-
-from angler_kernels.quaternion import rotate
-from angler_mjx.sim.start import region
-from angler_mjx.world import obstacles as bodies
-from angler_mjx.world.currents import Current, Uniform, velocity
-from angler_mjx.world.environment import Environment
-from angler_mjx.world.obstacles import DRIFT, STATIC, ObstacleState, bounding_radius
-
-type Level = Literal["nothing", "observed", "predicted", "truth"]
-"""How much is known, the least first."""
-
-STEP_S = 0.5
-"""Time between the places of a moving obstacle that are told: 0.5 m at 1 m/s."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Knows:
-    """What a planner may know."""
-
-    obstacles: Level = "nothing"
-    """Of those that move: nothing; where they are at t = 0 and how fast; where that will take them,
-    in the current that is known; or where they will be."""
-    current: Level = "nothing"
-    """Nothing; its mean at the robots' starts at t = 0; all of it at t = 0, taken to stay; or all
-    of it, for all time."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class KnownObstacles:
-    """Bodies that are not cells; [n] rows. Still ones stand on every map, whatever is known."""
-
-    kind: Any
-    """int32 [n]: 0 sphere, 1 box, 2 capsule."""
-    size_m: Any
-    """[n, 3]: sphere (radius, 0, 0); box half extents; capsule (radius, half length of the axis,
-    0), the axis along the body's z."""
-    radius_m: Any
-    """[n] sphere about the centre that holds the body, however it turns."""
-    exists: Any
-    """bool [n] False for padding, and for what is not known."""
-    moves: Any
-    """bool [n]."""
-    velocity_mps: Any
-    """[n, 3] at t = 0; zero for still ones and where it is not known."""
-    time_s: Any
-    """[T] times of the places; one, t = 0, where nothing is known of what comes."""
-    p_m: Any
-    """[n, T, 3] places of the centre; held after the last."""
-    q: Any
-    """[n, T, 4] attitudes, wxyz, body to W."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class KnownCurrent:
-    """The motion of the water as far as it is known."""
-
-    components: Current
-    """Added up; none where nothing is known."""
-    stays: bool = field(metadata={"static": True})
-    """Whether what is at t = 0 is taken to stay."""
-
-    def velocity(self, p: jax.Array, t: jax.Array) -> jax.Array:
-        """Velocity [3] m/s of the water at p [3] and t [] s."""
-        return velocity(self.components, p, jnp.zeros_like(t) if self.stays else t)
-
-
-def current(environment: Environment, level: Level) -> KnownCurrent:
-    """The current of one world at a level."""
-    whole = environment.current
-    if level == "nothing" or not whole:
-        return KnownCurrent(components=(), stays=True)
-    if level == "observed":
-        start = environment.start_m
-        at_starts = jax.vmap(lambda p: velocity(whole, p, jnp.zeros((), p.dtype)))(start)
-        return KnownCurrent(
-            components=(Uniform(velocity_mps=jnp.mean(at_starts, axis=0)),), stays=True
-        )
-    return KnownCurrent(components=whole, stays=level == "predicted")
-
-
-def obstacles(
-    environment: Environment,
-    knows: Knows,
-    horizon_s: float,
-    dt_s: float,
-    density: float,
-    gravity: float,
-) -> KnownObstacles:
-    """The obstacles of one world at a level.
-
-    Args:
-        environment: one world.
-        knows: what may be known; of the current, for what is predicted.
-        horizon_s: as far as truth and prediction go.
-        dt_s: step of the obstacles' motion: the control period of the simulation.
-        density: of the water, kg/m^3.
-        gravity: m/s^2, positive.
-    """
-    body, level = environment.obstacles, knows.obstacles
-    moves = body.motion != STATIC
-    still = all(motion == STATIC for motion in body.motions)
-    begin = bodies.reset(body, environment.current, density, gravity)
-    time, places = jnp.zeros(1), jax.tree.map(lambda leaf: leaf[None], begin)
-    if level in ("predicted", "truth") and not still:
-        known = environment.current
-        if level == "predicted":
-            known = current(environment, knows.current).components
-        told = environment if level == "truth" else replace(environment, current=known)
-        time, places = _ahead(told, begin, horizon_s, dt_s, density, gravity)
-    at_start = jax.vmap(lambda q, nu: rotate(q, nu[:3]))(begin.q, begin.nu)
-    where, turned = jnp.swapaxes(places.p, 0, 1), jnp.swapaxes(places.q, 0, 1)
-    if level == "predicted":
-        on = begin.p[:, None] + at_start[:, None] * time[:, None]
-        scripted = moves & (body.motion != DRIFT)
-        where = jnp.where(scripted[:, None, None], on, where)
-    told_of = ~moves | (level != "nothing")
-    return KnownObstacles(
-        kind=body.kind,
-        size_m=jnp.where(told_of[:, None], body.size_m, 0.0),
-        radius_m=jnp.where(told_of, jax.vmap(bounding_radius)(body.kind, body.size_m), 0.0),
-        exists=body.exists & told_of,
-        moves=moves,
-        velocity_mps=jnp.where((moves & told_of)[:, None], at_start, 0.0),
-        time_s=time,
-        p_m=jnp.where(told_of[:, None, None], where, 0.0),
-        q=jnp.where(told_of[:, None, None], turned, jnp.array([1.0, 0.0, 0.0, 0.0])),
-    )
-
-
-def _ahead(
-    environment: Environment,
-    begin: ObstacleState,
-    horizon_s: float,
-    dt_s: float,
-    density: float,
-    gravity: float,
-) -> tuple[jax.Array, ObstacleState]:
-    """Times [T] and states [T, n] every `STEP_S`, by the motion that the simulation steps too."""
-    every = max(1, round(STEP_S / dt_s))
-    count = -(-round(horizon_s / dt_s) // every)
-    lo, hi = region(environment)
-
-    def step(state: ObstacleState, number: jax.Array) -> tuple[ObstacleState, None]:
-        after = bodies.step(
-            environment.obstacles,
-            state,
-            environment.current,
-            number * dt_s,
-            dt_s,
-            lo,
-            hi,
-            environment.grid,
-            density,
-            gravity,
-        )
-        return after, None
-
-    def some(state: ObstacleState, number: jax.Array) -> tuple[ObstacleState, ObstacleState]:
-        after, _ = jax.lax.scan(step, state, number * every + jnp.arange(every))
-        return after, after
-
-    _, later = jax.lax.scan(some, begin, jnp.arange(count))
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, later)
-    return jnp.arange(count + 1) * (every * dt_s), states
+__all__ = [
+    "STEP_S",
+    "KnownCurrent",
+    "KnownObstacles",
+    "Knows",
+    "Level",
+    "Observation",
+    "current",
+    "obstacles",
+]

@@ -21,6 +21,7 @@ from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
+from angler_mjx.simulator import online
 from angler_mjx.simulator.compiling import CompileTime
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, harvest, results
@@ -154,7 +155,10 @@ def resume(
         if processes.index == 0:
             if scenario is not None:
                 opening.require_same(place, scenario)
-            require_policy(folder.where(place), policy if simulator is None else simulator.policy)
+            begun = folder.where(place)
+            require_policy(
+                begun, _commands(begun, policy) if simulator is None else simulator.policy
+            )
             claimed = folder.reopen(place, told.tell)
             stack.enter_context(opening.held(claimed, new=False))
         processes.meet("found")
@@ -178,6 +182,13 @@ def resume(
             opening.mend(simulator, building, told)
         processes.meet("folder")
         return _Rollout(simulator, place, room, told, processes, claimed, found).run()
+
+
+def _commands(building: Path, policy: Policy | None) -> Policy | None:
+    """What will command the robots of a run that goes on."""
+    if not (building / folder.CONFIG).exists():
+        return policy
+    return online.policy_of(folder.read_scenario(building), policy)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
@@ -19,9 +20,11 @@ from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.tables import (
     FOLDER,
     ControllerConfig,
+    ExecutionConfig,
     PlannerConfig,
     TimeConfig,
     WaterConfig,
+    check_online,
 )
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
@@ -64,6 +67,7 @@ class Scenario(FileModel):
     fleet: tuple[FleetEntry, ...] = Field(min_length=1, max_length=256)
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
+    execution: ExecutionConfig = ExecutionConfig()
 
     @model_validator(mode="after")
     def _kernels_of_engine(self) -> Self:
@@ -131,6 +135,24 @@ class Scenario(FileModel):
                     "controller, such as cascade or los"
                 )
         return self
+
+    @model_validator(mode="after")
+    def _flies_online(self) -> Self:
+        check_online(self.planner, self.time)
+        if self.online and not any(PoseTarget in x.takes for x in self.controller.stack()[0]):
+            key = f"planner.replan_hz = {self.planner.replan_hz:g}"
+            if self.execution.order == "kept":
+                key = 'execution.order = "kept"'
+            raise ValueError(
+                f"{key}: guides robots by poses, and no stage of controller "
+                f"{self.controller.title!r} takes one; take another, such as cascade"
+            )
+        return self
+
+    @property
+    def online(self) -> bool:
+        """Whether plans are looked after while they are flown."""
+        return self.execution.order == "kept" or self.planner.replan_hz > 0.0
 
     @property
     def senses(self) -> bool:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Self, get_type_hints
+from typing import Any, Literal, Self, get_type_hints
 
 from pydantic import (
     ConfigDict,
@@ -164,6 +164,12 @@ class PlannerConfig(FileModel):
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each world; a planner that takes a tenth more is ended."""
     knows: KnowsConfig = KnowsConfig()
+    replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
+    """How often robots are planned for anew while they fly; 0: never. A whole number of control
+    steps from one time to the next; see `docs/online.md`."""
+    delay_s: float = Field(default=0.0, ge=0.0, le=86400.0)
+    """From what new plans are made of, to when they are flown: a whole number of control steps, at
+    most the time between two plans."""
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """The tables [planner.NAME] of planners, by their names; that of the chosen one is checked."""
 
@@ -217,6 +223,38 @@ class PlannerConfig(FileModel):
         if model is not None:
             _check_settings(model, given, self.table)
         return PlannerSpec(reference=reference, settings=given)
+
+
+class ExecutionConfig(FileModel):
+    """How the robots of a world fly their plans together; see `docs/online.md`."""
+
+    order: Literal["free", "kept"] = "free"
+    """Free: each by itself, however late the others are. Kept: who passes a place first by the
+    plans passes first, and the others wait for it."""
+
+
+def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
+    """Refuse replanning that does not fit the control period.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    if planner.replan_hz == 0.0:
+        if planner.delay_s > 0.0:
+            raise ValueError(
+                f"planner.delay_s = {planner.delay_s:g}: nothing is planned anew; "
+                "give planner.replan_hz"
+            )
+        return
+    hz, delay = planner.replan_hz, planner.delay_s
+    _whole(f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s)
+    if delay > 0.0:
+        _whole(f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s)
+    if delay * hz > 1.0 + 1e-6:
+        raise ValueError(
+            f"planner.delay_s = {delay:g}: longer than the {1 / hz:g} s from one plan to the next "
+            f"(planner.replan_hz = {hz:g}); take at most that"
+        )
 
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)

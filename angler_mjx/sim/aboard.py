@@ -4,20 +4,24 @@ Plain arrays with robots leading, in every engine: filters and policies are matr
 lanes have nothing to offer for. The fused engines run them between their own phases.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import knowledge, senses
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim import senses
+from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import currents
+from angler_mjx.world.obstacles import ObstacleState
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,8 @@ class Aboard:
     number: jax.Array
     """int32 [] control steps taken."""
     vehicles: VehicleState
+    obstacles: ObstacleState | None = None
+    """Now; None where no policy asks for them."""
 
     @property
     def t(self) -> jax.Array:
@@ -59,7 +65,52 @@ class Aboard:
             goal_m=self.world.environment.goal_m,
             path=self.world.path,
             params=self.world.control,
+            **self._scenery(),
         )
+
+    def _scenery(self) -> dict[str, Any]:
+        """What a policy that asks for it is told of the world about the robots."""
+        if self.policy is None or self.policy.knows is None:
+            return {}
+        if self.obstacles is None:
+            raise RuntimeError("an engine does not say where obstacles are to a policy that asks")
+        policy, knows = self.policy, self.policy.knows
+        environment, water = self.world.environment, self.spec.water
+        at_m, seen = (
+            self.vehicles.p,
+            Observation(time_s=self.t, obstacles=self.obstacles, at_m=self.vehicles.p),
+        )
+
+        def look() -> KnownObstacles:
+            return knowledge.obstacles(
+                environment,
+                knows,
+                policy.ahead_s,
+                self.spec.control_dt_s,
+                water.density_kgpm3,
+                water.gravity_mps2,
+                seen,
+            )
+
+        return {
+            "grid": environment.grid,
+            "floor_z_m": environment.floor_z_m,
+            "obstacles": self._at_times(look, policy.looks),
+            "current": knowledge.current(environment, knows.current, at_m, self.t),
+        }
+
+    def _at_times[T](self, look: Callable[[], T], every: int) -> T:
+        """What is seen in every n-th control step, and zeros of its shapes in the others."""
+        if every == 1:
+            return look()
+        shapes = jax.eval_shape(look)
+
+        def nothing() -> T:
+            zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+            return zeros
+
+        seen: T = jax.lax.cond(self.number % every == 0, look, nothing)
+        return seen
 
 
 def sense(here: Aboard, now: Slots) -> Done:
@@ -82,7 +133,7 @@ def choose(here: Aboard, now: Slots) -> Done:
         here.policy,
         here.world.policy_key,
         now["policy"],
-        here.known(now.get("known")),
+        lambda: here.known(now.get("known")),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
@@ -134,6 +185,11 @@ def tells(spec: SimSpec, policy: Policy | None) -> bool:
     return bool(spec.instrumented) or policy is not None
 
 
+def watches(policy: Policy | None) -> bool:
+    """Whether a policy asks where obstacles are."""
+    return policy is not None and policy.knows is not None
+
+
 def tell(
     spec: SimSpec,
     policy: Policy | None,
@@ -141,6 +197,7 @@ def tell(
     minds: Minds,
     number: jax.Array,
     vehicles: VehicleState,
+    obstacles: ObstacleState | None = None,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -151,8 +208,16 @@ def tell(
         minds: memories.
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
+        obstacles: now, [n] leading, where a policy asks (`watches`).
     """
-    here = Aboard(spec=spec, policy=policy, world=world, number=number, vehicles=vehicles)
+    here = Aboard(
+        spec=spec,
+        policy=policy,
+        world=world,
+        number=number,
+        vehicles=vehicles,
+        obstacles=obstacles,
+    )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
     return after, Told(known=now.get("known"), command=now.get("command"), record=record)
@@ -165,11 +230,14 @@ def tell_tile(
     minds: Minds,
     number: jax.Array,
     vehicles: VehicleState,
+    obstacles: ObstacleState | None = None,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` []."""
 
-    def one(world: World, minds: Minds, vehicles: VehicleState) -> tuple[Minds, Told]:
-        return tell(spec, policy, world, minds, number, vehicles)
+    def one(
+        world: World, minds: Minds, vehicles: VehicleState, obstacles: ObstacleState | None
+    ) -> tuple[Minds, Told]:
+        return tell(spec, policy, world, minds, number, vehicles, obstacles)
 
-    after: tuple[Minds, Told] = jax.vmap(one)(worlds, minds, vehicles)
+    after: tuple[Minds, Told] = jax.vmap(one)(worlds, minds, vehicles, obstacles)
     return after

@@ -8,8 +8,9 @@ of the compiled programs and have derivatives; what is static must be hashable.
 
 import hashlib
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +21,15 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams, Stages
 from angler_mjx.errors import ConfigError
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
 from angler_mjx.sim.record import Belief
+from angler_mjx.world.grid import Grid
 
 OF_RESET = 2**32 - 1
 """What a world's key is folded with for `Policy.reset`; no step has this number."""
+
+MOST_S = 86400
+"""Farthest ahead that motion is told."""
 
 
 @jax.tree_util.register_dataclass
@@ -31,8 +37,9 @@ OF_RESET = 2**32 - 1
 class Known:
     """What the robots of one world know; [R] leads.
 
-    Nothing of it is the truth where a scenario tells the robots something else, and obstacles,
+    Of their own motion nothing is the truth where a scenario tells the robots something else;
     outcomes and other worlds are not in it. What a policy commanded before, it can keep itself.
+    The scenery is told to a policy that asks by `Policy.knows`, and None for any other.
     """
 
     belief: Belief
@@ -45,6 +52,14 @@ class Known:
     """As the planner made them, before the start."""
     params: ControlParams
     """Their vehicles as their controllers know them."""
+    grid: Grid | None = None
+    """Rock."""
+    floor_z_m: jax.Array | None = None
+    """[] height of the sea floor."""
+    obstacles: KnownObstacles | None = None
+    """Bodies that are not cells, as far as they may be known now; their times run from now on."""
+    current: KnownCurrent | None = None
+    """The water's motion, as far as it may be known now; its times run from now on."""
 
 
 class Policy(ABC):
@@ -52,9 +67,16 @@ class Policy(ABC):
 
     Attributes:
         period: control steps from one call of `act` to the next; its command holds until then.
+        knows: what may be known of the scenery at each call; None: nothing is told of it.
+        looks: control steps from one look at the scenery to the next; obstacles are not told
+            (none exists) in the steps between. Where looking far ahead is dear.
+        ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
     """
 
     period: int = 1
+    knows: Knows | None = None
+    looks: int = 1
+    ahead_s: float = 0.0
 
     def reset(self, known: Known, key: jax.Array) -> Any:
         """Memory at t = 0: a pytree of arrays.
@@ -104,6 +126,7 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
         ConfigError: no stage takes what it commands, or not in these shapes, or its memory changes
             its shape, or its period is no whole number above 0, or the world has no key for it.
     """
+    check_knows(policy)
     name, period = type(policy).__name__, policy.period
     if not isinstance(period, int) or isinstance(period, bool) or period < 1:
         raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
@@ -119,6 +142,28 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
         )
     held = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), command)
     return PolicyMemory(carry=carry, command=held if period > 1 else None)
+
+
+def check_knows(policy: Policy) -> None:
+    """Refuse a policy that asks for what nobody can tell.
+
+    Raises:
+        ConfigError: ``knows`` is none, or names no level, or ``ahead_s`` is no time.
+    """
+    name, knows, ahead = type(policy).__name__, policy.knows, policy.ahead_s
+    if knows is None:
+        return
+    if not isinstance(knows, Knows):
+        raise ConfigError(f"policy {name}: knows = {knows!r}; give a Knows, or None")
+    levels = get_args(Level.__value__)
+    for what in ("obstacles", "current"):
+        if getattr(knows, what) not in levels:
+            raise ConfigError(
+                f"policy {name}: knows.{what} = {getattr(knows, what)!r}; "
+                f"there is {', '.join(levels)}"
+            )
+    if isinstance(ahead, bool) or not isinstance(ahead, int | float) or not 0 <= ahead <= MOST_S:
+        raise ConfigError(f"policy {name}: ahead_s = {ahead!r}; give a time from 0 to {MOST_S} s")
 
 
 def _key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
@@ -181,7 +226,7 @@ def step(
     policy: Policy,
     policy_key: jax.Array | None,
     memory: PolicyMemory,
-    known: Known,
+    known: Callable[[], Known],
     number: jax.Array,
 ) -> tuple[PolicyMemory, Any]:
     """One control step of one world.
@@ -190,7 +235,7 @@ def step(
         policy: of the world.
         policy_key: uint32 [2] of the world.
         memory: of the policy.
-        known: what the robots know.
+        known: what the robots know, worked out where the policy is called.
         number: int32 [] control steps taken.
 
     Returns:
@@ -199,7 +244,7 @@ def step(
     key = jax.random.fold_in(_key(policy, policy_key), number)
 
     def act() -> tuple[Any, Any]:
-        acted: tuple[Any, Any] = policy.act(memory.carry, known, key, number)
+        acted: tuple[Any, Any] = policy.act(memory.carry, known(), key, number)
         return acted
 
     if policy.period == 1:

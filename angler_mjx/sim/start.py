@@ -16,7 +16,6 @@ from angler_mjx.sim.detection import detect
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
 from angler_mjx.world import obstacles as obstacle_motion
-from angler_mjx.world.environment import Environment
 
 
 def reset(
@@ -74,15 +73,13 @@ def reset(
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
     """A state with the memory of a policy, which knows what the first step tells the robots."""
     here = aboard.Aboard(
-        spec=spec, policy=policy, world=world, number=state.step, vehicles=state.vehicles
+        spec=spec,
+        policy=policy,
+        world=world,
+        number=state.step,
+        vehicles=state.vehicles,
+        obstacles=state.obstacles,
     )
     belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
     memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief))
     return replace(state, policy=memory)
-
-
-def region(environment: Environment) -> tuple[jax.Array, jax.Array]:
-    """Lower and upper corner [3] of the cube that fleets work in, m, in W."""
-    grid = environment.grid
-    size = jnp.array(grid.occupied.shape, grid.origin_m.dtype) * grid.cell_m
-    return grid.origin_m, grid.origin_m + size

@@ -82,7 +82,9 @@ def preparer(
         policy: whether a policy is to command them, which needs a key in each.
     """
     recipe = resolve(scenario.world)
-    built_in = _ways(scenario, spec) if spec is not None and spec.reference.name == GRID else None
+    built_in = (
+        ways_config(scenario, spec) if spec is not None and spec.reference.name == GRID else None
+    )
 
     def furnished(kinds: fleet.Fleet, seed: jax.Array, index: jax.Array) -> World:
         return _one_world(scenario, recipe, shape, built_in, policy, kinds, seed, index)
@@ -125,7 +127,7 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             return path
 
         return batch
-    config = _ways(scenario, spec)
+    config = ways_config(scenario, spec)
     if spec.reference.name == GRID:
         plan = partial(grid_planner.plan, config=config)
 
@@ -138,7 +140,7 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
             return path
 
         return by_grid
-    budget = priority.PrioritySettings(**spec.settings).budget
+    budget = priority_budget(spec)
 
     def by_priority(worlds: World, problems: Problem) -> Path:
         known = problems.obstacles if _foresees(scenario) else None
@@ -219,8 +221,12 @@ def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
     return jax.random.bits(jax.random.fold_in(key, PLANNING), dtype=jnp.uint32)
 
 
-def _ways(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
-    """How a planner of this package looks for ways."""
+def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
+    """How a planner of the device looks for ways.
+
+    Raises:
+        ConfigError: it is to know what it cannot use.
+    """
     knows, name = scenario.planner.knows, spec.reference.name
     if knows.current != "nothing" and knows.obstacles != "predicted":
         raise ConfigError(
@@ -239,6 +245,11 @@ def _ways(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
     fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
     needed = priority.layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
     return replace(config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or needed)
+
+
+def priority_budget(spec: PlannerSpec) -> int:
+    """Searches of single robots that the planner priority has for each robot of a team."""
+    return priority.PrioritySettings(**spec.settings).budget
 
 
 def _foresees(scenario: Scenario) -> bool:

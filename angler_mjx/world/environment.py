@@ -7,6 +7,7 @@ in the world frame W (x east, y north, z up, metres, water surface at z = 0).
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 
 from angler_mjx.world.currents import Current
 from angler_mjx.world.grid import Grid
@@ -40,3 +41,10 @@ class Environment:
     """int32 [] how many drawings were thrown away before this one could hold the fleet."""
     valid: jax.Array
     """bool [] False only where the redraw limit was reached; such a world is never simulated."""
+
+
+def region(environment: Environment) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper corner [3] of the cube that fleets work in, m, in W."""
+    grid = environment.grid
+    size = jnp.array(grid.occupied.shape, grid.origin_m.dtype) * grid.cell_m
+    return grid.origin_m, grid.origin_m + size

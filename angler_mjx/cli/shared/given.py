@@ -31,17 +31,22 @@ def flag(key: str) -> str:
     return "--" + key.rpartition(".")[2].replace("_", "-")
 
 
-def planner_given(name: str | None) -> dict[str, str] | None:
-    """The scenario's table of a planner that a flag names; a file's path from the working folder.
+def planner_given(name: str | None, **keys: float | None) -> dict[str, Any] | None:
+    """The scenario's table of a planner that flags give; a file's path from the working folder.
 
     Settings of the scenario's own planner stay with it.
+
+    Args:
+        name: of the planner; the scenario's if None.
+        **keys: others of its table; those that are None are left to the file.
     """
+    given: dict[str, Any] = {key: value for key, value in keys.items() if value is not None}
     if name is None:
-        return None
+        return given or None
     path, colon, qualname = name.rpartition(":")
     if colon and path.endswith(".py"):
         name = f"{Path(path).absolute()}:{qualname}"
-    return {"name": name}
+    return {"name": name, **given}
 
 
 def at_least_one(key: str, value: int | None) -> int | None:

@@ -75,7 +75,9 @@ class FusedEngine:
         policy = aboard.asked(policy, command)
         minds, told = Minds.of(state), Told()
         if aboard.tells(spec, policy):
-            minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, state.vehicles)
+            minds, told = aboard.tell_tile(
+                spec, policy, worlds, minds, number, state.vehicles, state.obstacles
+            )
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
         sample = Sample(**told.record, **to_arrays(seen, 2))
@@ -103,7 +105,8 @@ class FusedEngine:
             moving, told = rebuild(row), Told()
             if aboard.tells(spec, policy):
                 there = vehicles_of(moving)
-                minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, there)
+                bodies = to_arrays(moving.obstacles, 2) if aboard.watches(policy) else None
+                minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, there, bodies)
             after, sample = _control_step(spec, scene, moving, number, command, told)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)

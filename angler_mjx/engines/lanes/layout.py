@@ -17,11 +17,10 @@ from angler_mjx.engines.lanes import steps as lane_steps
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.errors import RunError
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import start
 from angler_mjx.sim.aboard import Minds
 from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.state import Tally, World, WorldState
-from angler_mjx.world.environment import Environment
+from angler_mjx.world.environment import Environment, region
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
 MOST = 2**31
@@ -235,7 +234,7 @@ def scene_of(fleet: Fleet, worlds: World) -> Scene:
 def _cells(worlds: World) -> Cells:
     environment, neighbours = worlds.environment, packed_cells(worlds)
     grid = environment.grid
-    lo, hi = jax.vmap(start.region)(environment)
+    lo, hi = jax.vmap(region)(environment)
     return Cells(
         neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1),
         origin_m=to_lanes(grid.origin_m, 1),

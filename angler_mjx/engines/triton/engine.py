@@ -23,7 +23,6 @@ from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.kernels import Kernels, Launch
 from angler_mjx.engines.triton.segment import AHEAD, Arrays, Segment
 from angler_mjx.engines.triton.tile import Tile
-from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import aboard
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.fleet import Fleet
@@ -117,14 +116,17 @@ class TritonEngine:
 
         worlds, state, command = jax.tree.map(fill, (worlds, state, command))
         policy = aboard.asked(policy, command)
+        watched = aboard.watches(policy)
         tell, told = partial(aboard.tell_tile, spec, policy, worlds), None
         if aboard.tells(spec, policy):
-            _, told = jax.eval_shape(tell, Minds.of(state), state.step[0], state.vehicles)
+            bodies = state.obstacles if watched else None
+            _, told = jax.eval_shape(tell, Minds.of(state), state.step[0], state.vehicles, bodies)
         tile = Tile(fleet, worlds)
-        part = Segment(tile, state, n_sample, steps_per_sample, command, told)
+        ahead = 1 if watched else AHEAD
+        part = Segment(tile, state, n_sample, steps_per_sample, command, told, ahead=ahead)
         kernels = Kernels(self._program, spec, part)
         if told is not None:
-            end = _fly_looped(kernels, part, partial(_tell, tell, part))
+            end = _fly_looped(kernels, part, partial(_tell, tell, part, watched))
         elif self._program.interpret:
             end = _fly_looped(kernels, part, None)
         else:
@@ -134,16 +136,21 @@ class TritonEngine:
 
 
 def _tell(
-    tell: Callable[[Minds, jax.Array, VehicleState], tuple[Minds, Told]],
+    tell: Callable[..., tuple[Minds, Told]],
     part: Segment,
+    watched: bool,
     base: jax.Array,
     k: jax.Array,
     x: Arrays,
 ) -> Arrays:
-    """The phases of worlds in control step ``base + k``, and their record: no kernel."""
+    """The phases of worlds in control step ``base + k``, and their record: no kernel.
+
+    Where a policy has obstacles ``watched``, they are not ahead of the robots yet.
+    """
     tile, count = part.tile, base[0] + k[0]
     vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], (tile.worlds, tile.robots))
-    minds, told = tell(x.minds, part.first[0] + count, vehicles)
+    bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
+    minds, told = tell(x.minds, part.first[0] + count, vehicles, bodies)
     place, is_sample = count // part.every, count % part.every == 0
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
@@ -181,16 +188,20 @@ def _fly(kernels: Kernels, part: Segment) -> Arrays:
 def _fly_looped(kernels: Kernels, part: Segment, tell: Launch | None) -> Arrays:
     """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
     obstacles, robots = kernels.launches()
+    now = jnp.zeros(1, jnp.int32)
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
         def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
             told = x if tell is None else tell(base, k[None], x)
+            if part.ahead == 1:  # `tell` sees where they are before they move
+                told = obstacles(base, now, told)
             return robots(base, k[None], told), None
 
-        x = obstacles(base, jnp.zeros(1, jnp.int32), x)
+        if part.ahead > 1:
+            x = obstacles(base, now, x)
         return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
 
-    return _chunks(steps, AHEAD, part)
+    return _chunks(steps, part.ahead, part)
 
 
 def _chunks(steps: Callable[[jax.Array, int, Arrays], Arrays], size: int, part: Segment) -> Arrays:

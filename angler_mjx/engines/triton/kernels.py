@@ -11,7 +11,7 @@ from angler_kernels import lanes
 from angler_mjx.engines.lanes import judge as lane_judge
 from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.here import Bodies, OfGroup
-from angler_mjx.engines.triton.segment import AHEAD, Arrays, Drift, Segment
+from angler_mjx.engines.triton.segment import Arrays, Drift, Segment
 from angler_mjx.sim.fleet import Group
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
@@ -36,7 +36,7 @@ class Kernels:
         self._tile = part.tile
 
     def launches(self) -> tuple[Launch, Launch]:
-        """The obstacles, `AHEAD` control steps of them, and what the robots do in one."""
+        """The obstacles, `Segment.ahead` control steps of them, and what the robots do in one."""
         groups = self._tile.groups
         # Functions of their own, so that each is traced and lowered once for all launches.
         alone = [(phase, jax.jit(partial(self.phase, phase, g))) for g in groups for phase in ALONE]
@@ -113,7 +113,7 @@ class Kernels:
         return self._run(kernel, group.count, given, kept)
 
     def go_ahead(self, base: jax.Array, k: jax.Array, x: Arrays) -> Sequence[jax.Array]:
-        """`AHEAD` control steps of the obstacles, or those that are left, and their record."""
+        """Control steps of the obstacles, `Segment.ahead` or what is left, and their record."""
         part, tile = self._part, self._tile
         head = [part.first, base, k, *tile.arrays]
 
@@ -142,7 +142,7 @@ class Kernels:
                 return lanes.where(is_left, after, now)
 
             start = part.bodies.read(triton.loader(state), lane)
-            part.bodies.write(store(state), lane, lanes.repeat(AHEAD, one, start))
+            part.bodies.write(store(state), lane, lanes.repeat(part.ahead, one, start))
 
         return self._run(kernel, tile.obstacles, head, [x.bodies, x.track, x.records[_SEEN]])
 

@@ -18,7 +18,7 @@ from angler_mjx.sim.state import SimSpec, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, MEETING, OBSTACLES
 
 AHEAD = 5
-"""Control steps that obstacles are moved ahead of the robots."""
+"""Control steps that obstacles are moved ahead of the robots, where no policy watches them."""
 
 
 @jax.tree_util.register_dataclass
@@ -42,7 +42,7 @@ class Arrays:
     bodies: jax.Array
     """`ObstacleState`, as far ahead as they were moved."""
     track: jax.Array
-    """`Drift` of `AHEAD` steps."""
+    """`Drift` of as many steps as obstacles are moved ahead."""
     records: dict[str, jax.Array]
     """What each phase of robots and obstacles recorded, by the phase's name."""
     minds: Minds
@@ -58,6 +58,7 @@ class Segment:
         tile: constants of the worlds.
         steps: how many control steps.
         every: control steps from one sample to the next.
+        ahead: control steps that obstacles are moved ahead of the robots.
         first: int32 [1] control steps taken before.
         start: arrays at the beginning.
         layouts: of the slots, by name.
@@ -73,6 +74,8 @@ class Segment:
         every: int,
         command: Command | None,
         told: Told | None,
+        *,
+        ahead: int = AHEAD,
     ) -> None:
         """Lay everything out.
 
@@ -83,7 +86,9 @@ class Segment:
             every: control steps from one sample to the next.
             command: what drives the controllers instead of the paths; if anything does.
             told: shapes of what the phases of worlds give; if they give anything.
+            ahead: control steps that obstacles are moved ahead of the robots.
         """
+        self.ahead = ahead
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
         self.first = state.step[:1]
@@ -109,7 +114,7 @@ class Segment:
                 for name, layout in self.layouts.items()
             },
             bodies=bodies,
-            track=room(AHEAD * self.drift.size if tile.some_obstacle else 1),
+            track=room(ahead * self.drift.size if tile.some_obstacle else 1),
             records={name: room(shelf.size) for name, shelf in self.shelves.items()},
             minds=Minds.of(state),
             told={}
@@ -131,7 +136,7 @@ class Segment:
 
     def ring(self, count: Any) -> Any:
         """Where in the track a control step begins, counted from the segment's first."""
-        return count % AHEAD * self.drift.size
+        return count % self.ahead * self.drift.size
 
     def result(self, end: Arrays) -> tuple[WorldState, Sample]:
         """The state after all steps, and the samples."""

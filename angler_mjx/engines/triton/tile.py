@@ -15,9 +15,9 @@ from angler_mjx.engines.lanes.layout import grid_shape, packed_cells
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.bank import Bank
-from angler_mjx.sim import start
 from angler_mjx.sim.fleet import Fleet, Group
 from angler_mjx.sim.state import World
+from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles.types import bounding_radius
 
 
@@ -88,7 +88,7 @@ class Tile:
             ),
             2,
         )
-        lo, hi = jax.vmap(start.region)(environment)
+        lo, hi = jax.vmap(region)(environment)
         self._world, water = self.pack(
             WorldConstants(
                 current=environment.current,

@@ -67,6 +67,23 @@ def balls(traffic: Traffic, layer_s: jax.Array, n_layer: int) -> Balls:
     return Balls(centre_m=point[:, 0] + walked, radius_m=jnp.where(counts, radius, -1.0))
 
 
+def beside(a: Traffic, b: Traffic) -> Traffic:
+    """Two sets of rows as one; shorter ones repeat their last point."""
+    points = max(a.time_s.shape[1], b.time_s.shape[1])
+
+    def long(rows: Traffic) -> Traffic:
+        extra = points - rows.time_s.shape[1]
+        return Traffic(
+            time_s=jnp.pad(rows.time_s, ((0, 0), (0, extra)), mode="edge"),
+            position_m=jnp.pad(rows.position_m, ((0, 0), (0, extra), (0, 0)), mode="edge"),
+            reach_m=rows.reach_m,
+            until_s=rows.until_s,
+        )
+
+    both: Traffic = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), long(a), long(b))
+    return both
+
+
 def clear_of(
     traffic: Traffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:

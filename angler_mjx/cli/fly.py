@@ -1,0 +1,108 @@
+"""`angler fly`: one scene whose plans are looked after while they are flown, through a session."""
+
+import sys
+import time
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.sitl.run import Level, Source, prepare
+from angler_mjx.cli.sitl.run import opener as real_autopilots
+from angler_mjx.errors import ConfigError
+
+
+def fly(
+    scenario: Annotated[str, tyro.conf.Positional],
+    planner: str | None = None,
+    replan_hz: float | None = None,
+    order: Literal["free", "kept"] | None = None,
+    session: Literal["sim", "sitl"] = "sim",
+    out: Path | None = None,
+    world: int = 0,
+    seed: int | None = None,
+    level: Level | None = None,
+    source: Source | None = None,
+    isolate: bool = False,
+    ardusub: Path | None = None,
+    device: Device = "cpu",
+) -> None:
+    """Fly one world step by step, planning anew or keeping order on the way.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        planner: That plans; the scenario's if left out. One of the device.
+        replan_hz: How often robots are planned for anew while they fly; 0: never.
+        order: Whether robots that are in time wait for those that are to pass a place before them.
+        session: What moves: the simulator, or real autopilots.
+        out: Run folder to make, for figures, replays and exports.
+        world: Index of the world.
+        seed: Seed of the run; the scenario's if left out.
+        level: For --session sitl, what is sent; guided (targets) if left out.
+        source: For --session sitl, where ArduSub learns its position; vision if left out.
+        isolate: For --session sitl, do it in a network namespace of its own.
+        ardusub: For --session sitl, the ArduSub to run; else ANGLER_ARDUSUB, else the installed
+            one.
+        device: Where to compute.
+    """
+    given = {"level": level, "source": source, "ardusub": ardusub}
+    named = [*(f for f, value in given.items() if value is not None), *["isolate"] * isolate]
+    if session == "sim" and named:
+        raise ConfigError(f"--{named[0]}: only real autopilots have that; add --session sitl")
+    if session == "sitl":
+        prepare(isolate=isolate, gcs=None)
+    choose(device)
+    keep_all_programs()
+    from angler_mjx.cli.shared.given import planner_given, scenario_given
+    from angler_mjx.session.flying import course
+    from angler_mjx.session.flying import fly as flying
+    from angler_mjx.session.recording import SessionRecording
+    from angler_mjx.storage import folder
+    from angler_mjx.teleop import opening
+
+    loaded = scenario_given(
+        scenario,
+        seed=seed,
+        planner=planner_given(planner, replan_hz=replan_hz),
+        execution=None if order is None else {"order": order},
+    )
+    if not loaded.online:
+        raise ConfigError(
+            "angler fly: the scenario plans nothing anew and keeps no order; give --replan-hz or "
+            "--order kept (angler rollout flies plans as they are)"
+        )
+    opener: opening.Opener = opening.simulated
+    if session == "sitl":
+        opener = real_autopilots(
+            level=level or "guided", source=source or "vision", gcs=None, ardusub=ardusub
+        )
+    tell, begun = partial(print, file=sys.stderr), time.perf_counter()
+    with ExitStack() as stack:
+        recording = None
+        if out is not None:
+            recording = stack.enter_context(SessionRecording(out, loaded, world))
+        logs = None if recording is None else recording.building / folder.ROBOTS
+        scene = opener(loaded, world, logs, tell).session
+        stack.callback(scene.close)
+        if recording is not None:
+            recording.begin(scene)
+        compile_s = time.perf_counter() - begun
+
+        def watch(seen: Any) -> None:
+            if recording is not None:
+                recording.after(seen)
+            if round(seen.time_s / scene.dt_s) % round(10.0 / scene.dt_s) == 0:
+                running = sum(status.outcome.name == "RUNNING" for status in seen.status)
+                tell(f"{seen.time_s:.0f} s of {loaded.time.horizon_s:g} s, {running} running")
+
+        flown = flying(scene, loaded.time.horizon_s, watch)
+        run = None if recording is None else recording.close(course(flown, compile_s))
+    print(f"{flown.last.time_s:.2f} s of the scene in {flown.wall_s:.2f} s, {flown.steps} steps")
+    for i, status in enumerate(flown.last.status):
+        refused = f", refused: {status.refused}" if status.refused else ""
+        print(f"robot_{i}: {status.outcome.name.lower()}{refused}")
+    if run is not None:
+        print(run.path)

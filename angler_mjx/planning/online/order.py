@@ -1,0 +1,78 @@
+"""Who passes each crossing of a team's plans first, and how far others may go before it has.
+
+Plans say when a robot is where, so that where two paths come nearer than their reach at different
+times, one of them passes first. A robot that is late would be met there by one that is not. Each
+robot has a clock along its plan; kept order is a bound on each clock by the others' clocks:
+
+    robot b may be at its place of time t only when robot a has left, by its own clock, all places
+    near to that one which its plan left before t; or is level with b, where that is sooner.
+
+Every bound names a time that is not after the one it guards, so the robot whose clock is behind all
+others is never held: whoever waits, waits for somebody who flies, and the team does not stand.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control import plans
+from angler_mjx.control.plans import Plan
+
+SAMPLES = 128
+"""Places of a plan that are compared; between two of them robots are taken to be anywhere."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """Of the robots of one world."""
+
+    time_s: jax.Array
+    """[K] of the places that are compared, on the clocks of all plans."""
+    half_s: jax.Array
+    """[] a place stands for so much time before and after its own."""
+    needs_s: jax.Array
+    """[b, K, a] what the clock of a must have passed before b may be there; -inf: nothing."""
+
+
+def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
+    """The order of a team's plans.
+
+    Args:
+        plan: [R] leading.
+        reach_m: [R, R] between centres; nearer ones are in each other's way.
+        samples: places of each plan that are compared.
+    """
+    end = jnp.maximum(jnp.max(plan.time_s), 1e-3)
+    time = jnp.linspace(0.0, 1.0, samples) * end
+    half = 0.5 * end / (samples - 1)
+    where = jax.vmap(lambda one: jax.vmap(lambda t: plans.place(one, t))(time))(plan)
+    leg = jnp.sqrt(jnp.sum((where[:, 1:] - where[:, :-1]) ** 2, axis=-1))
+    # A place stands for its neighbourhood: half of the longer leg beside it.
+    before, after = jnp.pad(leg, ((0, 0), (1, 0))), jnp.pad(leg, ((0, 0), (0, 1)))
+    width = 0.5 * jnp.maximum(before, after)
+    earlier = time[None, :] < time[:, None]
+    level = time - half
+
+    def of_robot(_: None, b: jax.Array) -> tuple[None, jax.Array]:
+        gap = jnp.sqrt(jnp.sum((where[b][None, :, None] - where[:, None]) ** 2, axis=-1))
+        near = gap < reach_m[b][:, None, None] + width[b][None, :, None] + width[:, None]
+        passed = jnp.max(jnp.where(near & earlier, time + half, -jnp.inf), axis=-1)
+        return None, jnp.minimum(passed, level).T
+
+    robots = jnp.arange(reach_m.shape[0])
+    _, needs = jax.lax.scan(of_robot, None, robots)
+    itself = jnp.eye(reach_m.shape[0], dtype=bool)
+    return Order(time_s=time, half_s=half, needs_s=jnp.where(itself[:, None], -jnp.inf, needs))
+
+
+def limits(order: Order, clock_s: jax.Array) -> jax.Array:
+    """How far the clock of each robot may go now, [R]; inf where nothing is in its way.
+
+    Args:
+        order: of the world.
+        clock_s: [R] how far each robot is along its plan.
+    """
+    held = jnp.any(clock_s < order.needs_s, axis=-1)
+    return jnp.min(jnp.where(held, order.time_s - order.half_s, jnp.inf), axis=-1)

@@ -1,0 +1,137 @@
+"""Planners of the device, as what plans anew while robots fly: from a problem to their plans."""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning import grid
+from angler_mjx.planning.knowledge import KnownObstacles
+from angler_mjx.planning.priority import planner as priority
+from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC, Obstacles
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridAnew:
+    """The grid planner."""
+
+    config: WayConfig
+
+    def __call__(self, problem: Problem) -> Trajectory:
+        """Plans [R] of one problem."""
+        team = problem.team
+        return grid.plan(
+            _environment(problem),
+            team.radius_m,
+            team.cruise_speed_mps,
+            self.config,
+            _moving(problem.obstacles),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorityAnew:
+    """The planner priority."""
+
+    config: WayConfig
+    budget: int
+
+    def __call__(self, problem: Problem) -> Trajectory:
+        """Plans [R] of one problem."""
+        team = problem.team
+        alone = (
+            _environment(problem),
+            team.radius_m,
+            team.cruise_speed_mps,
+            jnp.asarray(problem.seed),
+            _moving(problem.obstacles),
+        )
+        *given, known = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], alone)
+        found = priority.plan(*given, self.config, self.budget, known)
+        plan: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)
+        return plan
+
+
+def _moving(known: KnownObstacles) -> KnownObstacles | None:
+    """Obstacles, where there are any."""
+    return known if known.radius_m.shape[0] else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchAnew:
+    """A planner with ``plan_batch``, made once in a process."""
+
+    reference: Reference
+    settings: tuple[tuple[str, Any], ...]
+
+    def __call__(self, problem: Problem) -> Trajectory:
+        """Plans [R] of one problem.
+
+        Raises:
+            ConfigError: it gives no `Trajectory`.
+        """
+        alone = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem)
+        given = _made(self).plan_batch(alone)
+        if not isinstance(given, Trajectory):
+            raise ConfigError(
+                f"planner {self.reference.name}: gives {type(given).__name__}; replanning takes a "
+                "Trajectory"
+            )
+        plan: Trajectory = jax.tree.map(lambda leaf: leaf[0], given)
+        return plan
+
+
+@cache
+def _made(anew: BatchAnew) -> Any:
+    return PlannerSpec(reference=anew.reference, settings=dict(anew.settings)).make()
+
+
+def _environment(problem: Problem) -> Environment:
+    """What the grid planner looks at in a world: rock, what stands, starts and goals."""
+    team, zero = problem.team, jnp.zeros(())
+    return Environment(
+        grid=problem.grid,
+        floor_z_m=problem.floor_z_m,
+        obstacles=_standing(problem.obstacles),
+        current=(),
+        start_m=team.start_m,
+        start_yaw_rad=team.start_yaw_rad,
+        goal_m=team.goal_m,
+        density=zero,
+        path_ratio=jnp.ones_like(team.start_yaw_rad),
+        line_free=jnp.zeros_like(team.start_yaw_rad, bool),
+        redraws=jnp.zeros((), jnp.int32),
+        valid=jnp.ones((), bool),
+    )
+
+
+def _standing(known: KnownObstacles) -> Obstacles:
+    """Obstacles that do not move; what only motion asks for is zero."""
+    rows = known.radius_m.shape[0]
+    one, six = jnp.zeros(rows), jnp.zeros((rows, 6))
+    return Obstacles(
+        kind=known.kind,
+        size_m=known.size_m,
+        motion=jnp.full(rows, STATIC, jnp.int32),
+        path=jnp.zeros((rows, 8)),
+        p0=known.p_m[:, 0],
+        q0=known.q[:, 0],
+        nu0=six,
+        mass_kg=one,
+        inertia_kgm2=jnp.zeros((rows, 3)),
+        volume_m3=one,
+        M_A=six,
+        D_l=six,
+        D_q=six,
+        exists=known.exists & ~known.moves,
+        kinds=(SPHERE, BOX, CAPSULE),
+        motions=(STATIC,) if rows else (),
+    )

@@ -1,0 +1,113 @@
+"""The policy that flies plans online: in the order that they pass in, and made anew on the way."""
+
+from dataclasses import dataclass, field, replace
+
+import jax
+
+from angler_mjx.control.commands import Estimate, PoseTarget
+from angler_mjx.control.laws.follow import FollowCarry, FollowGains
+from angler_mjx.control.plans import Plan
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.knowledge import Knows
+from angler_mjx.planning.online import guidance, order, replanning
+from angler_mjx.planning.online.order import Order
+from angler_mjx.planning.online.replanning import Plans, Replanning
+from angler_mjx.sim.policy import Known, Policy
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Of one world."""
+
+    clocks: FollowCarry
+    """[R]"""
+    order: Order | None
+    plans: Plans | None
+    """Where they are made anew; otherwise the world's own are flown."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Online(Policy):
+    """Guides a team along its plans by poses, as the guidance of the cascade does."""
+
+    gains: FollowGains = field(default_factory=FollowGains)
+    dt_s: float = field(default=0.05, metadata={"static": True})
+    """Control period."""
+    keeps_order: bool = field(default=False, metadata={"static": True})
+    """Whether robots wait for those who are to pass first."""
+    replanning: Replanning | None = field(default=None, metadata={"static": True})
+    knows: Knows | None = field(default=None, metadata={"static": True})
+    looks: int = field(default=1, metadata={"static": True})
+    ahead_s: float = field(default=0.0, metadata={"static": True})
+
+    def reset(self, known: Known, key: jax.Array) -> Memory:
+        """See `Policy.reset`.
+
+        Raises:
+            ConfigError: plans are to be made anew, and the world's are no way-points.
+        """
+        plans = None
+        if self.replanning is not None:
+            if not isinstance(known.path, Trajectory):
+                raise ConfigError(
+                    f"planner.replan_hz: the plans at the start are {type(known.path).__name__}s; "
+                    "replanning goes on from a Trajectory"
+                )
+            plans = replanning.begin(self.replanning, known)
+        path = known.path if plans is None else plans.now
+        return Memory(
+            clocks=guidance.begin(known.belief.q), order=self._order(path, known), plans=plans
+        )
+
+    def act(
+        self, carry: Memory, known: Known, key: jax.Array, step: jax.Array
+    ) -> tuple[Memory, PoseTarget]:
+        """See `Policy.act`."""
+        if self.replanning is not None:
+            carry = self._anew(self.replanning, carry, known, key, step)
+        path = known.path if carry.plans is None else carry.plans.now
+        clocks, target = guidance.step(
+            self.gains,
+            carry.clocks,
+            Estimate(p=known.belief.p, q=known.belief.q, nu=known.belief.nu),
+            path,
+            carry.order,
+            known.params.cruise_speed_mps,
+            self.dt_s,
+        )
+        return replace(carry, clocks=clocks), target
+
+    def _order(self, path: Plan, known: Known) -> Order | None:
+        if not self.keeps_order:
+            return None
+        return order.of(path, guidance.reach_m(known.params.vehicle.radius_m))
+
+    def _anew(
+        self, settings: Replanning, carry: Memory, known: Known, key: jax.Array, step: jax.Array
+    ) -> Memory:
+        """Make plans, and take them up, in the steps in which that is due."""
+        makes, takes = replanning.due(settings, step)
+        cruise = known.params.cruise_speed_mps
+
+        def make(carry: Memory) -> Memory:
+            plans = replanning.make(settings, _of(carry), carry.clocks, known, key)
+            return replace(carry, plans=plans)
+
+        def take(carry: Memory) -> Memory:
+            plans, clocks = replanning.take_up(_of(carry), carry.clocks, cruise)
+            return Memory(clocks=clocks, order=self._order(plans.now, known), plans=plans)
+
+        # Those that were a whole period on their way are taken up before others take their place.
+        parts = [(makes, make), (takes, take)]
+        for is_due, part in reversed(parts) if settings.delay else parts:
+            carry = jax.lax.cond(is_due, part, lambda carry: carry, carry)
+        return carry
+
+
+def _of(carry: Memory) -> Plans:
+    if carry.plans is None:
+        raise RuntimeError("plans are made anew by a policy that keeps none")
+    return carry.plans

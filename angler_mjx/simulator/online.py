@@ -1,0 +1,89 @@
+"""The policy that a scenario asks for: order kept, and plans made anew while robots fly."""
+
+from collections.abc import Callable
+
+from angler_mjx.control.laws.follow import FollowGains
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.online.planners import BatchAnew, GridAnew, PriorityAnew
+from angler_mjx.planning.online.policy import Online
+from angler_mjx.planning.online.replanning import Replanning
+from angler_mjx.planning.problem import Problem
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.policy import Policy
+from angler_mjx.simulator.prepare import GRID, priority_budget, ways_config
+
+
+def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
+    """What commands the robots of a scenario.
+
+    Args:
+        scenario: that may ask for order or replanning.
+        given: a policy of the caller's.
+
+    Raises:
+        ConfigError: both ask for the robots, or the planner cannot plan while they fly.
+    """
+    if not scenario.online:
+        return given
+    if given is not None:
+        key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
+        raise ConfigError(
+            f"policy {type(given).__name__}: the scenario's {key} commands the robots already; "
+            "leave out one of them"
+        )
+    return made(scenario)
+
+
+def made(scenario: Scenario) -> Online:
+    """The policy of a scenario that flies its plans online.
+
+    Raises:
+        ConfigError: the planner cannot plan while robots fly.
+    """
+    _, gains = scenario.controller.stack()
+    follows = gains[0] if isinstance(gains[0], FollowGains) else FollowGains()
+    dt_s, settings = scenario.time.control_dt_s, _replanning(scenario)
+    return Online(
+        gains=follows,
+        dt_s=dt_s,
+        keeps_order=scenario.execution.order == "kept",
+        replanning=settings,
+        knows=None if settings is None else settings.knows,
+        looks=1 if settings is None else settings.every,
+        ahead_s=0.0 if settings is None else scenario.time.horizon_s,
+    )
+
+
+def _replanning(scenario: Scenario) -> Replanning | None:
+    planner, time = scenario.planner, scenario.time
+    if planner.replan_hz == 0.0:
+        return None
+    return Replanning(
+        planner=_anew(scenario),
+        every=round(1.0 / (planner.replan_hz * time.control_dt_s)),
+        delay=round(planner.delay_s / time.control_dt_s),
+        dt_s=time.control_dt_s,
+        points=planner.points,
+        margin_m=planner.margin_m,
+        knows=planner.knows.knows(),
+        horizon_s=time.horizon_s,
+        goal_tolerance_m=scenario.goal_tolerance_m,
+        deadline_s=planner.deadline_s,
+    )
+
+
+def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
+    spec = scenario.planner.chosen()
+    if spec.reference.on_device:
+        config = ways_config(scenario, spec)
+        if spec.reference.name == GRID:
+            return GridAnew(config=config)
+        return PriorityAnew(config=config, budget=priority_budget(spec))
+    if not callable(getattr(spec.reference.load(), "plan_batch", None)):
+        raise ConfigError(
+            f"planner.replan_hz = {scenario.planner.replan_hz:g}: planner {spec.reference.name} "
+            "plans on the host, and worlds of a batch are planned anew on the device; take grid, "
+            "priority or a class with plan_batch"
+        )
+    return BatchAnew(reference=spec.reference, settings=tuple(sorted(spec.settings.items())))
