@@ -206,7 +206,7 @@ def describe(policy: Policy) -> dict[str, str]:
     digest = hashlib.sha256()
     leaves, structure = jax.tree.flatten(policy)
     for leaf in leaves:
-        values = np.asarray(leaf)
+        values = np.asarray(leaf, jnp.result_type(leaf))  # of JAX's types, as simulators hold it
         digest.update(f"{values.dtype}{values.shape}".encode())
         digest.update(values.tobytes())
     kind = type(policy)

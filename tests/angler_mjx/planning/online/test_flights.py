@@ -12,7 +12,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning.knowledge import Knows
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.online import Flyer, problem_of
+from angler_mjx.sim import policy as policies
 from angler_mjx.sim.state import Outcome
+from angler_mjx.simulator import online
 
 SCENARIO = """
 name = "crossing"
@@ -186,6 +188,17 @@ def test_a_session_flies_as_a_batch(load, replanned):
 def test_what_cannot_be_flown_is_refused_by_its_key(load, changes, said):
     with pytest.raises(ConfigError, match=said):
         load(**changes)
+
+
+def test_a_run_that_goes_on_is_commanded_by_the_same_policy(load, kept):
+    """Made from the scenario's file, it is the one that the simulator wrote down."""
+    made = online.policy_of(load(execution={"order": "kept"}), None)
+    assert policies.describe(made) == policies.describe(kept.policy)
+
+
+def test_another_policy_beside_it_is_refused(load, kept):
+    with pytest.raises(ConfigError, match=r"policy Online: .*order = .kept.* commands the robots"):
+        angler.Simulator(load(execution={"order": "kept"}), policy=kept.policy)
 
 
 HOST = """
