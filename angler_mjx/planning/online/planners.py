@@ -47,15 +47,20 @@ class PriorityAnew:
     def __call__(self, problem: Problem) -> Trajectory:
         """Plans [R] of one problem."""
         team = problem.team
-        alone = (
-            _environment(problem),
-            team.radius_m,
-            team.cruise_speed_mps,
-            jnp.asarray(problem.seed),
-            _moving(problem.obstacles),
+
+        def alone[Leaves](tree: Leaves) -> Leaves:
+            made: Leaves = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], tree)
+            return made
+
+        found = priority.plan(
+            alone(_environment(problem)),
+            alone(team.radius_m),
+            alone(team.cruise_speed_mps),
+            alone(problem.seed),
+            self.config,
+            self.budget,
+            alone(_moving(problem.obstacles)),
         )
-        *given, known = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], alone)
-        found = priority.plan(*given, self.config, self.budget, known)
         plan: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)
         return plan
 

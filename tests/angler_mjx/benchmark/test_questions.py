@@ -43,7 +43,7 @@ def read(tmp_path, more="", planner=""):
         ),
         ("set.world.density = 3.0", r"x.toml \(as it is\).*world.density = 3.0"),
         ('knows = [{obstacles = "all"}]', r"knows\[0\].obstacles = 'all'"),
-        ('knows = [{obstacles = "truth"}]', "planner 'grid'.*plans in still water"),
+        ('knows = [{current = "truth"}]', "planner 'grid'.*plans in still water"),
         (
             "set.world = {cell_m = 0.1, obstacles = {dynamic = {count = 0}}}\nteams = [3]",
             r"x.toml \(as it is\).*world, for the fleet: robot radius",
