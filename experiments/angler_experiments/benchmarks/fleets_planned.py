@@ -1,6 +1,6 @@
 """How many teams the planners of the device plan, and how fast.
 
-    python -m angler_experiments.benchmarks.fleets_planned --presets reef dense --teams 16 32 --worlds 512
+    python -m angler_experiments.benchmarks.fleets_planned --presets reef --teams 16 32 --worlds 512
 
 Still water without drifting obstacles, robots of the reef fleet's two kinds crossing the middle.
 Rates are of the second of two drawings with plans, less one without plans. Of teams that are not
