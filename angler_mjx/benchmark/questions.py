@@ -13,10 +13,10 @@ from angler_mjx.benchmark.config import BenchmarkConfig, PlannerEntry, merged
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
 from angler_mjx.planning import register
-from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig, PlannerConfig
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.prepare import device_planner
 
 PLAIN = "as it is"

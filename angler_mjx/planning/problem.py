@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.knowledge import KnownCurrent, KnownObstacles, Knows
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.world.grid import Grid
 
 

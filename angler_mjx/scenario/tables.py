@@ -21,10 +21,10 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning import register
-from angler_mjx.planning.knowledge import Knows, Level
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.quantities import Length
+from angler_mjx.sim.knowledge import Knows, Level
 
 FOLDER = "folder"
 """Context of a check: where paths in a scenario begin; the working directory if it is not there."""

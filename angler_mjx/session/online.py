@@ -16,13 +16,13 @@ import numpy as np
 from angler_mjx.control.commands import Estimate
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import asking
-from angler_mjx.planning.knowledge import Knows
-from angler_mjx.planning.knowledge import Observation as Seen
 from angler_mjx.planning.problem import Problem
 from angler_mjx.session.interface import Observation, Order, Session
 from angler_mjx.session.recording import Recordable
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.aboard import Aboard
+from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Observation as Seen
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome

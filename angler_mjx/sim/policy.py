@@ -148,7 +148,8 @@ def check_knows(policy: Policy) -> None:
     """Refuse a policy that asks for what nobody can tell.
 
     Raises:
-        ConfigError: ``knows`` is none, or names no level, or ``ahead_s`` is no time.
+        ConfigError: ``knows`` is none, or names no level, or ``looks`` is no whole number above 0,
+            or ``ahead_s`` is no time.
     """
     name, knows, ahead = type(policy).__name__, policy.knows, policy.ahead_s
     if knows is None:
@@ -162,6 +163,9 @@ def check_knows(policy: Policy) -> None:
                 f"policy {name}: knows.{what} = {getattr(knows, what)!r}; "
                 f"there is {', '.join(levels)}"
             )
+    looks = policy.looks
+    if not isinstance(looks, int) or isinstance(looks, bool) or looks < 1:
+        raise ConfigError(f"policy {name}: looks = {looks!r}; give a whole number above 0")
     if isinstance(ahead, bool) or not isinstance(ahead, int | float) or not 0 <= ahead <= MOST_S:
         raise ConfigError(f"policy {name}: ahead_s = {ahead!r}; give a time from 0 to {MOST_S} s")
 

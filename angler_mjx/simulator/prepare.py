@@ -18,7 +18,6 @@ from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
-from angler_mjx.planning.knowledge import Knows, obstacles
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
@@ -26,6 +25,7 @@ from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
+from angler_mjx.sim.knowledge import Knows, obstacles
 from angler_mjx.sim.state import World
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldRecipe, resolve

@@ -21,7 +21,6 @@ from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
 from angler_mjx.engines import base as engines
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.knowledge import Knows
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Name, Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -30,6 +29,7 @@ from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.admission import Gate
 from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.planning.knowledge import KnownObstacles
 from angler_mjx.planning.ways.traffic import Traffic, clear_of
+from angler_mjx.sim.knowledge import KnownObstacles
 
 
 def later(known: KnownObstacles, delay_s: float) -> KnownObstacles:

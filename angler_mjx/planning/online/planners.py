@@ -10,11 +10,11 @@ import jax.numpy as jnp
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
-from angler_mjx.planning.knowledge import KnownObstacles
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, Reference
 from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC, Obstacles
 

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.knowledge import KnownObstacles
 from angler_mjx.planning.ways.traffic import Traffic
+from angler_mjx.sim.knowledge import KnownObstacles
 
 STANDS_S = 2.0
 """How long a robot's goal must stay clear of bodies once it is there: then its way is over, and

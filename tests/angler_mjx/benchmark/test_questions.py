@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from angler_mjx.benchmark import questions
 from angler_mjx.benchmark.config import merged
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.knowledge import Knows
+from angler_mjx.sim.knowledge import Knows
 
 FILE = """
 name = "x"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from angler_mjx.planning.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.planning.problem import Problem, Team
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.world.currents import Uniform
 from angler_mjx.world.grid import Grid
 

@@ -14,8 +14,8 @@ from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.knowledge import Knows
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents
 

@@ -20,6 +20,7 @@ from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, w
 from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
 from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.ways.bodies import STANDS_S
 
 SEARCH = 0.9
 """Of the time that is left, for a search; the rest for what is made of its path."""
@@ -32,7 +33,7 @@ WAITS = 60
 
 WAIT_S = 1.0
 
-STAYS_S = (math.inf, 2.0)
+STAYS_S = (math.inf, STANDS_S)
 """How long the goal has to be free of obstacles that move after the arrival: for ever, or this
 long. Other robots never go where one stands at its goal."""
 

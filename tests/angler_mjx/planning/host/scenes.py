@@ -3,8 +3,8 @@
 import coal
 import numpy as np
 
-from angler_mjx.planning.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.planning.problem import Problem, Team
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.world.grid import Grid
 
 HULL_A = np.array([[-0.15, 0.12, -0.02], [-0.15, -0.12, -0.02], [0.0, 0.0, 0.1]])

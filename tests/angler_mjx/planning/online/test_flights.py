@@ -9,10 +9,10 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.knowledge import Knows
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.session.online import Flyer, problem_of
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator import online
 
@@ -111,6 +111,7 @@ def gap(robots):
     return np.linalg.norm(robots[:, 0] - robots[:, 1], axis=-1)
 
 
+@pytest.mark.nightly(by="test_robots_that_keep_their_order_do_not_meet, which meet without")
 def test_robots_meet_where_one_is_late_and_nobody_waits(free):
     state, robots, _ = fly(free, late(free))
     assert outcomes(state) == [Outcome.COLLISION_ROBOT] * 2
@@ -128,13 +129,38 @@ def test_robots_that_keep_their_order_do_not_meet(kept):
     assert np.asarray(state.tally.end_time_s)[0, 1] > 8.6 / 0.5 + 1.0
 
 
-def test_an_obstacle_that_drifts_into_a_plan_is_planned_around(free, replanned):
-    state, robots, bodies = fly(free, free.worlds())
+def blind(simulator):
+    """Worlds whose robots are told to go straight at 0.5 m/s: plans that know no obstacle."""
+    worlds = simulator.worlds()
+    start, goal = worlds.environment.start_m, worlds.environment.goal_m
+    rows = simulator.paths.points
+    points = np.repeat(np.asarray(goal)[:, :, None], rows, axis=2)
+    points[:, :, 0] = start
+    time = np.full((1, 2, rows), 20.0, np.float32)  # 10 m
+    time[..., 0] = 0.0
+    path = Trajectory(time_s=time, position_m=points, found=np.ones((1, 2), bool))
+    return simulator.with_paths(worlds, path)
+
+
+@pytest.mark.nightly(by="test_an_obstacle_that_drifts_into_a_plan_is_planned_around")
+def test_an_obstacle_that_drifts_into_a_plan_is_hit_without_another(free):
+    state, _, _ = fly(free, blind(free))
     assert outcomes(state)[0] is Outcome.COLLISION_DYNAMIC
-    state, robots, bodies = fly(replanned, replanned.worlds())
+
+
+def test_an_obstacle_that_drifts_into_a_plan_is_planned_around(replanned):
+    worlds = blind(replanned)
+    state, robots, bodies = fly(replanned, worlds)
     assert outcomes(state) == [Outcome.REACHED] * 2
-    radius = float(np.asarray(replanned.worlds().control.vehicle.radius_m)[0, 0])
+    radius = float(np.asarray(worlds.control.vehicle.radius_m)[0, 0])
     assert np.linalg.norm(robots[:, 0] - bodies[:, 0], axis=-1).min() > radius + 0.7
+    # The plan that it was given leads through: at its times it comes nearer than the two may be.
+    times = np.arange(len(bodies))[:, None] / 5.0
+    start, goal = (
+        np.asarray(x)[0, 0] for x in (worlds.environment.start_m, worlds.environment.goal_m)
+    )
+    planned = start + np.clip(times / 20.0, 0.0, 1.0) * (goal - start)
+    assert np.linalg.norm(planned - bodies[:, 0], axis=-1).min() < radius + 0.7
 
 
 @pytest.mark.nightly(by="the flight around the obstacle, in the fused engine")
