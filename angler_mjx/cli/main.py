@@ -117,14 +117,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given and given[0] in GROUPS:
         prog, commands = f"angler {given[0]}", GROUPS[given.pop(0)]
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog=prog,
-            description="Underwater multi-robot simulation in batches, on JAX and MJX. "
-            "angler --version tells which.",
-            args=given,
-            config=(tyro.conf.OmitArgPrefixes,),
-        )
+        try:
+            tyro.extras.subcommand_cli_from_dict(
+                commands,
+                prog=prog,
+                description="Underwater multi-robot simulation in batches, on JAX and MJX. "
+                "angler --version tells which.",
+                args=given,
+                config=(tyro.conf.OmitArgPrefixes,),
+            )
+        except SystemExit:  # --help ends so, with all of it still to be written
+            sys.stdout.flush()
+            raise
         sys.stdout.flush()
     except BrokenPipeError:
         # Who read it has read enough (angler --help | head): what is left goes nowhere.

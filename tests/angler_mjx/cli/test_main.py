@@ -83,13 +83,16 @@ def test_fault_is_one_message_and_exit_code_2(fault, capsys):
     assert len(shown.err) < 1000
 
 
-def test_a_reader_that_has_read_enough_is_no_fault():
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_has_read_enough_is_no_fault(unbuffered):
+    """Whether the pipe breaks while it is written to, or when all that waited is written."""
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
         [sys.executable, "-m", "angler_mjx.cli.main", "--help"],
         stdout=writer,
         stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         timeout=60,
         check=False,
     )
