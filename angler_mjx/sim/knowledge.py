@@ -154,7 +154,7 @@ def obstacles(
             at_m, begin_s = (None, None) if now is None else (now.at_m, now.time_s)
             known = current(environment, knows.current, at_m, begin_s)
             told = replace(environment, current=known.components)
-            runs = now is None or not known.stays
+            runs = not known.stays
         since = None if now is None else now.time_s
         time, places = _ahead(told, begin, horizon_s, dt_s, density, gravity, since, runs)
     at_start = jax.vmap(lambda q, nu: rotate(q, nu[:3]))(begin.q, begin.nu)
@@ -189,16 +189,17 @@ def _ahead(
 ) -> tuple[jax.Array, ObstacleState]:
     """Times [T] and states [T, n] every `STEP_S`, by the motion that the simulation steps too.
 
-    ``runs``: whether the clock of the current does, from ``since_s`` [] on.
+    ``runs``: whether the clock of the current does, from ``since_s`` [] on (0 where it is None).
     """
     every = max(1, round(STEP_S / dt_s))
     count = -(-round(horizon_s / dt_s) // every)
     lo, hi = region(environment)
 
     def step(state: ObstacleState, number: jax.Array) -> tuple[ObstacleState, None]:
-        t = number * dt_s
-        if since_s is not None:
-            t = since_s + t if runs else since_s
+        if since_s is None:
+            t = number * dt_s if runs else jnp.zeros(())
+        else:
+            t = since_s + number * dt_s if runs else since_s
         after = bodies.step(
             environment.obstacles,
             state,

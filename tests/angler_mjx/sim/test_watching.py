@@ -14,10 +14,12 @@ from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
+from angler_mjx.sim import knowledge
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents
+from angler_mjx.world.obstacles import DRIFT
 
 from ..compiling import quickly
 
@@ -93,6 +95,28 @@ def test_the_truth_is_what_follows(engine, scene):
             wanted = [currents.velocity(flow, p, now) for p in seen.p[world, AT]]
         np.testing.assert_allclose(probe[world], wanted, atol=1e-9)
     np.testing.assert_array_equal(rock, place.grid.occupied.sum((1, 2, 3)))
+
+
+def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
+    """Other knots after the first move what truly drifts, and nothing that is predicted."""
+    with jax.enable_x64(True):
+        place = jax.tree.map(lambda leaf: leaf[0], scene.worlds.environment)
+        flow = currents.GaussMarkov(
+            knots_mps=jnp.array([[0.3, 0.0, 0.0]] * 2 + [[-0.6, 0.4, 0.1]] * 3),
+            knot_dt_s=jnp.float64(1.0),
+        )
+        turns = replace(place, current=(flow,))
+        stays = replace(place, current=(currents.Uniform(velocity_mps=flow.knots_mps[0]),))
+
+        @partial(jax.jit, static_argnums=1)
+        def told(environment, obstacles):
+            knows = Knows(obstacles=obstacles, current="predicted")
+            return knowledge.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
+
+        predicted, held = told(turns, "predicted"), told(stays, "truth")
+        drifting = np.asarray(place.obstacles.motion == DRIFT)
+        np.testing.assert_allclose(predicted[drifting], held[drifting], atol=1e-9)
+        assert np.abs(told(turns, "truth") - predicted)[drifting].max() > 0.05
 
 
 @pytest.mark.parametrize(
