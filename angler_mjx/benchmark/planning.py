@@ -21,7 +21,8 @@ from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.host.processes.runner import LATE
 from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
-from angler_mjx.simulator.prepare import device_planner, with_paths
+from angler_mjx.simulator.on_device import device_planner
+from angler_mjx.simulator.prepare import with_paths
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world.environment import Environment
 

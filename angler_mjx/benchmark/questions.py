@@ -17,7 +17,7 @@ from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig, PlannerConfig
 from angler_mjx.sim.knowledge import Knows
-from angler_mjx.simulator.prepare import device_planner
+from angler_mjx.simulator.on_device import device_planner
 
 PLAIN = "as it is"
 """Name of the scene of a benchmark that names none."""

@@ -9,6 +9,9 @@ from angler_mjx.sim import knowledge
 from angler_mjx.sim.knowledge import Knows, Observation
 from angler_mjx.sim.state import SimSpec, World
 
+_POWERS = 9
+"""Speeds of which a robot's power is told, that of lying still among them."""
+
 
 def ask(
     world: World, seed: jax.Array, spec: SimSpec, knows: Knows, horizon_s: float, deadline_s: float
@@ -115,4 +118,20 @@ def team(
         cruise_speed_mps=control.cruise_speed_mps,
         terminal_speed_mps=speed,
         acceleration_mps2=force / (vehicle.mass_kg[..., None] + added),
+        power_w=jax.vmap(_powers)(control),
     )
+
+
+def _powers(control: ControlParams) -> jax.Array:
+    """Power [3, n] of one robot, see `Team.power_w`."""
+    vehicle = control.vehicle
+    share = jnp.linspace(0.0, 1.0, _POWERS, dtype=vehicle.terminal_speed_mps.dtype)
+
+    def at(axis: jax.Array, v: jax.Array) -> jax.Array:
+        drag = jnp.eye(6, dtype=v.dtype)[axis] * (vehicle.D_l[axis] + vehicle.D_q[axis] * v) * v
+        thrust = control.allocation.B_inverse @ drag
+        each = jax.vmap(lambda f: jnp.interp(f, vehicle.thrust_n, vehicle.power_w))(thrust)
+        return jnp.sum(jnp.where(vehicle.thruster_exists, each, 0.0))
+
+    speeds = vehicle.terminal_speed_mps[:, None] * share
+    return jax.vmap(jax.vmap(at, in_axes=(None, 0)))(jnp.arange(3), speeds)

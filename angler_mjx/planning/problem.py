@@ -60,6 +60,9 @@ class Team:
     """[R, 3] surge, sway, heave at full thrust in still water; 0 for a way that it cannot push."""
     acceleration_mps2: Any
     """[R, 3] surge, sway, heave from rest at full thrust, added mass included."""
+    power_w: Any
+    """[R, 3, n] electrical power at constant speed through the water along surge, sway, heave
+    alone, level and without net weight; at speeds of 0 to the terminal one in equal steps."""
 
 
 @jax.tree_util.register_dataclass

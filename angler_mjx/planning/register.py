@@ -1,6 +1,6 @@
 """Planners by their names: of this package, of other packages, of files.
 
-    grid, priority                  part of the program that draws the worlds
+    grid, priority, current         part of the program that draws the worlds
     RRTConnect                      an entry point of that name, in the group `GROUP`
     planners/straight.py:Straight   a class of a file
 
@@ -28,6 +28,7 @@ GROUP = "angler_mjx.planners"
 DEVICE: Mapping[str, str] = {
     "grid": "angler_mjx.planning.grid:GridPlanner",
     "priority": "angler_mjx.planning.priority.planner:PriorityPlanner",
+    "current": "angler_mjx.planning.current.planner:CurrentPlanner",
 }
 """Planners that are part of the program which draws the worlds, and their classes."""
 

@@ -5,13 +5,19 @@ from collections.abc import Callable
 from angler_mjx.control.laws.follow import FollowGains
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.online.planners import BatchAnew, GridAnew, PriorityAnew
+from angler_mjx.planning.online.planners import BatchAnew, CurrentAnew, GridAnew, PriorityAnew
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.simulator.prepare import GRID, priority_budget, ways_config
+from angler_mjx.simulator.on_device import (
+    CURRENT,
+    GRID,
+    current_config,
+    priority_budget,
+    ways_config,
+)
 
 
 def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
@@ -75,6 +81,8 @@ def _replanning(scenario: Scenario) -> Replanning | None:
 
 def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
     spec = scenario.planner.chosen()
+    if spec.reference.name == CURRENT:
+        return CurrentAnew(config=current_config(scenario, spec))
     if spec.reference.on_device:
         config = ways_config(scenario, spec)
         if spec.reference.name == GRID:
@@ -84,6 +92,6 @@ def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
         raise ConfigError(
             f"planner.replan_hz = {scenario.planner.replan_hz:g}: planner {spec.reference.name} "
             "plans on the host, and worlds of a batch are planned anew on the device; take grid, "
-            "priority or a class with plan_batch"
+            "priority, current or a class with plan_batch"
         )
     return BatchAnew(reference=spec.reference, settings=tuple(sorted(spec.settings.items())))

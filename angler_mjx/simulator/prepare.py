@@ -19,7 +19,6 @@ from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
 from angler_mjx.planning.planner import Path, PathShape
-from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.planning.ways.robot import WayConfig
@@ -27,6 +26,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.knowledge import Knows, obstacles
 from angler_mjx.sim.state import World
+from angler_mjx.simulator.on_device import GRID, device_planner, foresees, ways_config
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldRecipe, resolve
 
@@ -36,9 +36,6 @@ to compile instead of 39 s, and memory grows with the planner's history."""
 
 PLANNING = 0x504C414E
 """Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
-
-GRID = "grid"
-"""The planner that plans each world as it is drawn."""
 
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
@@ -112,52 +109,6 @@ def preparer(
     return planned
 
 
-def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Problem], Path]:
-    """The function by which a planner of the device plans worlds that are drawn; to be traced.
-
-    Args:
-        scenario: with its margin, points and horizon.
-        spec: the planner.
-    """
-    if not spec.reference.on_device:
-        planner = spec.make()
-
-        def batch(worlds: World, problems: Problem) -> Path:
-            path: Path = planner.plan_batch(problems)
-            return path
-
-        return batch
-    config = ways_config(scenario, spec)
-    if spec.reference.name == GRID:
-        plan = partial(grid_planner.plan, config=config)
-
-        def by_grid(worlds: World, problems: Problem) -> Path:
-            known = problems.obstacles if _foresees(scenario) else None
-            team = problems.team
-            path: Path = jax.vmap(plan)(
-                worlds.environment, team.radius_m, team.cruise_speed_mps, known=known
-            )
-            return path
-
-        return by_grid
-    budget = priority_budget(spec)
-
-    def by_priority(worlds: World, problems: Problem) -> Path:
-        known = problems.obstacles if _foresees(scenario) else None
-        team = problems.team
-        return priority.plan(
-            worlds.environment,
-            team.radius_m,
-            team.cruise_speed_mps,
-            problems.seed,
-            config,
-            budget,
-            known,
-        )
-
-    return by_priority
-
-
 def ask_all(
     scenario: Scenario,
     knows: Knows,
@@ -221,42 +172,6 @@ def _planner_seed(seed: jax.Array, index: jax.Array) -> jax.Array:
     return jax.random.bits(jax.random.fold_in(key, PLANNING), dtype=jnp.uint32)
 
 
-def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
-    """How a planner of the device looks for ways.
-
-    Raises:
-        ConfigError: it is to know what it cannot use.
-    """
-    knows, name = scenario.planner.knows, spec.reference.name
-    if knows.current != "nothing" and knows.obstacles != "predicted":
-        raise ConfigError(
-            f'planner.knows.current = "{knows.current}": the planner {name} plans in still water, '
-            "where the current can only help to predict obstacles; "
-            'take planner.knows.obstacles = "predicted", or "nothing" here, or another planner'
-        )
-    config = WayConfig(
-        horizon_s=scenario.time.horizon_s,
-        margin_m=scenario.planner.margin_m,
-        n_point=scenario.planner.points,
-    )
-    if name == GRID:
-        return replace(config, **spec.settings)
-    chosen = priority.PrioritySettings(**spec.settings)
-    fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
-    needed = priority.layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
-    return replace(config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or needed)
-
-
-def priority_budget(spec: PlannerSpec) -> int:
-    """Searches of single robots that the planner priority has for each robot of a team."""
-    return priority.PrioritySettings(**spec.settings).budget
-
-
-def _foresees(scenario: Scenario) -> bool:
-    """Whether the planner may know of obstacles that move."""
-    return scenario.planner.knows.obstacles != "nothing"
-
-
 def _one_world(
     scenario: Scenario,
     recipe: WorldRecipe,
@@ -285,7 +200,7 @@ def _one_world(
         path = hold(environment.start_m, shape.points)
     else:
         known = None
-        if _foresees(scenario):
+        if foresees(scenario):
             spec = scenario.sim_spec()
             known = obstacles(
                 environment,

@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
+from angler_mjx.planning.current import planner as current
+from angler_mjx.planning.current.planner import CurrentConfig
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, Reference
@@ -68,6 +70,23 @@ class PriorityAnew:
 def _moving(known: KnownObstacles) -> KnownObstacles | None:
     """Obstacles, where there are any."""
     return known if known.radius_m.shape[0] else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentAnew:
+    """The planner current."""
+
+    config: CurrentConfig
+
+    def __call__(self, problem: Problem) -> Trajectory:
+        """Plans [R] of one problem."""
+        place, team, flow, bodies = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf)[None],
+            (_environment(problem), problem.team, problem.current, problem.obstacles),
+        )
+        found = current.plan(place, team, flow, bodies, self.config)
+        plans: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)
+        return plans
 
 
 @dataclass(frozen=True, kw_only=True)

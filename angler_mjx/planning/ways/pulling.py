@@ -113,13 +113,13 @@ def pull(
     )
     knots = jax.tree.map(lambda many, one: many.at[-1].set(one), knots, end)
     path = _collect(route.position_m[0], knots, n_point)
-    clear = _keeps_clear(others.robots, path, route.leave_s[-1])
+    clear = keeps_clear(others.robots, path, route.leave_s[-1])
     if others.bodies is not None:
-        clear &= _keeps_clear(others.bodies, path, path.time_s[-1] + STANDS_S)
+        clear &= keeps_clear(others.bodies, path, path.time_s[-1] + STANDS_S)
     return replace(path, found=path.found & route.whole & clear)
 
 
-def _keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
+def keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
     """Whether a whole path keeps clear, and then its end until ``until_s``.
 
     The timetable's own legs were proved by the search; this proves all of them once more, exactly.

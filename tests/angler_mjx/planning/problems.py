@@ -26,8 +26,15 @@ def team(starts, goals, *, radius=0.3, cruise=0.5, terminal=1.0, acceleration=1.
         capsule_r_m=np.full((robots, 1), radius, np.float32),
         cruise_speed_mps=np.full(robots, cruise, np.float32),
         terminal_speed_mps=np.full((robots, 3), terminal, np.float32),
+        power_w=_powers(robots, terminal),
         acceleration_mps2=np.full((robots, 3), acceleration, np.float32),
     )
+
+
+def _powers(robots, terminal):
+    """100 W at the terminal speed, and the cube of the speed below it."""
+    speed = np.linspace(0.0, 1.0, 9)
+    return np.broadcast_to(100.0 * (terminal * speed) ** 3, (robots, 3, 9)).astype(np.float32)
 
 
 def no_obstacles(**arrays):

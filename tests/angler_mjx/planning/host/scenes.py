@@ -71,6 +71,7 @@ def problem(
             capsule_r_m=size[:, None] * HULL_R,
             cruise_speed_mps=np.ones(n),
             terminal_speed_mps=np.ones((n, 3)),
+            power_w=np.ones((n, 3, 2)),
             acceleration_mps2=np.ones((n, 3)),
         ),
         obstacles=obstacles(list(bodies), time_s),

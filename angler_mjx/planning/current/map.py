@@ -1,0 +1,74 @@
+"""The steps that one robot may make between cells, and what each costs it in the current."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.planning.current.pace import Swimmer, pace
+from angler_mjx.planning.current.search import FAR, STEPS
+from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, Layout, Terrain, free_space
+
+type Flow = Callable[[jax.Array], jax.Array]
+"""Velocity [3] m/s of the water at a point [3]."""
+
+_LOOKS = (0.25, 0.75)
+"""Where the water is looked at, as shares of a step."""
+
+
+def step_costs(land: Terrain, robot: Swimmer, clearance_m: jax.Array, flow: Flow) -> jax.Array:
+    """Cost float16 [26, nx, ny, nz] of each of `STEPS` from each cell, metres of still water.
+
+    Args:
+        land: the world.
+        robot: one.
+        clearance_m: [] to keep from all that stands.
+        flow: of the water; it stays.
+
+    Returns:
+        Infinite where a step is not free.
+    """
+    free = _free_steps(land.layout, free_space(land, clearance_m))
+    shape, cell_m = land.layout.shape, land.grid.cell_m
+    axes = [jnp.arange(n) for n in shape]
+    at = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centre = land.grid.origin_m + (at + 0.5) * cell_m
+    steps = jnp.asarray(STEPS, centre.dtype)
+
+    def one(step: jax.Array) -> jax.Array:
+        length = jnp.sqrt(jnp.sum(step * step))
+        total = jnp.zeros(centre.shape[0], centre.dtype)
+        for share in _LOOKS:
+            water = jax.vmap(flow)(centre + share * cell_m * step)
+            total += pace(robot, jnp.broadcast_to(step / length, water.shape), water)[0]
+        return total * (length * cell_m / len(_LOOKS))
+
+    cost = jax.lax.map(one, steps).reshape(26, *shape)
+    return jnp.where(free, cost, jnp.inf).astype(jnp.float16)
+
+
+def _free_steps(layout: Layout, free: FreeSpace) -> jax.Array:
+    """Whether each step from each cell is free, bool [26, nx, ny, nz]."""
+    shape = layout.shape
+    at = layout.guard + layout.row * jnp.arange(shape[0])[:, None] + jnp.arange(shape[1])
+    words = free.edges[:, at]
+    bits = (words[..., None] >> jnp.arange(shape[2], dtype=jnp.uint32)) & 1
+    wide = jnp.pad(bits.astype(bool), ((0, 0), (1, 1), (1, 1), (1, 1)))
+    numbers = {tuple(step): number for number, step in enumerate(STEPS.tolist())}
+    found: list[jax.Array] = [wide[0, 1:-1, 1:-1, 1:-1]] * len(numbers)
+    for number, edge in enumerate(EDGES):
+        ahead = tuple(b - a for a, b in zip(edge.near, edge.far, strict=True))
+        for corner, step in ((edge.near, ahead), (edge.far, tuple(-d for d in ahead))):
+            low = [1 - c for c in corner]
+            found[numbers[step]] = wide[
+                number,
+                low[0] : low[0] + shape[0],
+                low[1] : low[1] + shape[1],
+                low[2] : low[2] + shape[2],
+            ]
+    return jnp.stack(found)
+
+
+def unreachable(cost: jax.Array) -> jax.Array:
+    """Whether costs say that there is no way."""
+    return cost >= FAR

@@ -1,0 +1,237 @@
+"""What scenarios call current: ways that take least energy or least time in the current it knows.
+
+For each robot alone: least costs from all cells (`search`), the way that leads down them, shortened
+and bent by what it costs (`shaping`). Then the team is put in time: who cannot go at once sets off
+later (`timetable`). Speeds are those through the water that cost least, so that a robot may be
+faster over ground than it cruises where the water carries it.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.trajectory import Trajectory, hold
+from angler_mjx.planning.current import search
+from angler_mjx.planning.current.map import step_costs
+from angler_mjx.planning.current.pace import Objective, Swimmer, swimmer
+from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
+from angler_mjx.planning.current.timetable import scheduled
+from angler_mjx.planning.problem import Team
+from angler_mjx.planning.ways.bodies import bodies_traffic
+from angler_mjx.planning.ways.lattice import Terrain, terrain
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
+from angler_mjx.world.environment import Environment
+
+AT_ONCE = 4096
+"""Robots whose costs are in memory at once: 0.2 MB each in worlds of 16^3 cells."""
+
+_SET_OFF_S = 2.0
+"""Between the times at which a robot can set off."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentSettings:
+    """What a scenario can choose of it, in [planner.current]."""
+
+    least: Objective = "energy"
+    """What ways take least of: energy, with a second worth what makes the cruise speed the best one
+    in still water; or time, at the cruise speed through the water."""
+    effort: float = 0.7
+    """Share of the terminal speeds that may be swum; the rest is left to the controllers."""
+    start_hold_s: float = 30.0
+    """The latest time at which a robot sets off."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is none."""
+        if self.least not in ("energy", "time"):
+            raise ValueError(f'least = "{self.least}": must be "energy" or "time"')
+        if not 0.1 <= self.effort <= 1.0:
+            raise ValueError(f"effort = {self.effort:g}: must be 0.1 to 1")
+        if not 0.0 <= self.start_hold_s <= 600.0:
+            raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 600 s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentConfig:
+    """Of a scenario; hashable, static under jit."""
+
+    settings: CurrentSettings
+    horizon_s: float
+    margin_m: float
+    """Kept beyond the radii."""
+    n_point: int
+    """Way-points of a path."""
+    foresees: bool
+    """Whether obstacles that move are known of."""
+
+
+class CurrentPlanner:
+    """What scenarios call current; `plan` is part of the program that draws the worlds."""
+
+    Settings = CurrentSettings
+
+
+def plan(
+    environments: Environment,
+    teams: Team,
+    current: KnownCurrent,
+    obstacles: KnownObstacles,
+    config: CurrentConfig,
+) -> Trajectory:
+    """Plan the fleets of a batch of worlds, [W] leading everywhere.
+
+    Args:
+        environments: the worlds; their own currents are not looked at.
+        teams: with starts and goals.
+        current: as far as it is known.
+        obstacles: that may move.
+        config: static.
+
+    Returns:
+        Trajectory [W, R] from the starts at time 0 to the goals; where ``found`` is False every row
+        is the start. No two paths meet, nor does one meet a robot without a way.
+    """
+    worlds, robots = teams.radius_m.shape
+    chunk = max(1, AT_ONCE // robots)
+    inputs = (environments, teams, current, obstacles)
+    if worlds <= chunk:
+        return _batch(*inputs, config)
+    parts = -(-worlds // chunk)
+    rows = jnp.minimum(jnp.arange(parts * chunk), worlds - 1).reshape(parts, chunk)
+    found = jax.lax.map(
+        lambda some: _batch(*jax.tree.map(lambda leaf: leaf[some], inputs), config), rows
+    )
+    paths: Trajectory = jax.tree.map(
+        lambda leaf: leaf.reshape(parts * chunk, *leaf.shape[2:])[:worlds], found
+    )
+    return paths
+
+
+def _batch(
+    environments: Environment,
+    teams: Team,
+    current: KnownCurrent,
+    obstacles: KnownObstacles,
+    config: CurrentConfig,
+) -> Trajectory:
+    worlds, robots = teams.radius_m.shape
+    settings = config.settings
+    lands = jax.vmap(terrain)(environments)
+
+    def of_team(team: Team) -> Swimmer:
+        return jax.vmap(swimmer, in_axes=(0, 0, 0, None, None))(
+            team.cruise_speed_mps,
+            team.terminal_speed_mps,
+            team.power_w,
+            settings.effort,
+            settings.least,
+        )
+
+    swimmers = jax.vmap(of_team)(teams)
+    clearance = teams.radius_m + config.margin_m
+
+    def costs(land: Terrain, one: Swimmer, clear: jax.Array, known: KnownCurrent) -> jax.Array:
+        zero = jnp.zeros((), clear.dtype)
+        return step_costs(land, one, clear, lambda p: known.velocity(p, zero))
+
+    cost = jax.vmap(jax.vmap(costs, in_axes=(None, 0, 0, None)))(
+        lands, swimmers, clearance, current
+    )
+    start, goal = (jax.vmap(_cells)(lands, place) for place in (teams.start_m, teams.goal_m))
+    flat = cost.reshape(worlds * robots, *cost.shape[2:])
+    value = search.costs_to_goal(flat, goal.reshape(-1, 3))
+    value = value.reshape(worlds, robots, *value.shape[1:])
+
+    def of_robot(
+        land: Terrain,
+        floor_z_m: jax.Array,
+        known: KnownCurrent,
+        one: Swimmer,
+        clear: jax.Array,
+        cost: jax.Array,
+        value: jax.Array,
+        ends: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> Trajectory:
+        return _ways(land, floor_z_m, known, one, clear - 1e-4, cost, value, ends, config)
+
+    def of_world(
+        land: Terrain,
+        floor_z_m: jax.Array,
+        known: KnownCurrent,
+        bodies: KnownObstacles,
+        team: Team,
+        one: Swimmer,
+        clear: jax.Array,
+        cost: jax.Array,
+        value: jax.Array,
+        start: jax.Array,
+    ) -> Trajectory:
+        ends = (start, team.start_m, team.goal_m)
+        ways = jax.vmap(of_robot, in_axes=(None, None, None, 0, 0, 0, 0, 0))(
+            land, floor_z_m, known, one, clear, cost, value, ends
+        )
+        moving = bodies_traffic(bodies, config.horizon_s) if config.foresees else None
+        return scheduled(
+            ways,
+            hold(team.start_m, config.n_point),
+            team.radius_m,
+            moving,
+            config.margin_m,
+            config.horizon_s,
+        )
+
+    return jax.vmap(of_world)(
+        lands,
+        environments.floor_z_m,
+        current,
+        obstacles,
+        teams,
+        swimmers,
+        clearance,
+        cost,
+        value,
+        start,
+    )
+
+
+def _cells(land: Terrain, place: jax.Array) -> jax.Array:
+    """Cells int32 [R, 3] that hold places [R, 3]."""
+    top = jnp.array(land.layout.shape) - 1
+    at = jnp.floor((place - land.grid.origin_m) / land.grid.cell_m).astype(jnp.int32)
+    return jnp.clip(at, 0, top)
+
+
+def _ways(
+    land: Terrain,
+    floor_z_m: jax.Array,
+    known: KnownCurrent,
+    robot: Swimmer,
+    clearance_m: jax.Array,
+    cost: jax.Array,
+    value: jax.Array,
+    ends: tuple[jax.Array, jax.Array, jax.Array],
+    config: CurrentConfig,
+) -> Trajectory:
+    """The way of one robot for each time at which it can set off, [H] leading."""
+    cell, start_m, goal_m = ends
+    cells, reached = search.way(cost, value, cell, 2 * sum(land.layout.shape))
+    centres = land.grid.origin_m + (cells + 0.5) * land.grid.cell_m
+    rough = jnp.concatenate([start_m[None], centres, goal_m[None]])
+    most = config.n_point - 1
+    short, enough = shortened(land, robot, rough, clearance_m, known.velocity, most)
+    points = evened(short, most)
+    way = descended(land, robot, points, clearance_m, floor_z_m, known.velocity, known.stays)
+    count = int(config.settings.start_hold_s // _SET_OFF_S) + 1
+
+    def leaving(at_s: jax.Array) -> Trajectory:
+        leg = legs(robot, way, known.velocity, at_s, known.stays)
+        time = at_s + jnp.concatenate([jnp.zeros(1, at_s.dtype), jnp.cumsum(leg.span_s)])
+        can = jnp.all(leg.cost < search.FAR) & jnp.all(jnp.isfinite(time))
+        return Trajectory(
+            time_s=jnp.concatenate([jnp.zeros(1, at_s.dtype), time]),
+            position_m=jnp.concatenate([way[:1], way]),
+            found=reached & enough & can & (time[-1] <= config.horizon_s),
+        )
+
+    return jax.vmap(leaving)(_SET_OFF_S * jnp.arange(count, dtype=start_m.dtype))
