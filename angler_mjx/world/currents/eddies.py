@@ -1,4 +1,4 @@
-"""Tables of files for Rankine vortices and the double gyre, currents with closed-form yardsticks."""
+"""Tables of files for Rankine vortices and the double gyre, whose flows have closed forms."""
 
 import math
 from typing import Annotated, Literal, Self
