@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from angler_experiments.currents.grid import steady_least_time_s
 from angler_experiments.currents.yardstick import (
@@ -45,17 +46,36 @@ def test_best_speed_in_still_water_is_where_hotel_is_twice_the_drag():
 
 def test_both_ways_meet_the_closed_form_on_uniform_flow():
     want = uniform_least_time_s([0.2, -0.1], START, GOAL, 0.5)
-    shot = least_time_s(uniform, START, GOAL, 0.5, BOUNDS, horizon_s=30.0, headings=90)
+    shot = least_time_s(uniform, START, GOAL, 0.5, BOUNDS, horizon_s=30.0, headings=90, step_s=0.2)
     assert shot == pytest.approx(want, rel=1e-4)
-    assert steady_least_time_s(uniform, START, GOAL, 0.5, BOUNDS, cells=48) == pytest.approx(
+    assert steady_least_time_s(uniform, START, GOAL, 0.5, BOUNDS, cells=36) == pytest.approx(
         want, rel=0.005
     )
 
 
 def test_extremals_and_grid_agree_around_a_vortex():
-    shot = least_time_s(rankine, START, GOAL, 0.5, BOUNDS, horizon_s=40.0, headings=90)
+    shot = least_time_s(rankine, START, GOAL, 0.5, BOUNDS, horizon_s=40.0, headings=90, step_s=0.2)
     coarse, fine = (
-        steady_least_time_s(rankine, START, GOAL, 0.5, BOUNDS, cells=n) for n in (30, 60)
+        steady_least_time_s(rankine, START, GOAL, 0.5, BOUNDS, cells=n) for n in (24, 48)
     )
     assert fine == pytest.approx(shot, rel=0.01)
     assert abs(fine - shot) < abs(coarse - shot)
+
+
+def test_a_tide_that_turns_meets_its_closed_form():
+    """Water that is the same everywhere carries along: |goal - start - its way| = V T."""
+
+    def tide(xy, t):
+        return np.broadcast_to([0.3 * np.cos(0.5 * t), 0.1], xy.shape)
+
+    def short(t):
+        carried = np.array([0.6 * np.sin(0.5 * t), 0.1 * t])
+        return np.hypot(*(GOAL - START - carried)) - 0.5 * t
+
+    want = brentq(short, 5.0, 20.0)
+    shot = least_time_s(tide, START, GOAL, 0.5, BOUNDS, horizon_s=25.0, headings=90, step_s=0.2)
+    assert shot == pytest.approx(want, rel=1e-4)
+
+
+def test_a_goal_beyond_the_horizon_is_not_reached():
+    assert least_time_s(uniform, START, GOAL, 0.5, BOUNDS, horizon_s=5.0, headings=36) == math.inf

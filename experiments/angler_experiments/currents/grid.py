@@ -51,7 +51,9 @@ def steady_least_time_s(
         value[i, j] = uniform_least_time_s(mid, p[i, j], goal, speed)
     for _ in range(20 * cells):
         padded = np.pad(value, _REACH, constant_values=np.inf)
-        sides = [padded[1 + i : 1 + i + n[0], 1 + j : 1 + j + n[1]] for i, j in _RING]
+        rim = [
+            padded[_REACH + i : _REACH + i + n[0], _REACH + j : _REACH + j + n[1]] for i, j in _RING
+        ]
         new = value
         for k in range(len(_RING)):
             a, b = rim[k][..., None], rim[(k + 1) % len(_RING)][..., None]
