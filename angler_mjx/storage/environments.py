@@ -47,7 +47,14 @@ _UNITS = {
 
 
 _CURRENTS: dict[str, type] = {
-    kind.__name__: kind for kind in (currents.Uniform, currents.GaussMarkov, currents.Vortices)
+    kind.__name__: kind
+    for kind in (
+        currents.Uniform,
+        currents.GaussMarkov,
+        currents.Vortices,
+        currents.Rankine,
+        currents.DoubleGyre,
+    )
 }
 """Kinds of current by the names in a group."""
 

@@ -62,15 +62,8 @@ def lamb_oseen(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: ja
     turn = rate * phi
     bend = 2.0 * inverse * rate * slope
     shear = jnp.sum(bend * x * y)
-    zero = jnp.zeros_like(shear)
-    v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), zero])
-    J = jnp.stack(
-        [
-            jnp.stack([-shear, -jnp.sum(turn + bend * y * y), zero]),
-            jnp.stack([jnp.sum(turn + bend * x * x), shear, zero]),
-            jnp.stack([zero, zero, zero]),
-        ]
-    )
+    v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), jnp.zeros_like(shear)])
+    J = _level(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
     return v, jnp.zeros_like(v), J
 
 
@@ -82,6 +75,96 @@ def lamb_oseen_circulation(peak_speed: jax.Array, core: jax.Array) -> jax.Array:
     """
     x = PEAK_RADIUS
     return 2.0 * math.pi * core * peak_speed * (1.0 + 2.0 * x * x) / (2.0 * x)
+
+
+def rankine(p: jax.Array, centre: jax.Array, circulation: jax.Array, core: jax.Array) -> Field:
+    """Steady Rankine vortices with vertical axes.
+
+    Each turns the water at v_theta = Gamma r / (2 pi a^2) within its core, r <= a, and at
+    Gamma / (2 pi r) outside; fastest at r = a. The velocity is continuous, the Jacobian jumps at
+    r = a: there it is that of the core.
+
+    Args:
+        p: [3] m.
+        centre: [n, 2] x and y of the axes, m.
+        circulation: [n] Gamma, m^2/s, positive anticlockwise seen from above.
+        core: [n] a, m.
+    """
+    x, y = p[0] - centre[:, 0], p[1] - centre[:, 1]
+    square, inside = x * x + y * y, core * core
+    inverse = 1.0 / jnp.maximum(square, inside)
+    turn = circulation * inverse / (2.0 * math.pi)
+    bend = jnp.where(square > inside, -2.0 * turn * inverse, 0.0)
+    shear = jnp.sum(bend * x * y)
+    v = jnp.stack([-jnp.sum(turn * y), jnp.sum(turn * x), jnp.zeros_like(shear)])
+    J = _level(shear, jnp.sum(turn + bend * y * y), jnp.sum(turn + bend * x * x))
+    return v, jnp.zeros_like(v), J
+
+
+def double_gyre(
+    p: jax.Array,
+    t: jax.Array,
+    lo: jax.Array,
+    extent: jax.Array,
+    stream: jax.Array,
+    epsilon: jax.Array,
+    period: jax.Array,
+) -> Field:
+    """Two gyres in a rectangle whose common wall sways, with the stream function in metres.
+
+    From Shadden, Lekien & Marsden, Physica D 212, 2005:
+    psi = A sin(pi f) sin(pi Y), f = e X^2 + (1 - 2 e) X, e = epsilon sin(2 pi t / period), where X
+    goes from 0 to 2 along x and Y from 0 to 1 along y; u = -dpsi/dy and v = dpsi/dx. No water
+    crosses the sides.
+
+    Args:
+        p: [3] m.
+        t: [] s.
+        lo: [2] lower corner of the rectangle, m.
+        extent: [2] lengths of its sides, m.
+        stream: [] A, m^2/s.
+        epsilon: [] from 0 to below 0.5.
+        period: [] s.
+    """
+    kx, ky = 2.0 / extent[0], 1.0 / extent[1]
+    X, Y = (p[0] - lo[0]) * kx, (p[1] - lo[1]) * ky
+    turn = 2.0 * math.pi / period
+    e, e_t = epsilon * jnp.sin(turn * t), epsilon * turn * jnp.cos(turn * t)
+    f, f_x, f_t = X * (1.0 + e * (X - 2.0)), 1.0 + 2.0 * e * (X - 1.0), e_t * X * (X - 2.0)
+    sin_f, cos_f = jnp.sin(math.pi * f), jnp.cos(math.pi * f)
+    sin_y, cos_y = jnp.sin(math.pi * Y), jnp.cos(math.pi * Y)
+    a = math.pi * stream
+    zero = jnp.zeros_like(f)
+    v = jnp.stack([-a * ky * sin_f * cos_y, a * kx * f_x * cos_f * sin_y, zero])
+    sway = 2.0 * e_t * (X - 1.0) * cos_f - math.pi * f_x * f_t * sin_f
+    v_t = jnp.stack([-a * ky * math.pi * f_t * cos_f * cos_y, a * kx * sway * sin_y, zero])
+    bow = 2.0 * e * cos_f - math.pi * f_x * f_x * sin_f
+    J = _level(
+        a * math.pi * kx * ky * f_x * cos_f * cos_y,
+        -a * math.pi * ky * ky * sin_f * sin_y,
+        a * kx * kx * bow * sin_y,
+    )
+    return v, v_t, J
+
+
+def double_gyre_stream(peak_speed: jax.Array, extent: jax.Array) -> jax.Array:
+    """Stream function A [] m^2/s of the steady double gyre of a greatest speed, m/s.
+
+    The square of the speed is (pi A)^2 times a mean of (1 / b)^2 and (2 / a)^2 at most, for sides
+    a and b. Where the gyres sway, 2 / a grows by |df/dX| <= 1 + 2 epsilon.
+
+    Args:
+        peak_speed: [] m/s.
+        extent: [2] a and b, m.
+    """
+    return peak_speed / (math.pi * jnp.maximum(2.0 / extent[0], 1.0 / extent[1]))
+
+
+def _level(shear: jax.Array, down: jax.Array, up: jax.Array) -> jax.Array:
+    """[[-shear, -down, 0], [up, shear, 0], 0]: the Jacobian of a level flow free of divergence."""
+    zero = jnp.zeros_like(shear)
+    rows = ((-shear, -down, zero), (up, shear, zero), (zero, zero, zero))
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def material_derivative(v: jax.Array, v_t: jax.Array, J: jax.Array) -> jax.Array:

@@ -19,7 +19,13 @@ from angler_mjx.sim.fleet import Fleet, Member, Variant
 from angler_mjx.sim.state import SimSpec, World
 from angler_mjx.vehicles import library
 from angler_mjx.world import currents, obstacles
-from angler_mjx.world.currents import GaussMarkovConfig, UniformConfig, VorticesConfig
+from angler_mjx.world.currents import (
+    DoubleGyreConfig,
+    GaussMarkovConfig,
+    RankineConfig,
+    UniformConfig,
+    VorticesConfig,
+)
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import ObstaclesConfig
@@ -66,6 +72,8 @@ CURRENT = (
     UniformConfig(velocity_mps=(0.05, -0.1, 0.02)),
     GaussMarkovConfig(max_speed_mps=0.2, knot_dt_s=1.0),
     VorticesConfig(count=2, peak_speed_mps=(0.2, 0.4), core_radius_m=(1.0, 2.0)),
+    RankineConfig(count=1, peak_speed_mps=(0.1, 0.2), core_radius_m=(1.0, 2.0)),
+    DoubleGyreConfig(peak_speed_mps=0.1, epsilon=0.2, period_s=20.0),
 )
 
 

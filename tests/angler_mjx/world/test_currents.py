@@ -150,6 +150,35 @@ def test_vortices_are_drawn_inside_their_spans():
     assert peak.max() - peak.min() > 0.15
 
 
+def test_rankine_vortices_stand_where_they_are_told_and_turn_as_told():
+    config = configs(
+        {
+            "type": "rankine",
+            "centre_m": [[1.0, 2.0], [-3.0, 4.0]],
+            "turning": "clockwise",
+            "peak_speed_mps": [0.3, 0.3],
+            "core_radius_m": [2.0, 2.0],
+        }
+    )
+    (vortex,) = currents.draw(config, jax.random.key(0), LO, HI, 120.0)
+    np.testing.assert_array_equal(vortex.centre_m, [[1.0, 2.0], [-3.0, 4.0]])
+    alone = replace(vortex, **{k: v[:1] for k, v in vars(vortex).items()})
+    v = currents.velocity((alone,), jnp.array([3.0, 2.0, -5.0]), jnp.zeros(()))
+    np.testing.assert_allclose(v, [0.0, -0.3, 0.0], atol=1e-6)
+
+
+def test_gyre_fills_the_region():
+    config = configs({"type": "double_gyre", "peak_speed_mps": 0.2})
+    (gyre,) = currents.draw(config, jax.random.key(0), LO, HI, 120.0)
+    corner = jnp.array([-12.0, -12.0, -5.0])
+    middle = jnp.array([0.0, 0.0, -5.0])
+    still = currents.velocity((gyre,), corner, jnp.zeros(()))
+    np.testing.assert_allclose(still, 0.0, atol=1e-7)
+    # The region is as wide as long, so the water is fastest between the gyres.
+    v = currents.velocity((gyre,), middle, jnp.zeros(()))
+    np.testing.assert_allclose(v, [0.0, -0.2, 0.0], atol=1e-7)
+
+
 def test_drawing_depends_only_on_the_key():
     config = configs(
         {"type": "vortices", "count": 2, "peak_speed_mps": [0.2, 0.4]},
@@ -175,6 +204,20 @@ def test_drawing_depends_only_on_the_key():
             },
             "1 <= low",
         ),
+        ({"type": "rankine", "peak_speed_mps": [0.1, 0.2]}, "count is missing"),
+        ({"type": "rankine", "count": 1, "peak_speed_mps": [0.3, 0.2]}, "peak_speed_mps = .0.3"),
+        (
+            {
+                "type": "rankine",
+                "count": 2,
+                "centre_m": [[0.0, 1.0]],
+                "peak_speed_mps": [0.1, 0.2],
+            },
+            "count = 2, but centre_m has 1",
+        ),
+        ({"type": "double_gyre", "peak_speed_mps": 0.2, "epsilon": 0.5}, "epsilon"),
+        ({"type": "double_gyre", "peak_speed_mps": 0.0}, "peak_speed_mps"),
+        ({"type": "double_gyre", "peak_speed_mps": 0.2, "period_s": 0}, "period_s"),
         ({"type": "gauss_markov", "max_speed_mps": -1}, "max_speed_mps"),
         ({"type": "gauss_markov", "max_speed_mps": 0.1, "mean_mps": [1, 0, 0]}, "faster"),
         ({"type": "uniform", "velocity_mps": [0, float("nan"), 0]}, "velocity_mps"),

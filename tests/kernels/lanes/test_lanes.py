@@ -284,7 +284,17 @@ def test_currents(assert_same):
         current_field.lamb_oseen,
         *(normal(3), rng.normal(size=(W, 3, 2)), rng.normal(size=(W, 3)), core),
     )
+    assert_same(
+        current_field.rankine,
+        *(normal(3), rng.normal(size=(W, 3, 2)), rng.normal(size=(W, 3)), core),
+    )
     time = rng.uniform(-1, 40, W)
+    sides = rng.uniform(5, 9, (W, 2))
+    assert_same(
+        current_field.double_gyre,
+        *(normal(3), time, rng.normal(size=(W, 2)), sides),
+        *(rng.normal(size=W), rng.uniform(0, 0.4, W), rng.uniform(5, 50, W)),
+    )
     assert_same(current_field.smooth_knots, time, rng.normal(size=(W, 9, 3)), np.full(W, 5.0))
 
 

@@ -1,113 +1,17 @@
-"""Water currents: a tuple of components, each a velocity field v(p, t) with its derivatives.
-
-A current is the sum of its components; the material derivative is taken of the sum, because it is
-not additive. A new kind of current is one class with a ``flow`` method, and one config with a
-``draw`` method for files. The vortices stand still and keep their strength: the field is given, not
-solved for. All fields here are free of divergence.
-"""
+"""Tables of files that say a current, and how each draws its component for one world."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol, Self
+from typing import Annotated, Literal, Self
 
 import jax
 import jax.numpy as jnp
 from pydantic import Field, model_validator
 
-from angler_kernels.current_field import (
-    lamb_oseen,
-    lamb_oseen_circulation,
-    material_derivative,
-    smooth_knots,
-)
+from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.draws import between, children, uniforms
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Speed
-
-type Flow = tuple[jax.Array, jax.Array, jax.Array]
-"""Velocity [3], its rate at the fixed point [3], its Jacobian [3, 3] (dv_i / dx_j); in W."""
-
-
-class Component(Protocol):
-    """One kind of current: a pytree that knows its flow at a point and time."""
-
-    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
-        """Velocity, its rate and its Jacobian at p [3] m and t [] s, in W."""
-        ...
-
-
-type Current = tuple[Component, ...]
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Uniform:
-    """The same steady velocity everywhere."""
-
-    velocity_mps: jax.Array
-    """[3] in W."""
-
-    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
-        """See `Component.flow`."""
-        zero = jnp.zeros_like(self.velocity_mps)
-        return self.velocity_mps, zero, jnp.zeros((3, 3), zero.dtype)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class GaussMarkov:
-    """The same velocity everywhere, wandering in time; smooth between knots."""
-
-    knots_mps: jax.Array
-    """[n_knot, 3] velocity at t = 0, knot_dt_s, 2 knot_dt_s ...; in W; held after the last."""
-    knot_dt_s: jax.Array
-    """[] time between knots."""
-
-    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
-        """See `Component.flow`."""
-        return smooth_knots(t, self.knots_mps, self.knot_dt_s)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Vortices:
-    """Lamb-Oseen vortices with vertical axes, steady."""
-
-    centre_m: jax.Array
-    """[n, 2] x and y of each axis, in W."""
-    circulation_m2ps: jax.Array
-    """[n] circulation far away, positive anticlockwise seen from above."""
-    core_m: jax.Array
-    """[n] core radius a of exp(-r^2/a^2)."""
-
-    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
-        """See `Component.flow`."""
-        return lamb_oseen(p, self.centre_m, self.circulation_m2ps, self.core_m)
-
-
-def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Velocity of the water and its material derivative at a point.
-
-    Args:
-        current: of one world; empty for still water.
-        p: [3] m, W.
-        t: [] s.
-
-    Returns:
-        v [3] m/s and Dv/Dt = dv/dt + (v . grad) v [3] m/s^2, both in W.
-    """
-    if not current:
-        return jnp.zeros_like(p), jnp.zeros_like(p)
-    flows = [component.flow(p, t) for component in current]
-    v, v_t, J = (sum(parts[1:], start=parts[0]) for parts in zip(*flows, strict=True))
-    return v, material_derivative(v, v_t, J)
-
-
-def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
-    """Velocity [3] of the water at a point, m/s, W (see `evaluate`)."""
-    return evaluate(current, p, t)[0]
-
+from angler_mjx.world.currents.fields import GaussMarkov, Uniform, Vortices
 
 type Span = tuple[float, float]
 type SpeedSpan = tuple[Speed, Speed]
@@ -204,31 +108,3 @@ class VorticesConfig(FileModel):
             circulation_m2ps=sign * lamb_oseen_circulation(peak, core),
             core_m=core,
         )
-
-
-type CurrentConfig = Annotated[
-    UniformConfig | GaussMarkovConfig | VorticesConfig, Field(discriminator="type")
-]
-
-
-def draw(
-    configs: Sequence[UniformConfig | GaussMarkovConfig | VorticesConfig],
-    key: jax.Array,
-    region_lo: jax.Array,
-    region_hi: jax.Array,
-    horizon_s: float,
-) -> Current:
-    """The current of one world.
-
-    Args:
-        configs: one per component.
-        key: random key of this world's current.
-        region_lo: [3] lower corner of the region where vortices stand, m, W.
-        region_hi: [3] upper corner.
-        horizon_s: the time that the current has to cover; a Python number, it sets array sizes.
-    """
-    lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
-    keys = children(key, len(configs)) if configs else ()
-    return tuple(
-        config.draw(one, lo, hi, horizon_s) for config, one in zip(configs, keys, strict=True)
-    )

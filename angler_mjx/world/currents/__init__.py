@@ -1,0 +1,75 @@
+"""Water currents: a tuple of components, each a velocity field v(p, t) with its derivatives.
+
+A current is the sum of its components; the material derivative is taken of the sum, because it is
+not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
+with a ``draw`` method for files, in `tables` or `eddies`.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+from pydantic import Field
+
+from angler_mjx.draws import children
+from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
+from angler_mjx.world.currents.fields import (
+    Component,
+    Current,
+    DoubleGyre,
+    Flow,
+    GaussMarkov,
+    Rankine,
+    Uniform,
+    Vortices,
+    evaluate,
+    velocity,
+)
+from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
+
+__all__ = [
+    "Component",
+    "Current",
+    "CurrentConfig",
+    "DoubleGyre",
+    "DoubleGyreConfig",
+    "Flow",
+    "GaussMarkov",
+    "GaussMarkovConfig",
+    "Rankine",
+    "RankineConfig",
+    "Uniform",
+    "UniformConfig",
+    "Vortices",
+    "VorticesConfig",
+    "draw",
+    "evaluate",
+    "velocity",
+]
+
+AnyConfig = UniformConfig | GaussMarkovConfig | VorticesConfig | RankineConfig | DoubleGyreConfig
+type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
+
+
+def draw(
+    configs: Sequence[AnyConfig],
+    key: jax.Array,
+    region_lo: jax.Array,
+    region_hi: jax.Array,
+    horizon_s: float,
+) -> Current:
+    """The current of one world.
+
+    Args:
+        configs: one per component.
+        key: random key of this world's current.
+        region_lo: [3] lower corner of the region where vortices stand, m, W.
+        region_hi: [3] upper corner.
+        horizon_s: the time that the current has to cover; a Python number, it sets array sizes.
+    """
+    lo, hi = jnp.asarray(region_lo, float), jnp.asarray(region_hi, float)
+    keys = children(key, len(configs)) if configs else ()
+    return tuple(
+        config.draw(one, lo, hi, horizon_s) for config, one in zip(configs, keys, strict=True)
+    )

@@ -1,0 +1,96 @@
+"""Tables of files for Rankine vortices and the double gyre, whose flows have closed forms."""
+
+import math
+from typing import Annotated, Literal, Self
+
+import jax
+import jax.numpy as jnp
+from pydantic import Field, model_validator
+
+from angler_kernels.current_field import double_gyre_stream
+from angler_mjx.draws import between, children, uniforms
+from angler_mjx.files import FileModel
+from angler_mjx.quantities import Speed
+from angler_mjx.world.currents.fields import DoubleGyre, Rankine
+
+type Place = tuple[
+    Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(ge=-1e6, le=1e6)]
+]
+
+
+class RankineConfig(FileModel):
+    """Rankine vortices: cores that turn like solid bodies, free vortices around them."""
+
+    type: Literal["rankine"] = "rankine"
+    count: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """Number of vortices at random places of the region; left out where centre_m is given."""
+    centre_m: Annotated[tuple[Place, ...], Field(min_length=1, max_length=1000)] | None = None
+    """East and north of each axis; random places of the region if left out."""
+    turning: Literal["either", "anticlockwise", "clockwise"] = "either"
+    """Seen from above; either way is drawn vortex by vortex."""
+    peak_speed_mps: tuple[Speed, Speed]
+    """Lowest and highest greatest speed of a vortex, at the rim of its core; drawn uniformly."""
+    core_radius_m: tuple[float, float] = (1.0, 3.0)
+    """Lowest and highest core radius a; at least 1 m: the flow then varies little over a hull."""
+
+    @model_validator(mode="after")
+    def _spans(self) -> Self:
+        if not 0 <= self.peak_speed_mps[0] <= self.peak_speed_mps[1]:
+            raise ValueError(f"peak_speed_mps = {self.peak_speed_mps}: needs 0 <= low <= high")
+        low, high = self.core_radius_m
+        if not (1.0 <= low <= high and high <= 1e6):
+            raise ValueError(f"core_radius_m = {self.core_radius_m}: needs 1 <= low <= high <= 1e6")
+        return self
+
+    @model_validator(mode="after")
+    def _number(self) -> Self:
+        if self.centre_m is None and self.count is None:
+            raise ValueError("count is missing: give it, or the places of the axes in centre_m")
+        if self.centre_m is not None and self.count not in (None, len(self.centre_m)):
+            raise ValueError(
+                f"count = {self.count}, but centre_m has {len(self.centre_m)} places; "
+                "leave count out"
+            )
+        return self
+
+    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Rankine:
+        """Places as given, or uniform in the region seen from above."""
+        n = len(self.centre_m) if self.centre_m is not None else self.count or 0
+        where, how_fast, how_wide, which_way = uniforms(children(key, 4), 2 * n, lo.dtype)
+        peak = between(how_fast[:n], *self.peak_speed_mps)
+        core = between(how_wide[:n], *self.core_radius_m)
+        left = {"anticlockwise": 1.0, "clockwise": 0.0, "either": 0.5}[self.turning]
+        sign = jnp.where(which_way[:n] < left, 1.0, -1.0)
+        if self.centre_m is None:
+            centre = lo[:2] + where.reshape(n, 2) * (hi[:2] - lo[:2])
+        else:
+            centre = jnp.array(self.centre_m, lo.dtype)
+        return Rankine(
+            centre_m=centre, circulation_m2ps=sign * 2.0 * math.pi * core * peak, core_m=core
+        )
+
+
+class DoubleGyreConfig(FileModel):
+    """Two gyres that fill the region seen from above, the wall between them swaying east and west.
+
+    Water crosses none of the region's sides. Beyond them the formula goes on, ever faster.
+    """
+
+    type: Literal["double_gyre"] = "double_gyre"
+    peak_speed_mps: Annotated[Speed, Field(gt=0)]
+    """Greatest speed in the region if epsilon is 0; (1 + 2 epsilon) times it is never exceeded."""
+    epsilon: float = Field(default=0.0, ge=0, lt=0.5)
+    """How far the wall between the gyres sways; 0 is a steady flow."""
+    period_s: float = Field(default=60.0, ge=0.1, le=1e6)
+    """Of the swaying."""
+
+    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DoubleGyre:
+        """Nothing is drawn."""
+        extent = hi[:2] - lo[:2]
+        return DoubleGyre(
+            lo_m=lo[:2],
+            extent_m=extent,
+            stream_m2ps=double_gyre_stream(jnp.array(self.peak_speed_mps, lo.dtype), extent),
+            epsilon=jnp.array(self.epsilon, lo.dtype),
+            period_s=jnp.array(self.period_s, lo.dtype),
+        )

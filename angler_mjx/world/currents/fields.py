@@ -1,0 +1,145 @@
+"""Components of a current: velocity fields at a point and a time, with their derivatives.
+
+The vortices and gyres stand where they are: the field is given, not solved for. All are free of
+divergence.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.current_field import (
+    double_gyre,
+    lamb_oseen,
+    material_derivative,
+    rankine,
+    smooth_knots,
+)
+
+type Flow = tuple[jax.Array, jax.Array, jax.Array]
+"""Velocity [3], its rate at the fixed point [3], its Jacobian [3, 3] (dv_i / dx_j); in W."""
+
+
+class Component(Protocol):
+    """One kind of current: a pytree that knows its flow at a point and time."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """Velocity, its rate and its Jacobian at p [3] m and t [] s, in W."""
+        ...
+
+
+type Current = tuple[Component, ...]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Uniform:
+    """The same steady velocity everywhere."""
+
+    velocity_mps: jax.Array
+    """[3] in W."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        zero = jnp.zeros_like(self.velocity_mps)
+        return self.velocity_mps, zero, jnp.zeros((3, 3), zero.dtype)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GaussMarkov:
+    """The same velocity everywhere, wandering in time; smooth between knots."""
+
+    knots_mps: jax.Array
+    """[n_knot, 3] velocity at t = 0, knot_dt_s, 2 knot_dt_s ...; in W; held after the last."""
+    knot_dt_s: jax.Array
+    """[] time between knots."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return smooth_knots(t, self.knots_mps, self.knot_dt_s)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Vortices:
+    """Lamb-Oseen vortices with vertical axes, steady."""
+
+    centre_m: jax.Array
+    """[n, 2] x and y of each axis, in W."""
+    circulation_m2ps: jax.Array
+    """[n] circulation far away, positive anticlockwise seen from above."""
+    core_m: jax.Array
+    """[n] core radius a of exp(-r^2/a^2)."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return lamb_oseen(p, self.centre_m, self.circulation_m2ps, self.core_m)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Rankine:
+    """Rankine vortices with vertical axes, steady: solid cores in free vortices.
+
+    The velocity is continuous; its Jacobian jumps at r = a, and so does the acceleration of water.
+    """
+
+    centre_m: jax.Array
+    """[n, 2] x and y of each axis, in W."""
+    circulation_m2ps: jax.Array
+    """[n] circulation outside the core, positive anticlockwise seen from above."""
+    core_m: jax.Array
+    """[n] radius a of the core, where the water is fastest."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return rankine(p, self.centre_m, self.circulation_m2ps, self.core_m)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DoubleGyre:
+    """Two gyres side by side in a rectangle, the wall between them swaying; no vertical part."""
+
+    lo_m: jax.Array
+    """[2] lower corner of the rectangle, in W."""
+    extent_m: jax.Array
+    """[2] lengths of its sides along x and y."""
+    stream_m2ps: jax.Array
+    """[] greatest value of the stream function."""
+    epsilon: jax.Array
+    """[] how far the wall between the gyres sways; 0 is steady."""
+    period_s: jax.Array
+    """[] of the swaying."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return double_gyre(
+            p, t, self.lo_m, self.extent_m, self.stream_m2ps, self.epsilon, self.period_s
+        )
+
+
+def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Velocity of the water and its material derivative at a point.
+
+    Args:
+        current: of one world; empty for still water.
+        p: [3] m, W.
+        t: [] s.
+
+    Returns:
+        v [3] m/s and Dv/Dt = dv/dt + (v . grad) v [3] m/s^2, both in W.
+    """
+    if not current:
+        return jnp.zeros_like(p), jnp.zeros_like(p)
+    flows = [component.flow(p, t) for component in current]
+    v, v_t, J = (sum(parts[1:], start=parts[0]) for parts in zip(*flows, strict=True))
+    return v, material_derivative(v, v_t, J)
+
+
+def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
+    """Velocity [3] of the water at a point, m/s, W (see `evaluate`)."""
+    return evaluate(current, p, t)[0]
