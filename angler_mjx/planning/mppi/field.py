@@ -116,7 +116,9 @@ def way_left(free: jax.Array, goal_m: jax.Array, origin_m: jax.Array, h: jax.Arr
         _, change, count = carry
         return (change > 1e-3 * h) & (count < most)
 
-    def sweep(carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, ...]:
+    def sweep(
+        carry: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         value, _, count = carry
         new = jnp.where(free, jnp.minimum(value, _upwind(value, h)), value)
         return new, jnp.max(value - new), count + 1
@@ -127,10 +129,11 @@ def way_left(free: jax.Array, goal_m: jax.Array, origin_m: jax.Array, h: jax.Arr
         least = _least_neighbour(value) + h
         return jnp.where((value >= FAR) & (least < FAR), least, value)
 
-    return jax.lax.fori_loop(0, max(free.shape), fill, value)
+    filled: jax.Array = jax.lax.fori_loop(0, max(free.shape), fill, value)
+    return filled
 
 
-def _shifted(value: jax.Array, step: tuple[int, int, int]) -> jax.Array:
+def _shifted(value: jax.Array, step: tuple[int, ...]) -> jax.Array:
     """What stands at each node's neighbour; `FAR` beyond the border."""
     wide = jnp.pad(value, 1, constant_values=FAR)
     return jax.lax.slice(
