@@ -17,6 +17,7 @@ from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import (
     FOLDER,
     ControllerConfig,
@@ -68,6 +69,7 @@ class Scenario(FileModel):
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
+    policy: PolicyConfig = PolicyConfig()
 
     @model_validator(mode="after")
     def _kernels_of_engine(self) -> Self:
@@ -148,6 +150,37 @@ class Scenario(FileModel):
                 f"{self.controller.title!r} takes one; take another, such as cascade"
             )
         return self
+
+    @model_validator(mode="after")
+    def _flies_by_policy(self) -> Self:
+        if self.policy.name == "none":
+            return self
+        if self.online:
+            key = "planner.replan_hz" if self.planner.replan_hz else 'execution.order = "kept"'
+            raise ValueError(
+                f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
+                "one of them"
+            )
+        settings = self.policy.mppi
+        settings.period(self.time)
+        if not any(settings.commands in x.takes for x in self.controller.stack()[0]):
+            raise ValueError(
+                f"policy.mppi.output = {settings.output!r}: no stage of controller "
+                f"{self.controller.title!r} takes a {settings.commands.__name__}; take another, "
+                "such as cascade"
+            )
+        for i, entry in enumerate(self.fleet if settings.output == "wrench" else ()):
+            if any("sway" in able.missing for able in entry.drives()):
+                raise ValueError(
+                    f"policy.mppi.output = 'wrench': pushes to the side, and fleet[{i}], vehicle "
+                    f'{library.load(entry.vehicle).name!r}, has no sway; take output = "twist"'
+                )
+        return self
+
+    @property
+    def flown(self) -> bool:
+        """Whether a policy that the scenario names commands the robots, or looks after plans."""
+        return self.online or self.policy.name != "none"
 
     @property
     def online(self) -> bool:

@@ -1,19 +1,32 @@
 """A fleet flown by path integral control: each robot among what the others meant to do last."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control.commands import BodyTwist
-from angler_mjx.control.laws import model
+from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.mppi import drag, outputs
 from angler_mjx.planning.mppi import field as fields
-from angler_mjx.planning.mppi.twist import Bodies, Weights, improve, shifted
+from angler_mjx.planning.mppi.costs import Bodies, Weights
+from angler_mjx.planning.mppi.models import Forces, Lag
+from angler_mjx.planning.mppi.sampling import Scene, improve, shifted
 from angler_mjx.sim.knowledge import KnownObstacles, Knows
 from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.vehicles.properties import GRAVITY_MPS2
+
+type Output = Literal["twist", "wrench"]
+"""What robots are commanded by."""
+
+ROOM_M = 0.1
+"""Beside a robot's radius, for the way that is left."""
+NOBODY_M = -1e3
+"""Reach of what is not there."""
 
 
 @jax.tree_util.register_dataclass
@@ -35,13 +48,16 @@ class Memory:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Mppi(Policy):
-    """Velocities by path integral control; the heading is held."""
+    """Velocities, or wrenches, by path integral control; the heading is held."""
 
     weights: Weights = field(default_factory=Weights)
     attitude_per_s: float = 2.5
-    samples: int = field(default=1024, metadata={"static": True})
+    density_kgpm3: float = 1000.0
+    gravity_mps2: float = GRAVITY_MPS2
+    output: Output = field(default="twist", metadata={"static": True})
+    samples: int = field(default=512, metadata={"static": True})
     horizon_s: float = field(default=3.0, metadata={"static": True})
-    dt_s: float = field(default=0.05, metadata={"static": True})
+    dt_s: float = field(default=0.1, metadata={"static": True})
     knots: int = field(default=8, metadata={"static": True})
     period: int = field(default=1, metadata={"static": True})
     knows: Knows = field(default_factory=Knows, metadata={"static": True})
@@ -61,7 +77,7 @@ class Mppi(Policy):
         gap, h = fields.gap(grid, floor, None), 0.5 * grid.cell_m
 
         def of_robot(goal: jax.Array, radius: jax.Array) -> fields.Field:
-            left = fields.way_left(gap >= radius + 0.1, goal, grid.origin_m, h)
+            left = fields.way_left(gap >= radius + ROOM_M, goal, grid.origin_m, h)
             values = jnp.stack([gap, left], axis=-1)
             return fields.Field(values=values, origin_m=grid.origin_m, spacing_m=h)
 
@@ -76,41 +92,84 @@ class Mppi(Policy):
 
     def act(self, carry: Memory, known: Known, key: jax.Array, step: jax.Array) -> Any:
         """See `Policy.act`."""
-        since = known.time_s - carry.time_s
-        vehicle, believed = known.params.vehicle, known.belief
-        others = jax.vmap(lambda way: shifted(way, since, self.horizon_s))(carry.way_m)
-        place, reach = _obstacles(known.obstacles, self.dt_s * (jnp.arange(self.steps) + 1))
+        since, believed = known.time_s - carry.time_s, known.belief
+        others = jax.vmap(lambda way: shifted(way, since, self.horizon_s - self.dt_s))(carry.way_m)
+        ahead_s = self.dt_s * (jnp.arange(self.steps) + 1)
+        place, reach = _obstacles(known.obstacles, ahead_s)
         centre = jnp.concatenate([jnp.swapaxes(others, 0, 1), jnp.swapaxes(place, 0, 1)], axis=1)
-        robots = known.goal_m.shape[0]
+        robots, radii = jnp.arange(known.goal_m.shape[0]), known.params.vehicle.radius_m
 
-        def one(i: jax.Array, seen: fields.Field, knots: jax.Array) -> tuple[jax.Array, jax.Array]:
-            radius = vehicle.radius_m[i]
-            of_robots = jnp.where(jnp.arange(robots) == i, -1e3, radius + vehicle.radius_m)
-            return improve(
+        def one(
+            i: jax.Array, params: ControlParams, seen: fields.Field, knots: jax.Array
+        ) -> tuple[jax.Array, jax.Array, jax.Array]:
+            radius, q = params.vehicle.radius_m, believed.q[i]
+            of_robots = jnp.where(robots == i, NOBODY_M, radius + radii)
+            scene = Scene(
+                field=seen,
+                bodies=Bodies(
+                    centre_m=centre, reach_m=jnp.concatenate([of_robots, radius + reach])
+                ),
+                flow_mps=_flow(known, others[i], ahead_s),
+                goal_m=known.goal_m[i],
+                radius_m=radius,
+                limit_mps=params.cruise_speed_mps,
+            )
+            hull = drag.hull(params, quaternion.yaw(q), self.density_kgpm3, self.gravity_mps2)
+            kind = Lag if self.output == "twist" else Forces
+            v = quaternion.rotate(q, believed.nu[i, :3])
+            knots, way = improve(
                 self.weights,
-                seen,
-                Bodies(centre_m=centre, reach_m=jnp.concatenate([of_robots, radius + reach])),
+                kind(hull=hull, response_s=self.weights.response_s),
+                scene,
                 believed.p[i],
-                quaternion.rotate(believed.q[i], believed.nu[i, :3]),
+                v,
                 shifted(knots, since, self.horizon_s),
-                radius,
-                known.params.cruise_speed_mps[i],
                 jax.random.fold_in(key, i),
                 self.samples,
                 self.dt_s,
             )
+            return knots, way, scene.flow_mps[0]
 
-        knots, way = jax.vmap(one)(jnp.arange(robots), carry.field, carry.knots)
-
-        def command(q: jax.Array, velocity: jax.Array, yaw: jax.Array) -> jax.Array:
-            turn = self.attitude_per_s * model.attitude_error(q, yaw)
-            return jnp.concatenate([quaternion.rotate_inverse(q, velocity), turn])
-
-        nu = jax.vmap(command)(believed.q, knots[:, 0], carry.yaw_rad)
+        knots, way, flow = jax.vmap(one)(robots, known.params, carry.field, carry.knots)
         after = Memory(
             field=carry.field, knots=knots, way_m=way, yaw_rad=carry.yaw_rad, time_s=known.time_s
         )
-        return after, BodyTwist(nu=nu)
+        return after, self._commands(known, knots[:, 0], flow, carry.yaw_rad)
+
+    def _commands(
+        self, known: Known, asked: jax.Array, flow: jax.Array, yaw: jax.Array
+    ) -> BodyTwist | BodyWrench:
+        """Of all robots, for velocities over ground [R, 3] in the currents [R, 3] there."""
+
+        def one(vehicle: VehicleParams, *told: jax.Array) -> BodyTwist | BodyWrench:
+            p, q, nu, asked, flow, yaw = told
+            estimate = Estimate(p=p, q=q, nu=nu, flow=flow)
+            if self.output == "twist":
+                return outputs.twist(vehicle, estimate, asked, yaw, self.attitude_per_s)
+            return outputs.wrench(
+                vehicle,
+                estimate,
+                asked,
+                yaw,
+                self.attitude_per_s,
+                self.weights.response_s,
+                self.density_kgpm3,
+                self.gravity_mps2,
+            )
+
+        believed = known.belief
+        commands: BodyTwist | BodyWrench = jax.vmap(one)(
+            known.params.vehicle, believed.p, believed.q, believed.nu, asked, flow, yaw
+        )
+        return commands
+
+
+def _flow(known: Known, way_m: jax.Array, ahead_s: jax.Array) -> jax.Array:
+    """Velocity [H, 3] of the water, as far as it is known, along a way [H, 3]."""
+    if known.current is None:
+        return jnp.zeros_like(way_m)
+    flow: jax.Array = jax.vmap(known.current.velocity)(way_m, ahead_s)
+    return flow
 
 
 def _obstacles(known: KnownObstacles | None, ahead_s: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -122,4 +181,4 @@ def _obstacles(known: KnownObstacles | None, ahead_s: jax.Array) -> tuple[jax.Ar
     else:
         axis = jax.vmap(lambda x: jnp.interp(ahead_s, known.time_s, x))
         place = jax.vmap(axis, in_axes=2, out_axes=2)(known.p_m)
-    return place, jnp.where(known.exists, known.radius_m, -1e3)
+    return place, jnp.where(known.exists, known.radius_m, NOBODY_M)
