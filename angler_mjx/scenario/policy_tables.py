@@ -10,7 +10,7 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
-from angler_mjx.scenario.tables import TimeConfig, whole
+from angler_mjx.scenario.tables import KnowsConfig, TimeConfig, whole
 
 MOST_STEPS = 1000
 """Of a sample: 50 s at 50 ms."""
@@ -89,5 +89,7 @@ class PolicyConfig(FileModel):
 
     name: Literal["none", "mppi"] = "none"
     """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
-    no plan; it knows what `[planner.knows]` allows."""
+    no plan."""
+    knows: KnowsConfig | None = None
+    """What it may know of what moves, whenever it acts; what the planner may if left out."""
     mppi: MppiConfig = MppiConfig()

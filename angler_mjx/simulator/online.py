@@ -41,7 +41,8 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
 
 def mppi(scenario: Scenario) -> Mppi:
     """Path integral control with a scenario's settings."""
-    settings, planner, time = scenario.policy.mppi, scenario.planner, scenario.time
+    settings, time = scenario.policy.mppi, scenario.time
+    knows = scenario.policy.knows or scenario.planner.knows
     return Mppi(
         weights=Weights(**settings.weights),
         density_kgpm3=scenario.water.density_kgpm3,
@@ -52,7 +53,7 @@ def mppi(scenario: Scenario) -> Mppi:
         dt_s=settings.dt_s,
         knots=settings.knots,
         period=settings.period(time),
-        knows=planner.knows.knows(),
+        knows=knows.knows(),
         ahead_s=settings.horizon_s,
     )
 
