@@ -112,7 +112,7 @@ def test_it_goes_round_rock_and_lets_a_ball_that_drifts_pass(load):
     simulator = angler.Simulator(load("twist", **changes))
     worlds = simulator.worlds()
     rock = np.zeros(np.shape(worlds.environment.grid.occupied), bool)
-    rock[:, 5, :6] = True
+    rock[:, 4, :6] = True
     grid = replace(worlds.environment.grid, occupied=jnp.asarray(rock))
     walled = replace(worlds, environment=replace(worlds.environment, grid=grid))
     state, robots, balls = fly(simulator, without_plans(walled))
