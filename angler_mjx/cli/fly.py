@@ -1,4 +1,4 @@
-"""`angler fly`: one scene whose plans are looked after while they are flown, through a session."""
+"""`angler fly`: one scene, by a policy or by plans that are looked after, through a session."""
 
 import sys
 import time
@@ -31,7 +31,7 @@ def fly(
     ardusub: Path | None = None,
     device: Device = "cpu",
 ) -> None:
-    """Fly one world step by step, planning anew or keeping order on the way.
+    """Fly one world step by step, planning anew, keeping order, or by a policy.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).

@@ -95,28 +95,33 @@ def test_two_that_meet_head_on_pass_and_hold_their_goals_in_a_current(load, outp
     assert np.linalg.norm(robots[-10:] - goal, axis=-1).max() < 0.3
 
 
+BALL = {
+    "type": "sphere",
+    "radius_m": 0.7,
+    "position_m": [-1.0, -1.2, -5.0],
+    "motion": {"type": "drift"},
+}
+"""It drifts in the current, and is on the second robot's way when that has come round the wall."""
+
+
 @pytest.mark.nightly(by="test_sampling.py::test_a_ball_that_crosses_its_way_is_let_pass")
-def test_it_goes_round_rock_and_lets_a_ball_that_drifts_pass(load):
-    """The ball drifts in the current across the first robot's way, and is there at its time."""
-    ball = {
-        "type": "sphere",
-        "radius_m": 0.7,
-        "position_m": [-1.0, -1.2, -5.0],
-        "motion": {"type": "drift"},
-    }
+@pytest.mark.parametrize(
+    ("level", "second"), [("predicted", Outcome.REACHED), ("nothing", Outcome.COLLISION_DYNAMIC)]
+)
+def test_they_go_round_rock_and_past_a_ball_that_they_know_of(load, level, second):
     changes = {
         "time": {"horizon_s": 40.0},
-        "world": {"obstacles": {"explicit": [ball]}},
-        "policy": {"knows": {"obstacles": "predicted", "current": "predicted"}},
+        "world": {"obstacles": {"explicit": [BALL]}},
+        "policy": {"knows": {"obstacles": level, "current": "predicted"}},
     }
-    simulator = angler.Simulator(load("twist", **changes))
+    simulator = angler.Simulator(load(**changes))
     worlds = simulator.worlds()
     rock = np.zeros(np.shape(worlds.environment.grid.occupied), bool)
     rock[:, 4, :6] = True
     grid = replace(worlds.environment.grid, occupied=jnp.asarray(rock))
     walled = replace(worlds, environment=replace(worlds.environment, grid=grid))
     state, robots, balls = fly(simulator, without_plans(walled))
-    assert np.all(np.asarray(state.tally.outcome) == Outcome.REACHED)
+    assert np.asarray(state.tally.outcome)[0].tolist() == [Outcome.REACHED, second]
     assert np.abs(balls[-1] - balls[0]).max() > 1.0
     # The way is open above y = 3 m alone.
     assert robots[:, 0, :, 1].max(axis=0).min() > 3.0
