@@ -10,12 +10,12 @@ from angler_kernels import quaternion
 from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate
 from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.mppi import drag, outputs
+from angler_mjx.planning.mppi import ahead, drag, outputs
 from angler_mjx.planning.mppi import field as fields
 from angler_mjx.planning.mppi.costs import Bodies, Weights
 from angler_mjx.planning.mppi.models import Forces, Lag
 from angler_mjx.planning.mppi.sampling import Scene, improve, shifted
-from angler_mjx.sim.knowledge import KnownObstacles, Knows
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.properties import GRAVITY_MPS2
@@ -25,8 +25,6 @@ type Output = Literal["twist", "wrench"]
 
 ROOM_M = 0.1
 """Beside a robot's radius, for the way that is left."""
-NOBODY_M = -1e3
-"""Reach of what is not there."""
 
 
 @jax.tree_util.register_dataclass
@@ -95,7 +93,7 @@ class Mppi(Policy):
         since, believed = known.time_s - carry.time_s, known.belief
         others = jax.vmap(lambda way: shifted(way, since, self.horizon_s - self.dt_s))(carry.way_m)
         ahead_s = self.dt_s * (jnp.arange(self.steps) + 1)
-        place, reach = _obstacles(known.obstacles, ahead_s)
+        place, reach = ahead.obstacles(known.obstacles, ahead_s)
         centre = jnp.concatenate([jnp.swapaxes(others, 0, 1), jnp.swapaxes(place, 0, 1)], axis=1)
         robots, radii = jnp.arange(known.goal_m.shape[0]), known.params.vehicle.radius_m
 
@@ -103,13 +101,13 @@ class Mppi(Policy):
             i: jax.Array, params: ControlParams, seen: fields.Field, knots: jax.Array
         ) -> tuple[jax.Array, jax.Array, jax.Array]:
             radius, q = params.vehicle.radius_m, believed.q[i]
-            of_robots = jnp.where(robots == i, NOBODY_M, radius + radii)
+            of_robots = jnp.where(robots == i, ahead.NOBODY_M, radius + radii)
             scene = Scene(
                 field=seen,
                 bodies=Bodies(
                     centre_m=centre, reach_m=jnp.concatenate([of_robots, radius + reach])
                 ),
-                flow_mps=_flow(known, others[i], ahead_s),
+                flow_mps=ahead.flow(known.current, others[i], ahead_s),
                 goal_m=known.goal_m[i],
                 radius_m=radius,
                 limit_mps=params.cruise_speed_mps,
@@ -162,32 +160,3 @@ class Mppi(Policy):
             known.params.vehicle, believed.p, believed.q, believed.nu, asked, flow, yaw
         )
         return commands
-
-
-def _flow(known: Known, way_m: jax.Array, ahead_s: jax.Array) -> jax.Array:
-    """Velocity [H, 3] of the water, as far as it is known, along a way [H, 3]."""
-    if known.current is None:
-        return jnp.zeros_like(way_m)
-    flow: jax.Array = jax.vmap(known.current.velocity)(way_m, ahead_s)
-    return flow
-
-
-def _obstacles(known: KnownObstacles | None, ahead_s: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Places [n, H, 3] from now on and bounding radii [n]; straight on where one place is told."""
-    if known is None:
-        return jnp.zeros((0, ahead_s.shape[0], 3)), jnp.zeros(0)
-    if known.time_s.shape[0] == 1:
-        place = known.p_m[:, :1] + known.velocity_mps[:, None] * ahead_s[:, None]
-    else:
-        place = _places(known, ahead_s)
-    return place, jnp.where(known.exists, known.radius_m, NOBODY_M)
-
-
-def _places(known: KnownObstacles, ahead_s: jax.Array) -> jax.Array:
-    """Places [n, H, 3] at times, on lines between those that are told; held after the last."""
-    at = jnp.searchsorted(known.time_s, ahead_s, side="right")
-    after = jnp.clip(at, 1, known.time_s.shape[0] - 1)
-    begin, end = known.time_s[after - 1], known.time_s[after]
-    share = jnp.clip((ahead_s - begin) / (end - begin), 0.0, 1.0)[:, None]
-    place: jax.Array = known.p_m[:, after - 1] * (1.0 - share) + known.p_m[:, after] * share
-    return place
