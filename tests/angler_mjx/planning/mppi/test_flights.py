@@ -12,6 +12,8 @@ from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator import online
 
+from ...vehicles import made_up
+
 SCENARIO = """
 name = "meeting"
 engine = "fused"
@@ -158,6 +160,24 @@ def without_plans(worlds):
 def test_what_cannot_be_flown_is_refused_by_its_key(load, changes, said):
     with pytest.raises(ConfigError, match=said):
         load(**changes)
+
+
+def test_wrenches_are_refused_to_what_cannot_push_to_the_side(load, tmp_path):
+    made_up.write(tmp_path / "four.toml", made_up.FOUR)
+    fleet = [{"vehicle": "bluerov2_heavy"}, {"vehicle": str(tmp_path / "four.toml")}]
+    load("twist", fleet=fleet)
+    with pytest.raises(ConfigError, match=r"fleet\[1\], vehicle 'four', has no sway; take output"):
+        load("wrench", fleet=fleet)
+
+
+@pytest.mark.nightly(by="test_wrenches_are_refused_to_what_cannot_push_to_the_side")
+def test_what_has_no_sway_flies_by_its_bow(load, tmp_path):
+    made_up.write(tmp_path / "four.toml", made_up.FOUR)
+    fleet = [{"vehicle": str(tmp_path / "four.toml"), "count": 2}]
+    still = {"currents": []}
+    simulator = angler.Simulator(load(fleet=fleet, world=still, time={"horizon_s": 40.0}))
+    state, _, _ = fly(simulator, simulator.worlds())
+    assert np.all(np.asarray(state.tally.outcome) == Outcome.REACHED)
 
 
 def test_a_bad_value_of_a_file_is_told_by_file_key_and_value(tmp_path):
