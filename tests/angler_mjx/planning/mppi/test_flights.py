@@ -166,7 +166,9 @@ def test_wrenches_are_refused_to_what_cannot_push_to_the_side(load, tmp_path):
     made_up.write(tmp_path / "four.toml", made_up.FOUR)
     fleet = [{"vehicle": "bluerov2_heavy"}, {"vehicle": str(tmp_path / "four.toml")}]
     load("twist", fleet=fleet)
-    with pytest.raises(ConfigError, match=r"fleet\[1\], vehicle 'four', has no sway; take output"):
+    with pytest.raises(
+        ConfigError, match=r"fleet\[1\], vehicle 'made_up', has no sway; take output"
+    ):
         load("wrench", fleet=fleet)
 
 
