@@ -1,5 +1,6 @@
 """Tables of a scenario file that say what policy commands the robots, if any does."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Literal, Self
 
@@ -10,7 +11,9 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
-from angler_mjx.scenario.tables import KnowsConfig, TimeConfig, whole
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.tables import ControllerConfig, KnowsConfig, TimeConfig, whole
+from angler_mjx.vehicles import library
 
 MOST_STEPS = 1000
 """Of a sample: 50 s at 50 ms."""
@@ -93,3 +96,29 @@ class PolicyConfig(FileModel):
     knows: KnowsConfig | None = None
     """What it may know of what moves, whenever it acts; what the planner may if left out."""
     mppi: MppiConfig = MppiConfig()
+
+
+def check_flyable(
+    settings: MppiConfig,
+    time: TimeConfig,
+    controller: ControllerConfig,
+    fleet: Sequence[FleetEntry],
+) -> None:
+    """Refuse what the controllers or the fleet cannot be told, or not so often.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    settings.period(time)
+    if not any(settings.commands in x.takes for x in controller.stack()[0]):
+        raise ValueError(
+            f"policy.mppi.output = {settings.output!r}: no stage of controller "
+            f"{controller.title!r} takes a {settings.commands.__name__}; take another, "
+            "such as cascade"
+        )
+    for i, entry in enumerate(fleet if settings.output == "wrench" else ()):
+        if any("sway" in able.missing for able in entry.drives()):
+            raise ValueError(
+                f"policy.mppi.output = 'wrench': pushes to the side, and fleet[{i}], vehicle "
+                f'{library.load(entry.vehicle).name!r}, has no sway; take output = "twist"'
+            )

@@ -17,7 +17,7 @@ from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.policy_tables import PolicyConfig
+from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.tables import (
     FOLDER,
     ControllerConfig,
@@ -161,20 +161,7 @@ class Scenario(FileModel):
                 f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
                 "one of them"
             )
-        settings = self.policy.mppi
-        settings.period(self.time)
-        if not any(settings.commands in x.takes for x in self.controller.stack()[0]):
-            raise ValueError(
-                f"policy.mppi.output = {settings.output!r}: no stage of controller "
-                f"{self.controller.title!r} takes a {settings.commands.__name__}; take another, "
-                "such as cascade"
-            )
-        for i, entry in enumerate(self.fleet if settings.output == "wrench" else ()):
-            if any("sway" in able.missing for able in entry.drives()):
-                raise ValueError(
-                    f"policy.mppi.output = 'wrench': pushes to the side, and fleet[{i}], vehicle "
-                    f'{library.load(entry.vehicle).name!r}, has no sway; take output = "twist"'
-                )
+        check_flyable(self.policy.mppi, self.time, self.controller, self.fleet)
         return self
 
     @property
