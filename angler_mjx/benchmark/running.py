@@ -4,11 +4,14 @@ Planners are asked one at a time on each core, while nothing else is computed: w
 then their own time. Each answer and each flight is in the database before the next is waited for.
 """
 
+import gc
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
+
+import jax
 
 from angler_mjx.benchmark import flying, folder, planning, questions, scenery, tables
 from angler_mjx.benchmark.questions import Benchmark, Contestant, Setting
@@ -46,6 +49,9 @@ class _Simulators:
     def of(self, setting: Setting, joints: bool) -> Simulator:
         if self.scenario is not setting.scenario:
             self.scenario, self.made = setting.scenario, {}
+            # Programs of hundreds of settings are more than a process may map into its memory.
+            gc.collect()
+            jax.clear_caches()
         if joints not in self.made:
             shape = PathShape(points=setting.scenario.planner.points, joints=joints)
             simulator = Simulator(setting.scenario, paths=shape)

@@ -1,4 +1,4 @@
-"""`angler fly`: one scene whose plans are looked after while they are flown, through a session."""
+"""`angler fly`: one scene, by a policy or by plans that are looked after, through a session."""
 
 import sys
 import time
@@ -20,6 +20,7 @@ def fly(
     planner: str | None = None,
     replan_hz: float | None = None,
     order: Literal["free", "kept"] | None = None,
+    policy: Literal["none", "mppi"] | None = None,
     session: Literal["sim", "sitl"] = "sim",
     out: Path | None = None,
     world: int = 0,
@@ -30,13 +31,14 @@ def fly(
     ardusub: Path | None = None,
     device: Device = "cpu",
 ) -> None:
-    """Fly one world step by step, planning anew or keeping order on the way.
+    """Fly one world step by step, planning anew, keeping order, or by a policy.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         planner: That plans; the scenario's if left out. One of the device.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
         order: Whether robots that are in time wait for those that are to pass a place before them.
+        policy: That commands the robots instead of their plans; the scenario's if left out.
         session: What moves: the simulator, or real autopilots.
         out: Run folder to make, for figures, replays and exports.
         world: Index of the world.
@@ -68,11 +70,12 @@ def fly(
         seed=seed,
         planner=planner_given(planner, replan_hz=replan_hz),
         execution=None if order is None else {"order": order},
+        policy=None if policy is None else {"name": policy},
     )
-    if not loaded.online:
+    if not loaded.flown:
         raise ConfigError(
-            "angler fly: the scenario plans nothing anew and keeps no order; give --replan-hz or "
-            "--order kept (angler rollout flies plans as they are)"
+            "angler fly: the scenario plans nothing anew, keeps no order and names no policy; give "
+            "--replan-hz, --order kept or --policy mppi (angler rollout flies plans as they are)"
         )
     opener: opening.Opener = opening.simulated
     if session == "sitl":

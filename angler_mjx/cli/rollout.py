@@ -34,6 +34,7 @@ def rollout(
     planner: str | None = None,
     replan_hz: float | None = None,
     order: Literal["free", "kept"] | None = None,
+    policy: Literal["none", "mppi"] | None = None,
     workers: int | None = None,
     plans: Path | None = None,
     figures: bool = True,
@@ -66,6 +67,8 @@ def rollout(
             --list names, or FILE.py:CLASS.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
         order: Whether robots that are in time wait for those that are to pass a place before them.
+        policy: That commands the robots instead of their plans; the scenario's if left out. Its
+            settings stand in the scenario's [policy.NAME].
         workers: Processes that plan, where the planner is one of the host; one for each processor
             if left out. Changes no byte of the results.
         plans: File of plans to fly (angler plan, or written by anything else), instead of a
@@ -94,6 +97,7 @@ def rollout(
         "tile": tile,
         "planner": planner_given(planner, replan_hz=replan_hz),
         "execution": None if order is None else {"order": order},
+        "policy": None if policy is None else {"name": policy},
     }
     if planner is not None and plans is not None:
         raise ConfigError("--planner and --plans: give one of them; plans are made already")
@@ -101,9 +105,13 @@ def rollout(
     if record_hz is not None:
         overrides["time"] = {"record_hz": record_hz}
     if resume and overrides:
-        tables = ("time", "planner", "execution")
-        named = [x for key in overrides for x in (overrides[key] if key in tables else [key])]
-        flags = ", ".join("--planner" if key == "name" else flag(key) for key in named)
+        tables = ("time", "planner", "execution", "policy")
+        named = [
+            key if x == "name" else x
+            for key in overrides
+            for x in (overrides[key] if key in tables else [key])
+        ]
+        flags = ", ".join(map(flag, named))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario, **overrides)
     place = out or Path("runs") / loaded.name

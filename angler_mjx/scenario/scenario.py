@@ -17,6 +17,7 @@ from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.tables import (
     FOLDER,
     ControllerConfig,
@@ -68,6 +69,7 @@ class Scenario(FileModel):
     controller: ControllerConfig = ControllerConfig()
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
+    policy: PolicyConfig = PolicyConfig()
 
     @model_validator(mode="after")
     def _kernels_of_engine(self) -> Self:
@@ -148,6 +150,24 @@ class Scenario(FileModel):
                 f"{self.controller.title!r} takes one; take another, such as cascade"
             )
         return self
+
+    @model_validator(mode="after")
+    def _flies_by_policy(self) -> Self:
+        if self.policy.name == "none":
+            return self
+        if self.online:
+            key = "planner.replan_hz" if self.planner.replan_hz else 'execution.order = "kept"'
+            raise ValueError(
+                f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
+                "one of them"
+            )
+        check_flyable(self.policy.mppi, self.time, self.controller, self.fleet)
+        return self
+
+    @property
+    def flown(self) -> bool:
+        """Whether a policy that the scenario names commands the robots, or looks after plans."""
+        return self.online or self.policy.name != "none"
 
     @property
     def online(self) -> bool:

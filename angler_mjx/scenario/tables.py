@@ -51,11 +51,11 @@ class TimeConfig(FileModel):
 
     @model_validator(mode="after")
     def _commensurate(self) -> Self:
-        _whole("control_dt_s / physics_dt_s", self.control_dt_s, self.physics_dt_s)
-        _whole("horizon_s / control_dt_s", self.horizon_s, self.control_dt_s)
+        whole("control_dt_s / physics_dt_s", self.control_dt_s, self.physics_dt_s)
+        whole("horizon_s / control_dt_s", self.horizon_s, self.control_dt_s)
         if self.record_hz > 0:
-            _whole("1 / (record_hz control_dt_s)", 1.0, self.record_hz * self.control_dt_s)
-            _whole("horizon_s record_hz", self.horizon_s * self.record_hz, 1.0)
+            whole("1 / (record_hz control_dt_s)", 1.0, self.record_hz * self.control_dt_s)
+            whole("horizon_s record_hz", self.horizon_s * self.record_hz, 1.0)
         return self
 
     @property
@@ -74,8 +74,13 @@ class TimeConfig(FileModel):
         return round(1.0 / (self.record_hz * self.control_dt_s)) if self.record_hz > 0 else 0
 
 
-def _whole(what: str, part: float, whole: float) -> None:
-    ratio = part / whole if whole > 0 else math.inf
+def whole(what: str, part: float, unit: float) -> None:
+    """Refuse a part that is no whole number of units, at least 1.
+
+    Raises:
+        ValueError: saying so of ``what``.
+    """
+    ratio = part / unit if unit > 0 else math.inf
     if not math.isfinite(ratio):
         raise ValueError(f"{what} is too large; take numbers nearer to one another")
     if ratio < 0.999999 or abs(ratio - round(ratio)) > 1e-6 * ratio:
@@ -247,9 +252,9 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
             )
         return
     hz, delay = planner.replan_hz, planner.delay_s
-    _whole(f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s)
+    whole(f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s)
     if delay > 0.0:
-        _whole(f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s)
+        whole(f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s)
     if delay * hz > 1.0 + 1e-6:
         raise ValueError(
             f"planner.delay_s = {delay:g}: longer than the {1 / hz:g} s from one plan to the next "

@@ -51,8 +51,9 @@ class Flyer:
         chosen = inside.simulator.policy if policy is None else policy
         if chosen is None:
             raise ConfigError(
-                "nothing flies: the scenario plans nothing anew and keeps no order; set "
-                'planner.replan_hz or execution.order = "kept", or give a policy'
+                "nothing flies: the scenario plans nothing anew, keeps no order and names no "
+                'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
+                "policy"
             )
         self._session, self._policy = session, chosen
         spec, stages = inside.simulator.spec, inside.simulator.spec.stages

@@ -63,6 +63,8 @@ class KnownObstacles:
     """[n, T, 3] places of the centre; held after the last."""
     q: Any
     """[n, T, 4] attitudes, wxyz, body to W."""
+    some_stand: bool = field(default=True, metadata={"static": True})
+    """Whether any of them can be a still one: no code need look for those if not."""
 
 
 @jax.tree_util.register_dataclass
@@ -174,6 +176,7 @@ def obstacles(
         time_s=time,
         p_m=jnp.where(told_of[:, None, None], where, 0.0),
         q=jnp.where(told_of[:, None, None], turned, jnp.array([1.0, 0.0, 0.0, 0.0])),
+        some_stand=STATIC in body.motions,
     )
 
 

@@ -1,10 +1,12 @@
-"""The policy that a scenario asks for: order kept, and plans made anew while robots fly."""
+"""The policy that a scenario asks for: one by name, or order kept and plans made anew in flight."""
 
 from collections.abc import Callable
 
 from angler_mjx.control.laws.follow import FollowGains
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning.mppi.costs import Weights
+from angler_mjx.planning.mppi.policy import Mppi
 from angler_mjx.planning.online.planners import BatchAnew, CurrentAnew, GridAnew, PriorityAnew
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
@@ -24,21 +26,42 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
     """What commands the robots of a scenario.
 
     Args:
-        scenario: that may ask for order or replanning.
+        scenario: that may name a policy, or ask for order or replanning.
         given: a policy of the caller's.
 
     Raises:
         ConfigError: both ask for the robots, or the planner cannot plan while they fly.
     """
-    if not scenario.online:
+    if not scenario.flown:
         return given
     if given is not None:
         key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
+        if not scenario.online:
+            key = f'policy.name = "{scenario.policy.name}"'
         raise ConfigError(
             f"policy {type(given).__name__}: the scenario's {key} commands the robots already; "
             "leave out one of them"
         )
-    return made(scenario)
+    return made(scenario) if scenario.online else mppi(scenario)
+
+
+def mppi(scenario: Scenario) -> Mppi:
+    """Path integral control with a scenario's settings."""
+    settings, time = scenario.policy.mppi, scenario.time
+    knows = scenario.policy.knows or scenario.planner.knows
+    return Mppi(
+        weights=Weights(**settings.weights),
+        density_kgpm3=scenario.water.density_kgpm3,
+        gravity_mps2=scenario.sim_spec().water.gravity_mps2,
+        output=settings.output,
+        samples=settings.samples,
+        horizon_s=settings.horizon_s,
+        dt_s=settings.dt_s,
+        knots=settings.knots,
+        period=settings.period(time),
+        knows=knows.knows(),
+        ahead_s=settings.horizon_s,
+    )
 
 
 def made(scenario: Scenario) -> Online:

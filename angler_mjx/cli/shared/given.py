@@ -27,8 +27,8 @@ def scenario_given(name_or_path: str, **flags: Any) -> "Scenario":
 
 
 def flag(key: str) -> str:
-    """The flag of a key: ``--record-hz`` of ``time.record_hz``."""
-    return "--" + key.rpartition(".")[2].replace("_", "-")
+    """The flag of a key: ``--record-hz`` of ``time.record_hz``, ``--policy`` of ``policy.name``."""
+    return "--" + key.removesuffix(".name").rpartition(".")[2].replace("_", "-")
 
 
 def planner_given(name: str | None, **keys: float | None) -> dict[str, Any] | None:

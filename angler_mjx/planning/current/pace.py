@@ -116,22 +116,23 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
         speed = jnp.maximum(speed, _SLOWEST * cruise)
         return jnp.where(goes, cruise / speed, NO_WAY), speed
     still = robot.rest_w + robot.factor[0] * cruise ** robot.exponent[0] + robot.hurry_w
-    best, chosen = jnp.full_like(along, NO_WAY), jnp.full_like(along, 1.0) * _SLOWEST * cruise
-    for times in _SPEEDS:
-        square = (times * cruise) ** 2 - across
-        speed = along + jnp.sqrt(jnp.maximum(square, 1e-9))
-        slow = jnp.maximum(speed, _SLOWEST * cruise)
-        swum = slow[..., None] * direction - flow
-        surge = swum[..., 0] * ahead[..., 0] + swum[..., 1] * ahead[..., 1]
-        sway = swum[..., 1] * ahead[..., 0] - swum[..., 0] * ahead[..., 1]
-        axes = jnp.stack([surge, sway, swum[..., 2]], axis=-1)
-        effort = jnp.sum((axes / robot.limit_mps) ** 2, axis=-1)
-        cost = (_power(robot, axes) + robot.hurry_w) * cruise / (still * slow)
-        goes = (square > 0.0) & (speed > _SLOWEST * cruise) & (effort <= 1.0)
-        cost = jnp.where(goes, cost, NO_WAY)
-        chosen = jnp.where(cost < best, slow, chosen)
-        best = jnp.minimum(best, cost)
-    return best, chosen
+    tried = jnp.array(_SPEEDS, along.dtype) * cruise
+    square = tried**2 - across[..., None]
+    speed = along[..., None] + jnp.sqrt(jnp.maximum(square, 1e-9))
+    slow = jnp.maximum(speed, _SLOWEST * cruise)
+    swum = slow[..., None] * direction[..., None, :] - flow[..., None, :]
+    ahead = ahead[..., None, :]
+    surge = swum[..., 0] * ahead[..., 0] + swum[..., 1] * ahead[..., 1]
+    sway = swum[..., 1] * ahead[..., 0] - swum[..., 0] * ahead[..., 1]
+    axes = jnp.stack([surge, sway, swum[..., 2]], axis=-1)
+    effort = jnp.sum((axes / robot.limit_mps) ** 2, axis=-1)
+    cost = (_power(robot, axes) + robot.hurry_w) * cruise / (still * slow)
+    goes = (square > 0.0) & (speed > _SLOWEST * cruise) & (effort <= 1.0)
+    cost = jnp.where(goes, cost, NO_WAY)
+    least = jnp.min(cost, axis=-1)
+    # Of several that cost the same the slowest: where there is no way, all do.
+    best = jnp.argmin(cost, axis=-1)
+    return least, jnp.take_along_axis(slow, best[..., None], axis=-1)[..., 0]
 
 
 def _power(robot: Swimmer, axes: jax.Array) -> jax.Array:

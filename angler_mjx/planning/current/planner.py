@@ -94,14 +94,18 @@ def plan(
     """
     worlds, robots = teams.radius_m.shape
     chunk = max(1, AT_ONCE // robots)
-    inputs = (environments, teams, current, obstacles)
     if worlds <= chunk:
-        return _batch(*inputs, config)
+        return _batch(environments, teams, current, obstacles, config)
     parts = -(-worlds // chunk)
     rows = jnp.minimum(jnp.arange(parts * chunk), worlds - 1).reshape(parts, chunk)
-    found = jax.lax.map(
-        lambda some: _batch(*jax.tree.map(lambda leaf: leaf[some], inputs), config), rows
-    )
+
+    def some(row: jax.Array) -> Trajectory:
+        place, team, flow, bodies = jax.tree.map(
+            lambda leaf: leaf[row], (environments, teams, current, obstacles)
+        )
+        return _batch(place, team, flow, bodies, config)
+
+    found = jax.lax.map(some, rows)
     paths: Trajectory = jax.tree.map(
         lambda leaf: leaf.reshape(parts * chunk, *leaf.shape[2:])[:worlds], found
     )

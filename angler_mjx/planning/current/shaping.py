@@ -58,10 +58,14 @@ def legs(robot: Swimmer, points: jax.Array, flow: Flow, begin_s: jax.Array, stay
         slow = sum(1.0 / speed for _, speed in seen) / len(seen)
         return Leg(cost=metres * cost, span_s=metres * slow)
 
+    found: Leg
     if stays:
-        return jax.vmap(one, in_axes=(0, 0, 0, None))(direction, length, looks, begin_s)
+        found = jax.vmap(one, in_axes=(0, 0, 0, None))(direction, length, looks, begin_s)
+        return found
 
-    def after(t: jax.Array, row: tuple[jax.Array, jax.Array, list[jax.Array]]) -> tuple:
+    def after(
+        t: jax.Array, row: tuple[jax.Array, jax.Array, list[jax.Array]]
+    ) -> tuple[jax.Array, Leg]:
         # The time at the middle of the leg, by its speed at the beginning.
         first = one(*row, t)
         leg = one(*row, t + 0.5 * first.span_s)
@@ -121,7 +125,9 @@ def shortened(
         seen = next_to | line_of_sight(land, a, b, clearance_m)
         return jnp.where(seen, total, jnp.inf)
 
-    def reach(state: tuple[jax.Array, jax.Array], j: jax.Array) -> tuple[tuple, None]:
+    def reach(
+        state: tuple[jax.Array, jax.Array], j: jax.Array
+    ) -> tuple[tuple[jax.Array, jax.Array], None]:
         least, before = state
         rows = j - 1 - jnp.arange(_WINDOW)
         there = jnp.maximum(rows, 0)
@@ -216,10 +222,13 @@ def descended(
         far = jnp.sqrt(jnp.max(jnp.sum(move * move, axis=-1)) + 1e-12)
         move = move * jnp.minimum(1.0, 0.5 * cell / far)
         new = state.way.at[1:-1].add(-move)
-        stuck = jnp.zeros(n, bool)
-        for _ in range(_HELD):
-            ends = _ends(hit(new) & ~tight)
-            new, stuck = jnp.where(ends[:, None], state.way, new), stuck | ends
+
+        def hold(_: int, tried: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            there, stuck = tried
+            ends = _ends(hit(there) & ~tight)
+            return jnp.where(ends[:, None], state.way, there), stuck | ends
+
+        new, stuck = jax.lax.fori_loop(0, _HELD, hold, (new, jnp.zeros(n, bool)))
         value, slope = look(new[1:-1])
         good = (value < state.value) & ~jnp.any(hit(new) & ~tight)
         after = _Descent(
@@ -254,17 +263,19 @@ def _ends(which: jax.Array) -> jax.Array:
 
 
 def _smoothed(slope: jax.Array, fixed: jax.Array) -> jax.Array:
-    """Inverse second difference of rows [n, 3] over those that are not ``fixed`` [n]; 0 there."""
-    free = ~fixed
-    one = jnp.ones(slope.shape[0], slope.dtype)
-    beside = -1.0 * (free[1:] & free[:-1])
-    zero = jnp.zeros(1, slope.dtype)
-    return jax.lax.linalg.tridiagonal_solve(
-        jnp.concatenate([zero, beside]),
-        jnp.where(free, 2.0, 1.0) * one,
-        jnp.concatenate([beside, zero]),
-        jnp.where(free[:, None], slope, 0.0),
-    )
+    """Inverse second difference of rows [n, 3] over those that are not ``fixed`` [n]; 0 there.
+
+    Between two rows that stay, a and b, the inverse is Green's function of a string held there:
+    (i - a) (b - j) / (b - a) for i <= j.
+    """
+    row = jnp.arange(1, fixed.shape[0] + 1)
+    last = jax.lax.cummax(jnp.where(fixed, row, 0))
+    after = jax.lax.cummin(jnp.where(fixed, row, fixed.shape[0] + 1), reverse=True)
+    low, high = jnp.minimum(row[:, None], row), jnp.maximum(row[:, None], row)
+    held = (low - last[:, None]) * (after[:, None] - high)
+    same = (last[:, None] == last) & ~fixed[:, None] & ~fixed
+    green = jnp.where(same, held / jnp.maximum(after - last, 1)[:, None], 0.0)
+    return jnp.sum(green[:, :, None].astype(slope.dtype) * slope, axis=1)
 
 
 def _inside(land: Terrain, p: jax.Array, clearance_m: jax.Array, floor_z_m: jax.Array) -> jax.Array:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.ways.bodies import STANDS_S
 from angler_mjx.planning.ways.pulling import keeps_clear
-from angler_mjx.planning.ways.robot import grown
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
 from angler_mjx.planning.ways.traffic import Traffic, met_by
 
@@ -68,7 +67,7 @@ def scheduled(
         best, rank = state
         turn = jnp.argsort(rank)
         begin = (held, jnp.zeros(n, bool), jnp.zeros(n, bool))
-        (plans, _, found), _ = jax.lax.scan(one, begin, turn)
+        (plans, _all, found), _none = jax.lax.scan(one, begin, turn)
         met = jax.vmap(lambda path, far: meets_starts(path, held.position_m[:, 0], far, horizon_s))(
             plans, reach
         )
@@ -91,7 +90,7 @@ def _clear_of_bodies(ways: Trajectory, bodies: Traffic | None, by_m: jax.Array) 
     """Which ways [H] of a robot are there, and clear of bodies until they are over, bool [H]."""
     if bodies is None:
         return ways.found
-    wide = grown(bodies, by_m)
+    wide = replace(bodies, reach_m=bodies.reach_m + by_m)
 
     def clear(way: Trajectory) -> jax.Array:
         return keeps_clear(wide, way, way.time_s[-1] + STANDS_S)

@@ -157,5 +157,5 @@ def _standing(known: KnownObstacles) -> Obstacles:
         D_q=six,
         exists=known.exists & ~known.moves,
         kinds=(SPHERE, BOX, CAPSULE),
-        motions=(STATIC,) if rows else (),
+        motions=(STATIC,) if rows and known.some_stand else (),
     )

@@ -104,6 +104,7 @@ def test_what_is_wrong_with_a_flag_is_said_of_the_flag(write):
         ({"time": {"record_hz": -1.0}}, "--record-hz = -1.0"),
         ({"time": {"record_hz": 3.0}}, "--record-hz: time: "),
         ({"seed": 10**30}, "--seed = "),
+        ({"policy": {"name": "mpc"}}, "--policy = "),
     ):
         with pytest.raises(ConfigError) as caught:
             scenario_given(str(path), **flags)

@@ -1,0 +1,128 @@
+"""What water does to one robot that holds its heading, level: drag, thrusts against it, power.
+
+Three directions alone, those of the robot's own axes; samples [S] are last. Turning is left out.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.control.laws.model import SPEED_SHARE
+from angler_mjx.control.stack import ControlParams
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Hull:
+    """Numbers of one robot at a heading."""
+
+    heading: jax.Array
+    """[2] cosine and sine of the heading."""
+    inertia_kg: jax.Array
+    """[3] with added mass, along the robot's axes."""
+    linear: jax.Array
+    """[3] damping, N s/m."""
+    quadratic: jax.Array
+    """[3] damping, N s^2/m^2."""
+    lift_n: jax.Array
+    """[] buoyancy less weight."""
+    thrusters: jax.Array
+    """[n_thruster, 3] thrust per newton of a force."""
+    most_n: jax.Array
+    """[] thrust of a thruster, either way."""
+    fastest_mps: jax.Array
+    """[3] through the water, along the robot's axes."""
+    cruise_mps: jax.Array
+    """[]"""
+
+
+def hull(
+    params: ControlParams, yaw_rad: jax.Array, density_kgpm3: float, gravity_mps2: float
+) -> Hull:
+    """The numbers of one robot as its controllers know it.
+
+    A vehicle without thrust in some direction is taken to turn its bow there.
+    """
+    vehicle = params.vehicle
+    speed = vehicle.terminal_speed_mps
+    return Hull(
+        heading=jnp.stack([jnp.cos(yaw_rad), jnp.sin(yaw_rad)]),
+        inertia_kg=vehicle.mass_kg + jnp.diagonal(vehicle.M_A)[:3],
+        linear=vehicle.D_l[:3],
+        quadratic=vehicle.D_q[:3],
+        lift_n=(density_kgpm3 * vehicle.volume_m3 - vehicle.mass_kg) * gravity_mps2,
+        thrusters=params.allocation.B_inverse[:, :3],
+        most_n=jnp.minimum(vehicle.thrust_n[-1], -vehicle.thrust_n[0]),
+        fastest_mps=SPEED_SHARE * jnp.where(speed > 0.0, speed, jnp.max(speed)),
+        cruise_mps=params.cruise_speed_mps,
+    )
+
+
+def to_body(hull: Hull, x: jax.Array) -> jax.Array:
+    """Vectors [3, S] of W along the robot's axes."""
+    c, s = hull.heading[0], hull.heading[1]
+    return jnp.stack([c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]])
+
+
+def to_world(hull: Hull, x: jax.Array) -> jax.Array:
+    """Vectors [3, S] along the robot's axes, in W."""
+    c, s = hull.heading[0], hull.heading[1]
+    return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
+
+
+def resistance(hull: Hull, through: jax.Array) -> jax.Array:
+    """Drag [3, S] over velocity, N s/m, of velocities [3, S] through the water."""
+    return hull.linear[:, None] + hull.quadratic[:, None] * jnp.abs(through)
+
+
+def lift(hull: Hull) -> jax.Array:
+    """Buoyancy less weight, a force [3, 1] along the robot's axes."""
+    up = jnp.array([0.0, 0.0, 1.0], hull.lift_n.dtype)
+    return (hull.lift_n * up)[:, None]
+
+
+def reachable(hull: Hull, through: jax.Array) -> jax.Array:
+    """Velocities [3, S] through the water, shortened to what thrust can hold.
+
+    Surge and sway take the same thrusters: at each half of what it can do alone, forces add up.
+    Those of quadratic drag then leave an ellipse of velocities. Heave has its own.
+    """
+    share = through / hull.fastest_mps[:, None]
+    level = jnp.sqrt(share[0] ** 2 + share[1] ** 2 + 1e-12)
+    keep = 1.0 / jnp.maximum(level, 1.0)
+    return jnp.stack(
+        [through[0] * keep, through[1] * keep, through[2] / jnp.maximum(jnp.abs(share[2]), 1.0)]
+    )
+
+
+def thrusts(hull: Hull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """What thrusters can do of forces [3, S] along the robot's axes.
+
+    Surge and sway are cut by one factor, heave by its own, so that no thruster runs past its end by
+    either alone.
+
+    Returns:
+        Forces [3, S], and thrusts [n_thruster, S].
+    """
+    level = jnp.einsum("ti,is->ts", hull.thrusters[:, :2], force[:2])
+    heave = hull.thrusters[:, 2:] * force[2]
+    of_level = jnp.minimum(1.0, hull.most_n / (jnp.max(jnp.abs(level), axis=0) + 1e-6))
+    of_heave = jnp.minimum(1.0, hull.most_n / (jnp.max(jnp.abs(heave), axis=0) + 1e-6))
+    given = jnp.stack([force[0] * of_level, force[1] * of_level, force[2] * of_heave])
+    return given, level * of_level + heave * of_heave
+
+
+def power(hull: Hull, thrust_n: jax.Array) -> jax.Array:
+    """Power [S] of thrusts [n_thruster, S], over that of cruising ahead through still water.
+
+    A propeller takes power as the 3/2 of its thrust.
+    """
+    ahead = hull.cruise_mps * jnp.array([1.0, 0.0, 0.0])[:, None]
+    _, cruising = thrusts(hull, resistance(hull, ahead) * ahead)
+    return _three_halves(thrust_n) / jnp.maximum(_three_halves(cruising), 1e-6)
+
+
+def _three_halves(thrust_n: jax.Array) -> jax.Array:
+    size = jnp.abs(thrust_n)
+    return jnp.sum(size * jnp.sqrt(size), axis=0)

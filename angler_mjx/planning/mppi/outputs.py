@@ -1,0 +1,66 @@
+"""What one robot is told: the velocity that its samples came to, or the wrench that takes it up."""
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate
+from angler_mjx.control.laws import model
+from angler_mjx.vehicles.params import VehicleParams
+
+
+def twist(
+    vehicle: VehicleParams,
+    estimate: Estimate,
+    asked_mps: jax.Array,
+    yaw_rad: jax.Array,
+    attitude_per_s: jax.Array | float,
+) -> BodyTwist:
+    """A velocity over ground, and the turn that closes the error of heading.
+
+    Args:
+        vehicle: one without sway turns its bow to where it goes.
+        estimate: of its motion.
+        asked_mps: [3] velocity over ground, in W.
+        yaw_rad: [] heading to hold.
+        attitude_per_s: turn per radian of error.
+    """
+    heading = model.heading(vehicle, estimate, asked_mps, yaw_rad)
+    turn = attitude_per_s * model.attitude_error(estimate.q, heading)
+    return BodyTwist(nu=jnp.concatenate([quaternion.rotate_inverse(estimate.q, asked_mps), turn]))
+
+
+def wrench(
+    vehicle: VehicleParams,
+    estimate: Estimate,
+    asked_mps: jax.Array,
+    yaw_rad: jax.Array,
+    attitude_per_s: jax.Array | float,
+    response_s: jax.Array | float,
+    density_kgpm3: float,
+    gravity_mps2: float,
+) -> BodyWrench:
+    """The wrench of the full closed form by which the asked velocity is taken up as by a lag.
+
+    The moment turns the vehicle level and to its heading, critically damped, and carries what
+    righting, drag and added mass do to it. The current is that of the estimate; none if it has
+    none.
+
+    Args:
+        vehicle: as its controllers know it.
+        estimate: of its motion, and of the current there.
+        asked_mps: [3] velocity over ground, in W.
+        yaw_rad: [] heading to hold.
+        attitude_per_s: rate of the return to it.
+        response_s: time constant of the velocity.
+        density_kgpm3: of the water.
+        gravity_mps2: of the place.
+    """
+    q, nu = estimate.q, estimate.nu
+    linear = (quaternion.rotate_inverse(q, asked_mps) - nu[:3]) / response_s
+    error = model.attitude_error(q, yaw_rad)
+    turn = attitude_per_s * (attitude_per_s * error - 2.0 * nu[3:])
+    # Rates are those of components in F, which turns.
+    rates = jnp.concatenate([linear - jnp.cross(nu[3:], nu[:3]), turn])
+    tau = model.model_wrench(vehicle, estimate, rates, estimate.flow, density_kgpm3, gravity_mps2)
+    return BodyWrench(tau=tau)

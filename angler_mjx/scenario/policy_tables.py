@@ -1,0 +1,124 @@
+"""Tables of a scenario file that say what policy commands the robots, if any does."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from angler_mjx.control.commands import BodyTwist, BodyWrench
+from angler_mjx.errors import shown
+from angler_mjx.files import FileModel
+from angler_mjx.planning.mppi.costs import Weights
+from angler_mjx.planning.mppi.policy import Output
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.tables import ControllerConfig, KnowsConfig, TimeConfig, whole
+from angler_mjx.vehicles import library
+
+MOST_STEPS = 1000
+"""Of a sample: 50 s at 50 ms."""
+
+
+class MppiConfig(FileModel):
+    """Path integral control; see `docs/mppi.md`."""
+
+    output: Output = "twist"
+    """What robots are told: twist, velocities for the velocity loop of the controllers; wrench,
+    forces and moments for their allocation."""
+    hz: float = Field(default=10.0, gt=0.0, le=1e4)
+    """How often robots are told anew; a whole number of control steps from one time to the next."""
+    samples: int = Field(default=512, ge=2, le=2**16)
+    """Of each robot, each time."""
+    horizon_s: float = Field(default=3.0, gt=0.0, le=600.0)
+    """How far samples look ahead; a whole number of their steps."""
+    dt_s: float = Field(default=0.1, ge=1e-3, le=10.0)
+    """Step of samples."""
+    knots: int = Field(default=8, ge=2, le=100)
+    """Velocities that a sample is made of, joined by lines; at most one a step."""
+    weights: dict[str, float] = Field(default_factory=dict)
+    """Those that differ; all above 0, or 0 for what is to cost nothing."""
+
+    @field_validator("weights")
+    @classmethod
+    def _are_weights(cls, given: dict[str, float]) -> dict[str, float]:
+        known = asdict(Weights())
+        for key, value in given.items():
+            if key not in known:
+                raise ValueError(f"{shown(key)}: no such weight; there is {', '.join(known)}")
+            divides = key in ("margin_m", "temperature", "noise", "response_s")
+            if value < 0.0 or (divides and value == 0.0):
+                least = "above 0" if divides else "0 or more"
+                raise ValueError(f"{key} = {value:g}: give a number {least}")
+        return given
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        whole(f"horizon_s = {self.horizon_s:g}: horizon_s / dt_s", self.horizon_s, self.dt_s)
+        if self.steps > MOST_STEPS:
+            raise ValueError(
+                f"dt_s = {self.dt_s:g}: {self.steps} steps in {self.horizon_s:g} s; {MOST_STEPS} "
+                "are the most: take a longer dt_s"
+            )
+        if self.knots > self.steps + 1:
+            raise ValueError(
+                f"knots = {self.knots}: samples have {self.steps} steps; take at most "
+                f"{self.steps + 1}"
+            )
+        return self
+
+    @property
+    def steps(self) -> int:
+        """Of a sample."""
+        return round(self.horizon_s / self.dt_s)
+
+    @property
+    def commands(self) -> type:
+        """What it gives to the controllers."""
+        return BodyTwist if self.output == "twist" else BodyWrench
+
+    def period(self, time: TimeConfig) -> int:
+        """Control steps from one time that robots are told to the next.
+
+        Raises:
+            ValueError: it is no whole number.
+        """
+        dt_s = time.control_dt_s
+        whole(f"policy.mppi.hz = {self.hz:g}: 1 / (hz control_dt_s)", 1.0, self.hz * dt_s)
+        return round(1.0 / (self.hz * dt_s))
+
+
+class PolicyConfig(FileModel):
+    """What commands the robots while they fly, instead of their plans; see `docs/policies.md`."""
+
+    name: Literal["none", "mppi"] = "none"
+    """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
+    no plan."""
+    knows: KnowsConfig | None = None
+    """What it may know of what moves, whenever it acts; what the planner may if left out."""
+    mppi: MppiConfig = MppiConfig()
+
+
+def check_flyable(
+    settings: MppiConfig,
+    time: TimeConfig,
+    controller: ControllerConfig,
+    fleet: Sequence[FleetEntry],
+) -> None:
+    """Refuse what the controllers or the fleet cannot be told, or not so often.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    settings.period(time)
+    if not any(settings.commands in x.takes for x in controller.stack()[0]):
+        raise ValueError(
+            f"policy.mppi.output = {settings.output!r}: no stage of controller "
+            f"{controller.title!r} takes a {settings.commands.__name__}; take another, "
+            "such as cascade"
+        )
+    for i, entry in enumerate(fleet if settings.output == "wrench" else ()):
+        if any("sway" in able.missing for able in entry.drives()):
+            raise ValueError(
+                f"policy.mppi.output = 'wrench': pushes to the side, and fleet[{i}], vehicle "
+                f'{library.load(entry.vehicle).name!r}, has no sway; take output = "twist"'
+            )

@@ -1,0 +1,63 @@
+"""What is known of obstacles and of the current, over a horizon."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.planning.mppi import ahead
+from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
+
+TIMES = np.array([0.25, 0.5, 1.25, 9.0])
+
+
+def known(time_s, p_m, velocity_mps):
+    n, t = len(p_m), len(time_s)
+    return KnownObstacles(
+        kind=jnp.zeros(n, jnp.int32),
+        size_m=jnp.ones((n, 3)),
+        radius_m=jnp.linspace(0.5, 0.7, n),
+        exists=jnp.arange(n) < n - 1,
+        moves=jnp.ones(n, bool),
+        velocity_mps=jnp.asarray(velocity_mps),
+        time_s=jnp.asarray(time_s),
+        p_m=jnp.asarray(p_m),
+        q=jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (n, t, 1)),
+    )
+
+
+def test_what_is_predicted_is_between_the_places_that_are_told_and_held_after_the_last():
+    time = np.array([0.0, 0.5, 1.0, 1.5])
+    places = np.random.default_rng(3).normal(size=(3, 4, 3))
+    place, radius = ahead.obstacles(known(time, places, np.zeros((3, 3))), jnp.asarray(TIMES))
+    for body in range(3):
+        for axis in range(3):
+            expected = np.interp(TIMES, time, places[body, :, axis])
+            np.testing.assert_allclose(place[body, :, axis], expected, atol=1e-6)
+    np.testing.assert_allclose(radius, [0.5, 0.6, ahead.NOBODY_M], rtol=1e-6)
+
+
+def test_what_is_observed_goes_straight_on():
+    at, speed = np.array([[[1.0, 2.0, -3.0]]] * 2), np.array([[0.1, 0.0, -0.2]] * 2)
+    place, _ = ahead.obstacles(known(np.zeros(1), at, speed), jnp.asarray(TIMES))
+    np.testing.assert_allclose(place[1, 3], [1.9, 2.0, -4.8], atol=1e-6)
+
+
+def test_nothing_is_told_where_nothing_is_known():
+    place, radius = ahead.obstacles(None, jnp.asarray(TIMES))
+    assert place.shape == (0, 4, 3)
+    assert radius.shape == (0,)
+    way = jnp.ones((4, 3))
+    np.testing.assert_array_equal(ahead.flow(None, way, jnp.asarray(TIMES)), np.zeros((4, 3)))
+    still = KnownCurrent(components=(), stays=True)
+    np.testing.assert_array_equal(ahead.flow(still, way, jnp.asarray(TIMES)), np.zeros((4, 3)))
+
+
+class Shear:
+    def velocity(self, p, t):
+        return jnp.stack([0.1 * p[1], 0.01 * t, jnp.zeros_like(t)])
+
+
+def test_the_current_is_that_of_place_and_time_along_the_way():
+    way = np.random.default_rng(4).normal(size=(4, 3))
+    found = ahead.flow(Shear(), jnp.asarray(way), jnp.asarray(TIMES))
+    expected = np.stack([0.1 * way[:, 1], 0.01 * TIMES, np.zeros(4)], axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-6)

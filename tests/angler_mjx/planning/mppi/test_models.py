@@ -1,0 +1,130 @@
+"""One step of samples, and the wrench at rest, against closed forms in NumPy."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.control import allocation
+from angler_mjx.control.commands import Estimate
+from angler_mjx.control.stack import ControlParams
+from angler_mjx.planning.mppi import drag, outputs
+from angler_mjx.planning.mppi.models import Forces, Lag
+from angler_mjx.vehicles import library
+from angler_mjx.vehicles.params import build, stack
+
+YAW, DENSITY, GRAVITY, DT, RESPONSE = 0.7, 1025.0, 9.81, 0.1, 0.3
+FLOW = np.array([0.2, -0.3, 0.1])
+
+
+@pytest.fixture(scope="module")
+def params():
+    vehicles = stack([build(library.load("bluerov2_heavy"), "wu2018", 16.0)])
+    both = ControlParams(
+        vehicle=vehicles,
+        allocation=allocation.build(vehicles),
+        cruise_speed_mps=jnp.array([0.5]),
+    )
+    return jax.tree.map(lambda leaf: leaf[0], both)
+
+
+@pytest.fixture(scope="module")
+def hull(params):
+    return drag.hull(params, jnp.asarray(YAW), DENSITY, GRAVITY)
+
+
+def body_from_world(x):
+    c, s = np.cos(YAW), np.sin(YAW)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ x
+
+
+def settle(model, asked, flow):
+    """Velocity over ground [3] in W after 60 s, and power."""
+
+    def step(v, _):
+        return model.step(v, jnp.asarray(asked)[:, None], jnp.asarray(flow), DT)
+
+    v, power = jax.lax.scan(step, jnp.zeros((3, 1)), jnp.arange(600))
+    return np.asarray(v)[:, 0], float(power[-1, 0])
+
+
+@pytest.mark.parametrize("kind", [Lag, Forces])
+def test_what_thrust_can_hold_is_held_and_takes_the_power_of_the_water_that_passes(hull, kind):
+    model = kind(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
+    ahead = 0.5 * np.array([np.cos(YAW), np.sin(YAW), 0.0])
+    v, power = settle(model, ahead, np.zeros(3))
+    np.testing.assert_allclose(v, ahead, atol=1e-5)
+    assert power == pytest.approx(1.0, abs=1e-3)
+    # To stand in a stream takes what going through still water takes.
+    v, power = settle(model, np.zeros(3), ahead)
+    np.testing.assert_allclose(v, 0.0, atol=1e-5)
+    assert power == pytest.approx(1.0, abs=1e-3)
+    v, power = settle(model, ahead, ahead)
+    assert power == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", [Lag, Forces])
+def test_water_that_is_faster_than_the_robot_takes_it_along(hull, params, kind):
+    model = kind(hull=hull, response_s=RESPONSE)
+    bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
+    v, _ = settle(model, np.zeros(3), 3.0 * bow)
+    most = float(params.vehicle.terminal_speed_mps[0])
+    assert 3.0 - most - 0.02 < v @ bow < 3.0 - 0.8 * most
+    np.testing.assert_allclose(v - (v @ bow) * bow, 0.0, atol=1e-4)
+
+
+def test_forces_end_at_the_speed_at_which_drag_is_all_their_thrust(hull):
+    """Root of D_l v + D_q v^2 = F, F by hand from the thrusters' share of a force ahead."""
+    bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
+    v, _ = settle(Forces(hull=hull, response_s=RESPONSE), 9.0 * bow, np.zeros(3))
+    most = float(hull.most_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
+    linear, quadratic = float(hull.linear[0]), float(hull.quadratic[0])
+    root = (-linear + np.sqrt(linear**2 + 4 * quadratic * most)) / (2 * quadratic)
+    assert v @ bow == pytest.approx(root, rel=1e-3)
+
+
+def test_forces_without_limit_answer_as_a_lag_does(hull):
+    strong = replace(hull, most_n=jnp.asarray(1e9), fastest_mps=jnp.full(3, 1e9))
+    rows = np.random.default_rng(2).normal(size=(2, 3, 20)).astype(np.float32)
+    v, asked = jnp.asarray(rows[0]), jnp.asarray(rows[1])
+    flow = jnp.asarray(FLOW)
+    by_force, _ = Forces(hull=strong, response_s=RESPONSE).step(v, asked, flow, DT)
+    expected = rows[1] + (rows[0] - rows[1]) * np.exp(-DT / RESPONSE)
+    np.testing.assert_allclose(by_force, expected, atol=1e-4)
+
+
+def test_the_wrench_at_rest_carries_net_weight_and_what_the_stream_does(params):
+    half = YAW / 2
+    q = jnp.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+    zero, vehicle = jnp.zeros(3), params.vehicle
+    told = outputs.wrench(
+        vehicle,
+        Estimate(p=zero, q=q, nu=jnp.zeros(6), flow=jnp.asarray(FLOW)),
+        zero,
+        jnp.asarray(YAW),
+        2.5,
+        RESPONSE,
+        DENSITY,
+        GRAVITY,
+    )
+    through = -body_from_world(FLOW)
+    linear, quadratic = np.asarray(vehicle.D_l)[:3], np.asarray(vehicle.D_q)[:3]
+    force = (linear + quadratic * np.abs(through)) * through
+    buoyancy = DENSITY * GRAVITY * float(vehicle.volume_m3)
+    up = np.array([0.0, 0.0, 1.0])
+    force = force + (float(vehicle.mass_kg) * GRAVITY - buoyancy) * up
+    added = np.asarray(vehicle.M_A)[:3, :3] @ through
+    moment = np.cross(through, added) - np.cross(np.asarray(vehicle.p_cb_m), buoyancy * up)
+    np.testing.assert_allclose(told.tau, np.concatenate([force, moment]), atol=2e-3)
+
+
+def test_the_wrench_takes_up_a_velocity_by_the_mass_with_added_mass(params):
+    level = jnp.array([1.0, 0.0, 0.0, 0.0])
+    numbers = (jnp.asarray(0.0), 2.5, RESPONSE, DENSITY, GRAVITY)
+    rest = Estimate(p=jnp.zeros(3), q=level, nu=jnp.zeros(6), flow=None)
+    hold = outputs.wrench(params.vehicle, rest, jnp.zeros(3), *numbers).tau
+    ahead = outputs.wrench(params.vehicle, rest, jnp.array([0.3, 0.0, 0.0]), *numbers).tau
+    inertia = float(params.vehicle.mass_kg + params.vehicle.M_A[0, 0])
+    assert float(ahead[0] - hold[0]) == pytest.approx(inertia * 0.3 / RESPONSE, rel=1e-5)
