@@ -21,7 +21,7 @@ from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.simulator import online
+from angler_mjx.simulator import scenario_policy
 from angler_mjx.simulator.compiling import CompileTime
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims, folder, harvest, results
@@ -188,7 +188,7 @@ def _commands(building: Path, policy: Policy | None) -> Policy | None:
     """What will command the robots of a run that goes on."""
     if not (building / folder.CONFIG).exists():
         return policy
-    return online.policy_of(folder.read_scenario(building), policy)
+    return scenario_policy.policy_of(folder.read_scenario(building), policy)
 
 
 @contextmanager

@@ -33,7 +33,7 @@ from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
-from angler_mjx.simulator import cache, hosted, online
+from angler_mjx.simulator import cache, hosted, scenario_policy
 from angler_mjx.simulator import devices as on_devices
 from angler_mjx.simulator.compiling import CompileTime, Program, Together
 from angler_mjx.simulator.devices import (
@@ -113,7 +113,7 @@ class Simulator:
                 there are fewer devices.
         """
         cache.switch_on()
-        self.scenario, policy = scenario, online.policy_of(scenario, policy)
+        self.scenario, policy = scenario, scenario_policy.policy_of(scenario, policy)
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.current.pace import Swimmer, pace
-from angler_mjx.planning.current.search import FAR, STEPS
+from angler_mjx.planning.current.search import STEPS
 from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, Layout, Terrain, free_space
 
 type Flow = Callable[[jax.Array], jax.Array]
@@ -67,8 +67,3 @@ def _free_steps(layout: Layout, free: FreeSpace) -> jax.Array:
                 low[2] : low[2] + shape[2],
             ]
     return jnp.stack(found)
-
-
-def unreachable(cost: jax.Array) -> jax.Array:
-    """Whether costs say that there is no way."""
-    return cost >= FAR

@@ -102,7 +102,7 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
 
     Returns:
         Cost [...] in metres of still water that take as much (of energy and hurry, or of time), at
-        most `NO_WAY`; and speed [...] m/s, over ground, positive.
+        most `NO_WAY`; and speed [...] m/s, over ground, positive, the lowest where there is no way.
     """
     cruise = robot.cruise_mps
     along = jnp.sum(direction * flow, axis=-1)
@@ -130,9 +130,10 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
     goes = (square > 0.0) & (speed > _SLOWEST * cruise) & (effort <= 1.0)
     cost = jnp.where(goes, cost, NO_WAY)
     least = jnp.min(cost, axis=-1)
-    # Of several that cost the same the slowest: where there is no way, all do.
     best = jnp.argmin(cost, axis=-1)
-    return least, jnp.take_along_axis(slow, best[..., None], axis=-1)[..., 0]
+    chosen = jnp.take_along_axis(slow, best[..., None], axis=-1)[..., 0]
+    # Where there is no way nobody counts on being fast.
+    return least, jnp.where(least < NO_WAY, chosen, _SLOWEST * cruise)
 
 
 def _power(robot: Swimmer, axes: jax.Array) -> jax.Array:

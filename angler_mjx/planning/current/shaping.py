@@ -138,7 +138,6 @@ def shortened(
 
     least = jnp.full(n, jnp.inf, points.dtype).at[0].set(0.0)
     (least, before), _ = jax.lax.scan(reach, (least, jnp.zeros(n, jnp.int32)), jnp.arange(1, n))
-
     before = jnp.where(jnp.all(points == points[0], axis=-1), 0, before)
 
     def back(at: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
@@ -179,8 +178,7 @@ def descended(
 
     Each step goes down the gradient of the cost, smoothed over the way by the inverse of its
     second difference: a bend of any length goes at the same rate, as in Newton's method for the
-    length. Near what stands costs more, and legs that would not be
-    free do not go there.
+    length. Near what stands costs more, and legs that would not be free do not go there.
 
     Args:
         land: the world.

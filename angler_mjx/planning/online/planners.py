@@ -50,26 +50,17 @@ class PriorityAnew:
         """Plans [R] of one problem."""
         team = problem.team
 
-        def alone[Leaves](tree: Leaves) -> Leaves:
-            made: Leaves = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], tree)
-            return made
-
         found = priority.plan(
-            alone(_environment(problem)),
-            alone(team.radius_m),
-            alone(team.cruise_speed_mps),
-            alone(problem.seed),
+            _alone(_environment(problem)),
+            _alone(team.radius_m),
+            _alone(team.cruise_speed_mps),
+            _alone(problem.seed),
             self.config,
             self.budget,
-            alone(_moving(problem.obstacles)),
+            _alone(_moving(problem.obstacles)),
         )
         plan: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)
         return plan
-
-
-def _moving(known: KnownObstacles) -> KnownObstacles | None:
-    """Obstacles, where there are any."""
-    return known if known.radius_m.shape[0] else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,11 +71,13 @@ class CurrentAnew:
 
     def __call__(self, problem: Problem) -> Trajectory:
         """Plans [R] of one problem."""
-        place, team, flow, bodies = jax.tree.map(
-            lambda leaf: jnp.asarray(leaf)[None],
-            (_environment(problem), problem.team, problem.current, problem.obstacles),
+        found = current.plan(
+            _alone(_environment(problem)),
+            _alone(problem.team),
+            _alone(problem.current),
+            _alone(problem.obstacles),
+            self.config,
         )
-        found = current.plan(place, team, flow, bodies, self.config)
         plans: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)
         return plans
 
@@ -102,8 +95,7 @@ class BatchAnew:
         Raises:
             ConfigError: it gives no `Trajectory`.
         """
-        alone = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], problem)
-        given = _made(self).plan_batch(alone)
+        given = _made(self).plan_batch(_alone(problem))
         if not isinstance(given, Trajectory):
             raise ConfigError(
                 f"planner {self.reference.name}: gives {type(given).__name__}; replanning takes a "
@@ -116,6 +108,17 @@ class BatchAnew:
 @cache
 def _made(anew: BatchAnew) -> Any:
     return PlannerSpec(reference=anew.reference, settings=dict(anew.settings)).make()
+
+
+def _alone[Leaves](tree: Leaves) -> Leaves:
+    """A batch of one."""
+    made: Leaves = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], tree)
+    return made
+
+
+def _moving(known: KnownObstacles) -> KnownObstacles | None:
+    """Obstacles, where there are any."""
+    return known if known.radius_m.shape[0] else None
 
 
 def _environment(problem: Problem) -> Environment:

@@ -119,6 +119,15 @@ def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
         assert np.abs(told(turns, "truth") - predicted)[drifting].max() > 0.05
 
 
+def test_whether_any_may_stand_is_said(scene):
+    """So that no code need look for them where a scenario has none."""
+    place = jax.tree.map(lambda leaf: leaf[0], scene.worlds.environment)
+    moving = replace(place, obstacles=replace(place.obstacles, motions=(DRIFT,)))
+    asked = (Knows(obstacles="observed"), 1.0, 0.05, 1000.0, 9.81)
+    assert knowledge.obstacles(place, *asked).some_stand
+    assert not knowledge.obstacles(moving, *asked).some_stand
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [

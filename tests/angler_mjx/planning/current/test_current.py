@@ -12,23 +12,30 @@ import pytest
 
 from angler_experiments.currents.yardstick import least_time_s, uniform_least_time_s
 from angler_mjx.errors import ConfigError
+from angler_mjx.planning import asking
 from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
 from angler_mjx.planning.online.planners import _environment
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim import fleet
+from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.knowledge import KnownCurrent
 from angler_mjx.simulator.on_device import device_planner
-from angler_mjx.world.currents import Rankine, Uniform
+from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
 from ..problems import no_obstacles, problem
 
 CRUISE = 0.5
+HEAVY = Variant(vehicle="bluerov2_heavy", parameter_set="wu2018", battery_v=16.0)
 CENTRE = np.array([8.0, 8.0])
 CORE_M = 3.0
 
 
-def flow(uniform, circulation):
-    """A uniform current, and a vortex in the middle."""
+SIDE_M = 16.0
+
+
+def flow(uniform=(0.0, 0.0, 0.0), circulation=0.0, stream=0.0):
+    """A uniform current, a vortex in the middle, and the double gyre that stands still."""
     return KnownCurrent(
         components=(
             Uniform(velocity_mps=jnp.array(uniform, jnp.float32)),
@@ -36,6 +43,13 @@ def flow(uniform, circulation):
                 centre_m=jnp.array([CENTRE], jnp.float32),
                 circulation_m2ps=jnp.array([circulation], jnp.float32),
                 core_m=jnp.array([CORE_M], jnp.float32),
+            ),
+            DoubleGyre(
+                lo_m=jnp.zeros(2),
+                extent_m=jnp.full(2, SIDE_M),
+                stream_m2ps=jnp.float32(stream),
+                epsilon=jnp.float32(0.0),
+                period_s=jnp.float32(60.0),
             ),
         ),
         stays=True,
@@ -75,7 +89,7 @@ def planned():
 def test_a_robot_in_a_uniform_current_takes_zermelos_time(planned):
     """The first goes with the current, the second against and across it."""
     starts, goals = [[2.5, 2.5, 4.5], [13.5, 9.5, 8.5]], [[13.5, 5.5, 4.5], [3.5, 12.5, 8.5]]
-    paths = planned(starts, goals, flow([0.25, 0.1, 0.0], 0.0))
+    paths = planned(starts, goals, flow(uniform=(0.25, 0.1, 0.0)))
     assert paths.found.all()
     for robot in range(2):
         ideal = uniform_least_time_s(
@@ -84,53 +98,82 @@ def test_a_robot_in_a_uniform_current_takes_zermelos_time(planned):
         assert ideal * 0.999 < paths.time_s[robot, -1] < 1.02 * ideal
 
 
-def test_a_robot_goes_around_a_vortex_in_the_least_time(planned):
-    """Both ways across it: one is helped by going round, the other has to go round."""
-    circulation = 2.0 * np.pi * CORE_M * 0.45
+def vortex(xy, t):
+    """Peak 0.45 m/s at the rim."""
+    away = np.asarray(xy) - CENTRE
+    r = np.linalg.norm(away, axis=-1, keepdims=True)
+    per_m = 0.45 * CORE_M * np.where(r < CORE_M, 1.0 / CORE_M**2, 1.0 / r**2)
+    return per_m * np.stack([-away[..., 1], away[..., 0]], axis=-1)
 
-    def around(xy, t):
-        away = np.asarray(xy) - CENTRE
-        r = np.linalg.norm(away, axis=-1, keepdims=True)
-        swirl = circulation / (2.0 * np.pi) * np.where(r < CORE_M, 1.0 / CORE_M**2, 1.0 / r**2)
-        return swirl * np.stack([-away[..., 1], away[..., 0]], axis=-1)
 
+def gyres(xy, t):
+    """Shadden's, in a square: 0.3 m/s up and down the walls, half of it along the ends."""
+    x, y = np.pi * np.asarray(xy)[..., 0] / 8.0, np.pi * np.asarray(xy)[..., 1] / 16.0
+    return np.stack([-0.15 * np.sin(x) * np.cos(y), 0.3 * np.cos(x) * np.sin(y)], axis=-1)
+
+
+WATERS = {
+    "vortex": (vortex, {"circulation": 2.0 * np.pi * CORE_M * 0.45}),
+    "gyres": (gyres, {"stream": 0.3 * SIDE_M / (2.0 * np.pi)}),
+}
+
+
+def through(water, start, goal):
+    """Time along the line at the cruise speed through the water, s."""
+    line = np.linspace(start, goal, 400)[:, :2]
+    step = np.diff(line, axis=0)
+    length = np.linalg.norm(step, axis=1)
+    c = water(0.5 * (line[1:] + line[:-1]), 0.0)
+    along = np.sum(c * step, axis=1) / length
+    return np.sum(length / (along + np.sqrt(CRUISE**2 - (np.sum(c * c, axis=1) - along**2))))
+
+
+@pytest.mark.parametrize("name", WATERS)
+def test_a_robot_bends_its_way_to_the_least_time(planned, name):
+    """Both ways across; straight lines take longer by more than the way may miss the least."""
+    water, strengths = WATERS[name]
     starts, goals = [[2.5, 7.5, 4.5], [13.5, 8.5, 8.5]], [[13.5, 7.5, 4.5], [2.5, 9.5, 8.5]]
-    paths = planned(starts, goals, flow([0.0, 0.0, 0.0], circulation))
+    paths = planned(starts, goals, flow(**strengths))
     assert paths.found.all()
     for robot in range(2):
+        start, goal = np.array(starts[robot]), np.array(goals[robot])
         ideal = least_time_s(
-            around,
-            np.array(starts[robot][:2]),
-            np.array(goals[robot][:2]),
+            water,
+            start[:2],
+            goal[:2],
             CRUISE,
-            ((0.0, 0.0), (16.0, 16.0)),
-            horizon_s=60.0,
+            ((0.0, 0.0), (SIDE_M, SIDE_M)),
+            horizon_s=40.0,
+            step_s=0.2,
+            headings=180,
         )
-        assert ideal * 0.99 < paths.time_s[robot, -1] < 1.02 * ideal
-        # Straight through it would have taken longer.
-        straight = np.linspace(starts[robot], goals[robot], 400)
-        d = np.diff(straight, axis=0)
-        length = np.linalg.norm(d, axis=1)
-        c = around(0.5 * (straight[1:] + straight[:-1])[:, :2], 0.0)
-        along = np.sum(c * d[:, :2], axis=1) / length
-        across = np.sum(c * c, axis=1) - along**2
-        with np.errstate(invalid="ignore"):
-            through = np.sum(length / (along + np.sqrt(CRUISE**2 - across)))
-        assert not through < paths.time_s[robot, -1]
+        assert ideal * 0.995 < paths.time_s[robot, -1] < 1.02 * ideal
+        assert through(water, start, goal) > 1.02 * ideal
 
 
-def test_robots_that_change_places_never_meet(planned):
+def places(paths, times):
+    """[robot, time, 3]."""
+    axes = [[np.interp(times, t, p[:, k]) for k in range(3)] for t, p in zip(*paths, strict=True)]
+    return np.moveaxis(np.array(axes), 1, 2)
+
+
+def test_robots_whose_ways_cross_never_meet(planned):
+    """At once they would be in the middle together; one sets off later."""
+    starts, goals = [[2.5, 8.5, 8.5], [8.5, 2.5, 8.5]], [[13.5, 8.5, 8.5], [8.5, 13.5, 8.5]]
+    paths = planned(starts, goals, flow())
+    assert paths.found.all()
+    assert sorted(paths.time_s[:, 1])[0] == 0.0 < sorted(paths.time_s[:, 1])[1]
+    where = places((paths.time_s, paths.position_m), np.linspace(0.0, 60.0, 6001))
+    assert np.linalg.norm(where[0] - where[1], axis=-1).min() > 2 * 0.3 + CONFIG.margin_m - 1e-3
+    np.testing.assert_allclose(where[:, -1], goals, atol=1e-3)
+
+
+def test_robots_that_no_time_suits_stay_where_they_are(planned):
+    """Head on along one line: each has to pass where the other stands."""
     starts, goals = [[2.5, 8.5, 8.5], [13.5, 8.5, 8.5]], [[13.5, 8.5, 8.5], [2.5, 8.5, 8.5]]
-    paths = planned(starts, goals, flow([0.0, 0.0, 0.0], 0.0))
-    if not paths.found.all():
-        # Who cannot go stands at its start, and the other must not come there.
-        assert not paths.found.any() or np.ptp(paths.position_m[~paths.found], axis=1).max() == 0
-    times = np.linspace(0.0, 80.0, 4001)
-    places = [
-        np.stack([np.interp(times, paths.time_s[i], paths.position_m[i][:, k]) for k in range(3)])
-        for i in range(2)
-    ]
-    assert np.linalg.norm(places[0] - places[1], axis=0).min() > 2 * 0.3
+    paths = planned(starts, goals, flow())
+    assert not paths.found.any()
+    np.testing.assert_array_equal(np.ptp(paths.position_m, axis=1), 0.0)
 
 
 def one(least, hotel=0.0):
@@ -161,6 +204,28 @@ def test_in_still_water_the_cruise_speed_costs_least():
     with_it, _ = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([0.2, 0.0, 0.0]))
     against, _ = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-0.2, 0.0, 0.0]))
     assert with_it < 0.8 < 1.3 < against
+
+
+def test_no_speed_is_counted_on_where_the_water_cannot_be_overcome():
+    cost, speed = pace(one("energy"), jnp.array([1.0, 0.0, 0.0]), jnp.array([-2.0, 0.0, 0.0]))
+    assert cost == NO_WAY
+    np.testing.assert_allclose(speed, 0.1 * CRUISE, rtol=1e-6)
+
+
+def test_powers_are_those_of_thrusters_against_drag():
+    """A Heavy, in NumPy: least squares thrusts, read in the table of thrusts and powers."""
+    members = [Member(variants=(HEAVY,), weights=(1.0,), cruise_speed_mps=CRUISE)]
+    control = fleet.build(members).control
+    here = jnp.zeros((1, 3))
+    told = asking.team(control, here, jnp.zeros(1), here)
+    vehicle = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float64), control.vehicle)
+    for axis in range(3):
+        for step, speed in enumerate(np.linspace(0.0, vehicle.terminal_speed_mps[axis], 9)):
+            force = np.zeros(6)
+            force[axis] = vehicle.D_l[axis] * speed + vehicle.D_q[axis] * speed**2
+            thrust = np.linalg.lstsq(vehicle.B, force, rcond=1e-2)[0]
+            watts = np.interp(thrust, vehicle.thrust_n, vehicle.power_w).sum()
+            np.testing.assert_allclose(told.power_w[0, axis, step], watts, rtol=2e-3, atol=0.5)
 
 
 def test_too_few_points_are_refused():

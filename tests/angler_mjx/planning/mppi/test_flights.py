@@ -10,7 +10,7 @@ import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator import online
+from angler_mjx.simulator import scenario_policy
 
 from ...vehicles import made_up
 
@@ -195,13 +195,13 @@ def test_a_bad_value_of_a_file_is_told_by_file_key_and_value(tmp_path):
 
 def test_a_policy_beside_the_scenarios_own_is_refused(load):
     scenario = load()
-    made = online.policy_of(scenario, None)
+    made = scenario_policy.policy_of(scenario, None)
     assert (made.period, made.samples, made.steps, made.knots) == (4, 64, 15, 8)
     with pytest.raises(ConfigError, match=r'policy\.name = "mppi" commands the robots'):
         angler.Simulator(scenario, policy=made)
 
 
 def test_what_it_knows_is_what_the_planner_may_unless_it_is_said(load):
-    assert online.policy_of(load(), None).knows == Knows(current="predicted")
+    assert scenario_policy.policy_of(load(), None).knows == Knows(current="predicted")
     told = load(policy={"knows": None}, planner={"knows": {"obstacles": "observed"}})
-    assert online.policy_of(told, None).knows == Knows(obstacles="observed")
+    assert scenario_policy.policy_of(told, None).knows == Knows(obstacles="observed")

@@ -14,7 +14,7 @@ from angler_mjx.session.online import Flyer, problem_of
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator import online
+from angler_mjx.simulator import scenario_policy
 
 SCENARIO = """
 name = "crossing"
@@ -218,7 +218,7 @@ def test_what_cannot_be_flown_is_refused_by_its_key(load, changes, said):
 
 def test_a_run_that_goes_on_is_commanded_by_the_same_policy(load, kept):
     """Made from the scenario's file, it is the one that the simulator wrote down."""
-    made = online.policy_of(load(execution={"order": "kept"}), None)
+    made = scenario_policy.policy_of(load(execution={"order": "kept"}), None)
     assert policies.describe(made) == policies.describe(kept.policy)
 
 
