@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.bit_grid import shift, unpack
-from angler_mjx.world import groups
+from angler_kernels.programs import MOST_LANES, on_gpu
+from angler_mjx.world import groups, ways_kernel
 
 type Move = tuple[int, ...]
 type _Settling = tuple[jax.Array, jax.Array, jax.Array]
@@ -31,6 +32,8 @@ within 1.1e-6 of the true ones."""
 _COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
 _NONE = 1 << 30
 """No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
+LENGTHS = ways_kernel.Lengths(of_axes=(_COST[1], _COST[2], _COST[3]), none=_NONE, strides=_STRIDE)
+"""The same for kernels."""
 _GROUP_SHARE = 8
 """A group of pairs is this part of all of them."""
 
@@ -57,6 +60,8 @@ def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arra
     """
     nx, ny = passable.shape[:2]
     _, n, n_world = start.shape
+    if on_gpu() and ways_kernel.lanes_needed((nx, ny, nz)) <= MOST_LANES:
+        return in_cells(by_kernel(passable, nz, start, goal))
     n_pair = n * n_world
     size = -(-n_pair // _GROUP_SHARE)
     moves, free = _moves_into(passable, nz), unpack(passable, nz)
@@ -93,7 +98,38 @@ def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arra
 
     none = (jnp.int32(0), jnp.full(n_pair, _NONE, jnp.int32), jnp.zeros(n_pair, bool))
     _, length, _ = jax.lax.while_loop(lambda carry: ~jnp.all(carry[2]), settle_group, none)
-    edges = length.reshape(n, n_world).astype(float) / _EDGE
+    return in_cells(length.reshape(n, n_world))
+
+
+def by_kernel(
+    passable: jax.Array,
+    nz: int,
+    start: jax.Array,
+    goal: jax.Array,
+    *,
+    interpret: bool = False,
+) -> jax.Array:
+    """Lengths int32 [n, n_world] as `shortest_ways` counts them, by a GPU program for each pair."""
+    moves = jnp.moveaxis(_moves_into(passable, nz), -1, 0)
+    at_goal = jnp.take_along_axis(
+        unpack(passable, nz).reshape(-1, passable.shape[-1]),
+        _flat(goal, (*passable.shape[:2], nz)),
+        axis=0,
+    )
+
+    def of_world(moves: jax.Array, starts: jax.Array, goals: jax.Array) -> jax.Array:
+        return jax.vmap(
+            lambda a, b: ways_kernel.least(moves, a, b, LENGTHS, interpret=interpret),
+            in_axes=1,
+        )(starts, goals)
+
+    length = jax.vmap(of_world, in_axes=(0, 2, 2), out_axes=1)(moves, start, goal)
+    return jnp.where(at_goal, length, _NONE)
+
+
+def in_cells(length: jax.Array) -> jax.Array:
+    """Lengths in cell edges; inf where there is no way."""
+    edges = length.astype(float) / _EDGE
     return jnp.where(edges < _NONE // _EDGE, edges, jnp.inf)
 
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.programs import MOST_LANES, on_gpu
 from angler_mjx.control.trajectory import Trajectory, hold
+from angler_mjx.planning.ways import search, search_kernel
 from angler_mjx.planning.ways.bodies import STANDS_S
-from angler_mjx.planning.ways.lattice import Terrain, free_space
+from angler_mjx.planning.ways.lattice import FreeSpace, Terrain, free_space
 from angler_mjx.planning.ways.pulling import pull
-from angler_mjx.planning.ways.search import reachable
 from angler_mjx.planning.ways.tracing import Route, trace_back
 from angler_mjx.planning.ways.traffic import Balls, Others, Traffic, balls
 
@@ -57,9 +58,7 @@ def plan_one(
         drifting = balls(others.bodies, layer_s, config.n_layer)
         may_stay &= _free_for(drifting, goal_m, STANDS_S / layer_s)
         around = jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=1), around, drifting)
-    history, last, reached = reachable(
-        land, free, around, _bit(land, start), lead_in, goal, may_stay
-    )
+    history, last, reached = _reached(land, free, around, (start, lead_in), goal, may_stay)
     route = trace_back(land, free, around, history, layer_s, (goal, last), (start, lead_in))
     arrive = (last + lead_out) * layer_s
     timetable = Route(
@@ -82,6 +81,21 @@ def plan_one(
     stay = jax.tree.map(lambda leaf: leaf[0], hold(start_m[None], config.n_point))
     chosen: Trajectory = jax.tree.map(lambda a, b: jnp.where(found, a, b), path, stay)
     return replace(chosen, found=found)
+
+
+def _reached(
+    land: Terrain,
+    free: FreeSpace,
+    around: Balls,
+    start: tuple[jax.Array, jax.Array],
+    goal: jax.Array,
+    may_stay: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """As `search.reachable`, from a cell [3] at a layer []; on a GPU by its kernel."""
+    nx, ny, _ = land.layout.shape
+    if on_gpu() and nx * ny <= MOST_LANES:
+        return search_kernel.reachable(land, free, around, start, goal, may_stay)
+    return search.reachable(land, free, around, _bit(land, start[0]), start[1], goal, may_stay)
 
 
 def _cell_of(land: Terrain, p: jax.Array, step_m: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,0 +1,197 @@
+"""The shortest ways of `difficulty` as one GPU kernel: a program per pair of cells.
+
+The same sweeps and the same question whether a pair is settled, so the same lengths to the last
+bit, since all of them are whole numbers. A program's lanes are the cells of one layer of its grid.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.programs import Program
+
+type _Move = tuple[int, ...]
+
+_MOVES: tuple[_Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
+_LAYERS = tuple((a, *(b for b in range(3) if b != a)) for a in range(3))
+"""Axis of a sweep, and the two axes of its layers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lengths:
+    """How lengths are counted."""
+
+    of_axes: tuple[int, int, int]
+    """Of moves over 1, 2, 3 axes."""
+    none: int
+    """No way."""
+    strides: tuple[int, int, int]
+    """From a move's bit to that of the next move along each axis; the middle bit is no move."""
+
+
+def least(
+    moves: jax.Array,
+    start: jax.Array,
+    goal: jax.Array,
+    lengths: Lengths,
+    *,
+    interpret: bool = False,
+) -> jax.Array:
+    """Length of the shortest way between two cells, int32 []; ``lengths.none`` where none is.
+
+    Args:
+        moves: uint32 [nx, ny, nz] which moves may end in each cell.
+        start: int32 [3] cell.
+        goal: int32 [3] cell; ``start`` where nothing can be reached must be no cell of a way.
+        lengths: static.
+        interpret: run as ordinary JAX, on any device.
+    """
+    kernel = _Kernel.of(moves.shape, lengths, interpret)
+    length, _ = kernel.program.run(
+        kernel,
+        [jnp.concatenate([start, goal]).astype(jnp.int32), moves.reshape(-1)],
+        [
+            jax.ShapeDtypeStruct((1,), jnp.int32),
+            jax.ShapeDtypeStruct((kernel.total,), jnp.int32),
+        ],
+    )
+    return length[0]
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    shape: tuple[int, ...]
+    lengths: Lengths
+    program: Program
+
+    __name__ = "shortest_ways"
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], lengths: Lengths, interpret: bool) -> "_Kernel":
+        return cls(shape, lengths, Program.of(lanes_needed(shape), interpret=interpret))
+
+    @property
+    def total(self) -> int:
+        """Cells with one more at both ends of each axis."""
+        return math.prod(n + 2 for n in self.shape)
+
+    @property
+    def wide(self) -> tuple[int, int, int]:
+        """Strides of the cells with those at the ends."""
+        _, ny, nz = self.shape
+        return (ny + 2) * (nz + 2), nz + 2, 1
+
+    @property
+    def strides(self) -> tuple[int, int, int]:
+        """Strides of the moves."""
+        _, ny, nz = self.shape
+        return ny * nz, nz, 1
+
+    def __call__(self, ends: Any, moves: Any, length: Any, way: Any) -> None:
+        program, none = self.program, self.lengths.none
+        lane = jnp.arange(program.lanes, dtype=jnp.int32)
+        nowhere = jnp.full((program.lanes,), none, jnp.int32)
+
+        def empty(k: Any, unchanged: Any) -> Any:
+            at = k * program.lanes + lane
+            program.store(way, at, nowhere, at < self.total)
+            return unchanged
+
+        jax.lax.fori_loop(0, -(-self.total // program.lanes), empty, jnp.int32(0))
+        program.barrier()
+        start, goal = ([ends[3 * end + axis] for axis in range(3)] for end in (0, 1))
+        first = sum((c + 1) * s for c, s in zip(goal, self.wide, strict=True))
+        way[first] = jnp.int32(0)
+        program.barrier()
+        last = sum((c + 1) * s for c, s in zip(start, self.wide, strict=True))
+
+        def again(state: Any) -> Any:
+            for axis, b, c in _LAYERS:
+                self._sweeps(way, moves, lane, axis, b, c)
+            found = way[last]
+            more = self._improved(way, moves, lane, start, found)
+            return found, more
+
+        found, _ = jax.lax.while_loop(
+            lambda state: state[1] > 0, again, (jnp.int32(none), jnp.int32(1))
+        )
+        length[0] = found
+
+    def _sweeps(self, way: Any, moves: Any, lane: Any, axis: int, b: int, c: int) -> None:
+        """To either side of an axis, layer by layer."""
+        n = self.shape[axis]
+        real = lane < self.shape[b] * self.shape[c]
+        i, j = jnp.where(real, lane // self.shape[c], 0), jnp.where(real, lane % self.shape[c], 0)
+        wide, near = self.wide, self.strides
+        in_layer = (i + 1) * wide[b] + (j + 1) * wide[c]
+        of_moves = i * near[b] + j * near[c]
+        for side in (1, -1):
+            which = [move for move in _MOVES if move[axis] == side]
+            begin = 0 if side == 1 else n - 1
+
+            def advance(
+                k: Any, unchanged: Any, side: int = side, begin: int = begin, which: Any = which
+            ) -> Any:
+                layer = begin + side * k
+                at = (layer + 1) * wide[axis] + in_layer
+                may = self.program.load(moves, layer * near[axis] + of_moves, real, 0)
+                before = self.program.load(way, at, real, self.lengths.none)
+                new = jnp.minimum(before, self._relaxed(way, at, may, real, which))
+                self.program.store(way, at, new, real)
+                self.program.barrier()
+                return unchanged
+
+            jax.lax.fori_loop(1, n, advance, jnp.int32(0))
+
+    def _relaxed(self, way: Any, at: Any, may: Any, real: Any, which: Any) -> Any:
+        """Least length of a way to each cell that ends with one of some moves."""
+        none = jnp.int32(self.lengths.none)
+        best = none
+        for count, cost in enumerate(self.lengths.of_axes, start=1):
+            nearest = none
+            for move in which:
+                if sum(map(abs, move)) != count:
+                    continue
+                came = sum(m * s for m, s in zip(move, self.wide, strict=True))
+                source = self.program.load(way, at - came, real, none)
+                place = sum((m + 1) * s for m, s in zip(move, self.lengths.strides, strict=True))
+                allowed = (may & jnp.uint32(1 << place)) != 0
+                nearest = jnp.minimum(nearest, jnp.where(allowed, source, none))
+            best = jnp.minimum(best, nearest + cost)
+        return best
+
+    def _improved(self, way: Any, moves: Any, lane: Any, start: Any, found: Any) -> Any:
+        """Whether a way through any cell that can be improved could be shorter; int32 []."""
+        nx, ny, nz = self.shape
+        real = lane < ny * nz
+        j, k = jnp.where(real, lane // nz, 0), jnp.where(real, lane % nz, 0)
+        across = jnp.abs(j - start[1]), jnp.abs(k - start[2])
+        in_layer = (j + 1) * self.wide[1] + (k + 1) * self.wide[2]
+        one, two, three = self.lengths.of_axes
+
+        def look(i: Any, seen: Any) -> Any:
+            at = (i + 1) * self.wide[0] + in_layer
+            may = self.program.load(moves, i * self.strides[0] + lane, real, 0)
+            here = self.program.load(way, at, real, self.lengths.none)
+            relaxed = self._relaxed(way, at, may, real, _MOVES)
+            apart = (jnp.abs(i - start[0]), *across)
+            shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
+            longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
+            middle = apart[0] + apart[1] + apart[2] - shortest - longest
+            ahead = three * shortest + two * (middle - shortest) + one * (longest - middle)
+            better = real & (relaxed < here) & (relaxed + ahead < found)
+            return jnp.maximum(seen, better.astype(jnp.int32))
+
+        seen = jax.lax.fori_loop(0, nx, look, jnp.zeros((self.program.lanes,), jnp.int32))
+        self.program.barrier()
+        return jnp.max(seen)
+
+
+def lanes_needed(shape: tuple[int, ...]) -> int:
+    """Cells of the largest layer of a grid."""
+    nx, ny, nz = shape
+    return max(nx * ny, ny * nz, nx * nz)

@@ -1,0 +1,80 @@
+"""One GPU program for each problem of a batch, written in Pallas and lowered by Triton.
+
+For searches that go on for as long as their own problem needs. A program has a lane for each cell
+of a layer, or each column, of a grid; what lanes tell each other goes through scratch memory small
+enough to stay in the caches, with a barrier between writing and reading. Under ``vmap`` each
+problem of the batch gets a program.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton as plt
+
+MOST_LANES = 2048
+"""Two for each thread that a program can have; more would not fit its registers."""
+
+_LANES_A_WARP = 64
+
+
+def on_gpu() -> bool:
+    """Whether what JAX computes by default is computed where these programs run."""
+    return jax.default_backend() == "gpu"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """A program of ``lanes`` or more lanes.
+
+    Attributes:
+        lanes: a power of two on a GPU.
+        interpret: run as ordinary JAX, on any device.
+    """
+
+    lanes: int
+    interpret: bool = False
+
+    @classmethod
+    def of(cls, needed: int, *, interpret: bool = False) -> "Program":
+        """With at least so many lanes."""
+        return cls(lanes=max(32, 1 << (needed - 1).bit_length()), interpret=interpret)
+
+    def run(
+        self,
+        kernel: Callable[..., None],
+        arrays: Sequence[jax.Array],
+        out: Sequence[jax.ShapeDtypeStruct],
+    ) -> Sequence[jax.Array]:
+        """Run a kernel of references to flat arrays, and to those that it fills."""
+        filled: Sequence[jax.Array] = pl.pallas_call(
+            kernel,
+            out_shape=list(out),
+            grid=(1,),
+            compiler_params=plt.CompilerParams(
+                num_warps=max(1, self.lanes // _LANES_A_WARP), num_stages=1
+            ),
+            interpret=self.interpret,
+        )(*arrays)
+        return filled
+
+    def load(self, ref: Any, at: Any, mask: Any, other: Any) -> Any:
+        """What lanes read at their places; ``other`` where the mask says not to."""
+        return plt.load(ref.at[at], mask=mask, other=other)
+
+    def store(self, ref: Any, at: Any, value: Any, mask: Any) -> None:
+        """Write at the lanes' places, where the mask says so."""
+        if not self.interpret:
+            plt.store(ref.at[at], value, mask=mask)
+            return
+        # Interpreted, a lane that is masked writes what it found, over what another one wrote.
+        whole = ref[...]
+        ref[...] = whole.at[jnp.where(mask, at, whole.size)].set(value, mode="drop")
+
+    def barrier(self) -> None:
+        """What any lane wrote before, all lanes read afterwards."""
+        if not self.interpret:
+            plt.debug_barrier()
