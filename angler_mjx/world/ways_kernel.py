@@ -7,6 +7,7 @@ bit, since all of them are whole numbers. A program's lanes are the cells of one
 import itertools
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -109,11 +110,19 @@ class _Kernel:
         program.barrier()
         last = sum((c + 1) * s for c, s in zip(start, self.wide, strict=True))
 
-        def again(state: Any) -> Any:
+        # Shorter than this is none: most pairs need a sweep or two.
+        bound = self._unhindered([jnp.abs(a - b) for a, b in zip(start, goal, strict=True)])
+
+        def again(_: Any) -> Any:
             for axis, b, c in _LAYERS:
-                self._sweeps(way, moves, lane, axis, b, c)
+                sweeps = partial(self._sweeps, way, moves, lane, axis, b, c)
+                program.when(way[last] > bound, sweeps)
             found = way[last]
-            more = self._improved(way, moves, lane, start, found)
+            more = jax.lax.cond(
+                found > bound,
+                lambda: self._improved(way, moves, lane, start, found),
+                lambda: 0 * found,  # Triton takes no constant as what a branch gives.
+            )
             return found, more
 
         found, _ = jax.lax.while_loop(
@@ -164,6 +173,14 @@ class _Kernel:
             best = jnp.minimum(best, nearest + cost)
         return best
 
+    def _unhindered(self, apart: list[Any]) -> Any:
+        """Length of the shortest way between cells that are so many cells apart along each axis."""
+        one, two, three = self.lengths.of_axes
+        shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
+        longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
+        middle = apart[0] + apart[1] + apart[2] - shortest - longest
+        return three * shortest + two * (middle - shortest) + one * (longest - middle)
+
     def _improved(self, way: Any, moves: Any, lane: Any, start: Any, found: Any) -> Any:
         """Whether a way through any cell that can be improved could be shorter; int32 []."""
         nx, ny, nz = self.shape
@@ -171,18 +188,13 @@ class _Kernel:
         j, k = jnp.where(real, lane // nz, 0), jnp.where(real, lane % nz, 0)
         across = jnp.abs(j - start[1]), jnp.abs(k - start[2])
         in_layer = (j + 1) * self.wide[1] + (k + 1) * self.wide[2]
-        one, two, three = self.lengths.of_axes
 
         def look(i: Any, seen: Any) -> Any:
             at = (i + 1) * self.wide[0] + in_layer
             may = self.program.load(moves, i * self.strides[0] + lane, real, 0)
             here = self.program.load(way, at, real, self.lengths.none)
             relaxed = self._relaxed(way, at, may, real, _MOVES)
-            apart = (jnp.abs(i - start[0]), *across)
-            shortest = jnp.minimum(jnp.minimum(apart[0], apart[1]), apart[2])
-            longest = jnp.maximum(jnp.maximum(apart[0], apart[1]), apart[2])
-            middle = apart[0] + apart[1] + apart[2] - shortest - longest
-            ahead = three * shortest + two * (middle - shortest) + one * (longest - middle)
+            ahead = self._unhindered([jnp.abs(i - start[0]), *across])
             better = real & (relaxed < here) & (relaxed + ahead < found)
             return jnp.maximum(seen, better.astype(jnp.int32))
 

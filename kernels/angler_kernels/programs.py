@@ -78,3 +78,7 @@ class Program:
         """What any lane wrote before, all lanes read afterwards."""
         if not self.interpret:
             plt.debug_barrier()
+
+    def when(self, condition: Any, do: Callable[[], None]) -> None:
+        """Do something if a number of the whole program says so."""
+        pl.when(condition)(do)

@@ -1,9 +1,9 @@
 """The search of `search` as one GPU kernel: a program per robot, its lines in registers.
 
-A program's lanes are the columns of one robot's grid. What a layer hands to its neighbours (from
-where steps set out, and which edges are open) goes through two alternating pages of scratch memory,
-small enough to stay in the caches; everything else of a lane stays in its registers. A program ends
-as soon as its own robot can arrive, whatever the others of the batch need.
+A program's lanes are the columns of one robot's grid. In each layer a lane tells its neighbours
+from where steps set out, works out the steps over all blocks that have their lowest corner in its
+column, and tells its neighbours where these end; all else stays in its registers. A program ends as
+soon as its own robot can arrive, whatever the others of the batch need.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,19 @@ from angler_mjx.planning.ways.search import QUARTER
 from angler_mjx.planning.ways.traffic import Balls
 
 _LEAVING = 3
-"""Lines of scratch before those of the edges: where steps over 1, 2, 3 axes set out."""
-_PAGE = _LEAVING + len(EDGES)
+"""Lines of scratch before those of the ends: where steps over 1, 2, 3 axes set out."""
+_ENDS = tuple(
+    (axes, corner)
+    for corner in ((1, 0), (0, 1), (1, 1))
+    for axes in (1, 2, 3)
+    if any(corner in (edge.near[:2], edge.far[:2]) and edge.axes == axes for edge in EDGES)
+)
+"""Ends of steps in other columns than that of the block: axes of the step, and the column."""
+_SCRATCH = _LEAVING + len(_ENDS)
+
+AT_ONCE = 4
+"""Balls that are marked without a loop."""
+
 _SPANS = tuple((axes, up) for up in (0, 1) for axes in range(4) if axes >= up)
 """What a ball's span of bits depends on: axes of the step, and whether half a cell further up."""
 
@@ -77,8 +88,8 @@ def reachable(
         interpret: run as ordinary JAX, on any device.
     """
     layout = land.layout
-    around = cylinders(land, balls)
-    n_layer, n_ball = balls.radius_m.shape
+    around = cylinders(land, _whole_groups(balls))
+    n_layer, n_ball, _ = around.place.shape
     program = Program.of(layout.shape[0] * layout.shape[1], interpret=interpret)
     x, y = layout.centres(land.grid)
     half = 0.5 * land.grid.cell_m
@@ -108,13 +119,22 @@ def reachable(
         [
             jax.ShapeDtypeStruct((n_layer * layout.inner,), jnp.uint32),
             jax.ShapeDtypeStruct((1,), jnp.int32),
-            jax.ShapeDtypeStruct((2 * _PAGE * layout.total,), jnp.uint32),
+            jax.ShapeDtypeStruct((_SCRATCH * layout.total,), jnp.uint32),
         ],
     )
     return (
         history.reshape(n_layer, layout.inner),
         jnp.maximum(arrival[0], 0),
         arrival[0] >= 0,
+    )
+
+
+def _whole_groups(balls: Balls) -> Balls:
+    """Balls with as many more, which do not count, as fill the last group."""
+    more = -balls.radius_m.shape[1] % AT_ONCE
+    return Balls(
+        centre_m=jnp.pad(balls.centre_m, ((0, 0), (0, more), (0, 0))),
+        radius_m=jnp.pad(balls.radius_m, ((0, 0), (0, more)), constant_values=-1.0),
     )
 
 
@@ -171,8 +191,8 @@ class _Kernel:
 
         def layer(state: Any) -> Any:
             n, arrived, lines = state
-            page = (n % 2) * (_PAGE * layout.total)
-            self._hand_out(scratch, at + page, real, lines, open_edges)
+            for k in range(_LEAVING):
+                self.program.store(scratch, at + k * layout.total, lines[1][k][0], real)
             self.program.barrier()
             # Written before the barrier, so that every lane may read it.
             before = jnp.maximum(n - 1, 0)
@@ -181,7 +201,7 @@ class _Kernel:
             arrives = (n > 0) & (there == 1) & (may_stay[before] == 1)
             arrived = jnp.where(arrives, n - 1, arrived)
             seed = jnp.where(n == first, start, zero)
-            reached = self._advance(scratch, at + page, real, lines) & free | seed
+            reached = self._advance(scratch, at, real, lines, open_edges) & free | seed
             now = jnp.minimum(n, self.n_layer - 1)
             self.program.store(history, now * layout.inner + inner, reached, real & (n == now))
             taken = self._taken(now * self.n_ball, x, y, step, place, square, span)
@@ -201,7 +221,7 @@ class _Kernel:
 
     def _clear(self, scratch: Any, lane: Any) -> None:
         """Guards are never written again."""
-        size = 2 * _PAGE * self.layout.total
+        size = _SCRATCH * self.layout.total
         zero = jnp.zeros((self.program.lanes,), jnp.uint32)
 
         def one(k: Any, unchanged: Any) -> Any:
@@ -212,48 +232,35 @@ class _Kernel:
         jax.lax.fori_loop(0, -(-size // self.program.lanes), one, jnp.int32(0))
         self.program.barrier()
 
-    def _hand_out(
+    def _advance(
         self, scratch: Any, at: Any, real: Any, lines: Any, open_edges: list[_Words]
-    ) -> None:
-        """Write what neighbours need to know of a column for the next layer."""
-        _, leave, _, middle = lines
-        for k in range(_LEAVING):
-            self.program.store(scratch, at + k * self.layout.total, leave[k][0], real)
-        blocked = _blocked(middle)
-        for k, edge in enumerate(EDGES):
-            clear = open_edges[k] & ~blocked[edge.block]
-            line = (_LEAVING + k) * self.layout.total
-            self.program.store(scratch, at + line, clear, real)
-
-    def _advance(self, scratch: Any, at: Any, real: Any, lines: Any) -> _Words:
+    ) -> _Words:
         """Cells that are reached one layer after the last of ``lines``; not free ones too."""
         layout = self.layout
 
-        def look(line: int, x: int, y: int) -> _Words:
-            offset = line * layout.total + x * layout.row + y
-            return self.program.load(scratch, at + offset, real, 0)
+        def place(line: int, x: int, y: int) -> Any:
+            return at + (line * layout.total + x * layout.row + y)
 
-        reached, _, rest, _ = lines
-        reached = reached & ~rest[0]
-        seen: dict[tuple[int, int, int], _Words] = {}
-
-        def once(line: int, x: int, y: int) -> _Words:
-            if (line, x, y) not in seen:
-                seen[line, x, y] = look(line, x, y)
-            return seen[line, x, y]
-
+        reached, leave, rest, middle = lines
+        leaving = {(axes, (0, 0)): leave[axes - 1][0] for axes in (1, 2, 3)}
+        for axes, (x, y) in _ENDS:
+            leaving[axes, (x, y)] = self.program.load(scratch, place(axes - 1, x, y), real, 0)
+        blocked = _blocked(middle)
+        ends = {key: jnp.zeros_like(reached) for key in leaving}
+        for edge, is_open in zip(EDGES, open_edges, strict=True):
+            clear = is_open & ~blocked[edge.block]
+            for a, b in ((edge.near, edge.far), (edge.far, edge.near)):
+                step = _up(leaving[edge.axes, a[:2]], a[2]) & clear
+                ends[edge.axes, b[:2]] |= _up(step, -b[2])
+        for line, key in enumerate(_ENDS, start=_LEAVING):
+            self.program.store(scratch, place(line, 0, 0), ends[key], real)
+        self.program.barrier()
+        for line, (axes, (x, y)) in enumerate(_ENDS, start=_LEAVING):
+            ends[axes, (0, 0)] |= self.program.load(scratch, place(line, -x, -y), real, 0)
+        after = reached & ~rest[0]
         for axes in (1, 2, 3):
-            came = jnp.zeros_like(reached)
-            for k, edge in enumerate(EDGES):
-                if edge.axes != axes:
-                    continue
-                for a, b in ((edge.near, edge.far), (edge.far, edge.near)):
-                    dx, dy, dz = (i - k for i, k in zip(a, b, strict=True))
-                    set_out = _up(once(axes - 1, dx, dy), dz)
-                    clear = _up(once(_LEAVING + k, -b[0], -b[1]), -b[2])
-                    came |= set_out & clear
-            reached |= came & ~rest[axes]
-        return reached
+            after |= ends[axes, (0, 0)] & ~rest[axes]
+        return after
 
     def _taken(
         self, row: Any, x: Any, y: Any, half: Any, place: Any, square: Any, span: Any
@@ -263,8 +270,7 @@ class _Kernel:
         kinds = ((0, 0, 0),) * 4 + BLOCKS
         grows = (0, 1, 2, 3, *(sum(block) for block in BLOCKS))
 
-        def mark(k: Any, words: tuple[_Words, ...]) -> tuple[_Words, ...]:
-            ball = row + k
+        def mark(ball: Any, words: tuple[_Words, ...]) -> tuple[_Words, ...]:
             off_x, off_y = x - place[2 * ball], y - place[2 * ball + 1]
             x2 = (off_x**2, (off_x + half) ** 2)
             y2 = (off_y**2, (off_y + half) ** 2)
@@ -279,8 +285,18 @@ class _Kernel:
                 out.append(line | jnp.where(inside[key], bits[axes, block[2]], jnp.uint32(0)))
             return tuple(out)
 
-        taken: tuple[_Words, ...] = jax.lax.fori_loop(0, self.n_ball, mark, (zero,) * len(kinds))
-        return taken
+        def mark_some(group: Any, words: tuple[_Words, ...]) -> tuple[_Words, ...]:
+            for k in range(AT_ONCE):
+                words = mark(row + group * AT_ONCE + k, words)
+            return words
+
+        nothing = (zero,) * len(kinds)
+        if self.n_ball == AT_ONCE:
+            return mark_some(0, nothing)
+        marked: tuple[_Words, ...] = jax.lax.fori_loop(
+            0, self.n_ball // AT_ONCE, mark_some, nothing
+        )
+        return marked
 
 
 def _up(words: _Words, dz: int) -> _Words:
