@@ -1,7 +1,7 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -16,21 +16,62 @@ type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00
 
 
 class PlannerEntry(FileModel):
-    """One of the planners that are compared."""
+    """One of those that are compared: a planner, flown as it planned or online, or a policy."""
 
-    name: str = Field(max_length=4096)
+    name: str = Field(default="", max_length=4096)
     """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
+    policy: str | None = None
+    """Instead of a planner: a policy by its name in a scenario, such as mppi, which flies without
+    plans."""
     label: Label | None = None
-    """What tables and figures call it; its name, or its class, if left out."""
+    """What tables and figures call it; its name, or its class, and how it is flown if left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Its own, as in the scenario's table [planner.NAME]."""
+    """Its own, as in the scenario's table [planner.NAME], or [policy.NAME]."""
     knows: KnowsConfig | None = None
     """What it is told, whatever others are told: for planners that can make no use of more."""
+    replan_hz: float = 0.0
+    """As in the scenario's table [planner]: plans are made anew so often in flight."""
+    delay_s: float = 0.0
+    """As in the scenario's table [planner]."""
+    order: Literal["free", "kept"] | None = None
+    """As in the scenario's table [execution]; the scenario's if left out."""
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        if not self.name and self.policy is None:
+            raise ValueError(
+                'name is missing: give a planner, or a policy, such as policy = "mppi"'
+            )
+        if self.policy == "none":
+            raise ValueError("policy = 'none': nobody flies by it; give the name of a planner")
+        if self.policy is not None:
+            for key in ("name", "replan_hz", "delay_s", "order"):
+                if key in self.model_fields_set:
+                    raise ValueError(
+                        f"{key} = {shown(getattr(self, key))}: policy = {shown(self.policy)} flies "
+                        f"without plans; leave out {key}, or policy"
+                    )
+        return self
+
+    @property
+    def online(self) -> dict[str, Any]:
+        """How its plans are looked after while they are flown; empty if they are not."""
+        given = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
+        return {key: value for key, value in given.items() if value}
 
     @property
     def title(self) -> str:
         """Its label."""
-        return self.label or self.name.rpartition(":")[2]
+        if self.label:
+            return self.label
+        called = self.policy or self.name.rpartition(":")[2]
+        parts = [
+            called,
+            f"{self.replan_hz:g} Hz" if self.replan_hz else "",
+            f"{self.delay_s:g} s late" if self.delay_s else "",
+            "order kept" if self.order == "kept" else "",
+        ]
+        return ", ".join(part for part in parts if part)
 
 
 class SceneEntry(FileModel):
