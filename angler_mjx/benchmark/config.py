@@ -1,7 +1,7 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
@@ -9,10 +9,15 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.world import presets
 
 type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
+
+
+POLICIES = get_args(PolicyConfig.model_fields["name"].annotation)
+"""As a scenario names them."""
 
 
 class PlannerEntry(FileModel):
@@ -35,12 +40,20 @@ class PlannerEntry(FileModel):
     """As in the scenario's table [planner]."""
     order: Literal["free", "kept"] | None = None
     """As in the scenario's table [execution]; the scenario's if left out."""
+    presets: tuple[str, ...] = ()
+    """Of the file's presets those whose problems it is asked; all if left out."""
+    teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
+    """Sizes of teams that it is asked; all if left out."""
 
     @model_validator(mode="after")
     def _is_one(self) -> Self:
         if not self.name and self.policy is None:
             raise ValueError(
                 'name is missing: give a planner, or a policy, such as policy = "mppi"'
+            )
+        if self.name in POLICIES:
+            raise ValueError(
+                f"name = {shown(self.name)}: is a policy; give policy = {shown(self.name)} instead"
             )
         if self.policy == "none":
             raise ValueError("policy = 'none': nobody flies by it; give the name of a planner")
@@ -52,6 +65,11 @@ class PlannerEntry(FileModel):
                         f"without plans; leave out {key}, or policy"
                     )
         return self
+
+    @field_validator("presets")
+    @classmethod
+    def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _presets(names)
 
     @property
     def online(self) -> dict[str, Any]:
@@ -126,9 +144,7 @@ class BenchmarkConfig(FileModel):
     @field_validator("presets")
     @classmethod
     def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            presets.load(name)
-        return names
+        return _presets(names)
 
     @model_validator(mode="after")
     def _told_apart(self) -> Self:
@@ -139,6 +155,13 @@ class BenchmarkConfig(FileModel):
         _once("seeds", self.seeds)
         _once("knows", [str(one) for one in self.knows])
         return self
+
+
+def _presets(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names that are of presets."""
+    for name in names:
+        presets.load(name)
+    return names
 
 
 def _once(key: str, values: Any) -> None:

@@ -37,6 +37,11 @@ class Contestant:
     """How its plans are looked after in flight, by the keys of a benchmark file; empty where they
     are flown as they are."""
 
+    presets: tuple[str, ...] = ()
+    """Whose problems it is asked; all if empty."""
+    teams: tuple[int, ...] = ()
+    """Robots in the problems that it is asked; any if empty."""
+
     @property
     def name(self) -> str:
         """Of its planner, or its policy."""
@@ -95,6 +100,8 @@ def contestant(entry: PlannerEntry) -> Contestant:
             on_device=False,
             policy=entry.policy,
             policy_settings=entry.settings,
+            presets=entry.presets,
+            teams=entry.teams,
         )
     table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
     spec = PlannerConfig(name=entry.name, settings=table).chosen()
@@ -106,6 +113,8 @@ def contestant(entry: PlannerEntry) -> Contestant:
         on_device=spec.reference.on_device
         or callable(getattr(spec.reference.load(), "plan_batch", None)),
         online=entry.online,
+        presets=entry.presets,
+        teams=entry.teams,
     )
 
 

@@ -5,7 +5,7 @@ A `Setting` is a set of problems: worlds of one scenario and seed, with what may
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +72,8 @@ class Benchmark:
             one
             for one in self.contestants
             if (setting.knows == one.knows if one.knows else setting.knows in told)
+            and (not one.teams or setting.robots in one.teams)
+            and (not one.presets or setting.preset in one.presets)
         ]
 
     def resolved(self) -> dict[str, Any]:
@@ -84,15 +86,20 @@ class Benchmark:
         }
 
 
-def read(path: Path) -> Benchmark:
+def read(path: Path, **instead: Any) -> Benchmark:
     """A benchmark from its file.
+
+    Args:
+        path: of the file.
+        **instead: top-level keys that replace those of the file.
 
     Raises:
         ConfigError: naming every fault of it, or the first of what it names.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    table = read_toml(path)
-    config = parse(BenchmarkConfig, table, source=str(path))
+    table = {**read_toml(path), **instead}
+    source = str(path) + (f" with other {', '.join(instead)}" if instead else "")
+    config = parse(BenchmarkConfig, table, source=source)
     folder = path.absolute().parent
     planners = tuple(
         one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.planner
@@ -120,7 +127,13 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
         raise ConfigError(f"{named(source)}: {error}") from error
     settings = tuple(_settings(config, scenario, contestants, source))
     made = Benchmark(config=config, scenario=scenario, contestants=contestants, settings=settings)
-    for setting in settings:
+    made = replace(made, settings=tuple(s for s in settings if made.asked(s)))
+    if not made.settings:
+        raise ConfigError(
+            f"{named(source)}: presets and teams: no planner is asked any of them; see presets "
+            "and teams of each [[planner]]"
+        )
+    for setting in made.settings:
         for one in made.asked(setting):
             _require_able(one, setting, source)
     return made

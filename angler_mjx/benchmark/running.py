@@ -19,7 +19,7 @@ from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.benchmark.questions import Benchmark, Setting
 from angler_mjx.benchmark.report import page
 from angler_mjx.benchmark.store import FILE, STATUS, Store
-from angler_mjx.errors import RunError
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.provenance import describe_environment
@@ -67,14 +67,23 @@ class _Simulators:
         return self.made[key]
 
 
-def read(source: Path) -> Benchmark:
+def read(source: Path, **instead: Any) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
+    Args:
+        source: the file or the folder.
+        **instead: top-level keys that replace those of the file.
+
     Raises:
-        ConfigError: naming the faults.
+        ConfigError: naming the faults; or keys are given with a folder.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    return folder.read(source) if source.is_dir() else questions.read(source)
+    if source.is_dir() and instead:
+        raise ConfigError(
+            f"{source}: is made again as it was; leave out {', '.join(instead)}, or give the "
+            "benchmark file"
+        )
+    return folder.read(source) if source.is_dir() else questions.read(source, **instead)
 
 
 def run(
