@@ -59,7 +59,7 @@ class PlannerEntry(FileModel):
             raise ValueError("policy = 'none': nobody flies by it; give the name of a planner")
         if self.policy is not None:
             for key in ("name", "replan_hz", "delay_s", "order"):
-                if key in self.model_fields_set:
+                if getattr(self, key):
                     raise ValueError(
                         f"{key} = {shown(getattr(self, key))}: policy = {shown(self.policy)} flies "
                         f"without plans; leave out {key}, or policy"
