@@ -100,6 +100,21 @@ def test_planning_anew_is_compared_with_the_same_planner_on_the_same_problems(pa
     assert lines[3].startswith("| anew | 4 | +50.0 (")
 
 
+def test_what_is_still_to_be_flown_has_not_failed(tmp_path, capsys):
+    unflown = {"flown": False, "success": False}
+    rows = [
+        row("grid", "observed", 2, 0, 2),
+        row("grid", "observed", 2, 1, 0, **unflown),
+        row("grid", "observed", 2, 2, 0, planned=False, robots_planned=0, **unflown),
+        row("mppi", "observed", 2, 0, 0, plan_status="policy", robots_planned=0, **unflown),
+    ]
+    fleets.main((folder(tmp_path / "a", rows, [2]),))
+    said = capsys.readouterr().out
+    assert "2 runs are not flown yet" in said
+    assert "| grid | 50 (50) |" in said
+    assert "| mppi |" not in said
+
+
 def test_a_run_that_is_there_twice_is_not_counted_twice(parts):
     with pytest.raises(ConfigError, match="planner 'grid', reef, 2 robots, world 0 is there twice"):
         fleets.read([*parts, parts[0]])

@@ -127,8 +127,10 @@ class Results:
 
     @property
     def pending(self) -> int:
-        """Runs that were planned and have not been flown."""
-        return int(np.sum(self.runs["planned"] & ~self.runs["flown"] & self.runs.asked))
+        """Runs that were planned, or are a policy's, and have not been flown."""
+        runs = self.runs
+        ready = runs["planned"] | (runs["plan_status"] == POLICY)
+        return int(np.sum(ready & ~runs["flown"] & runs.asked))
 
     @cached_property
     def planners(self) -> list[str]:

@@ -39,11 +39,20 @@ class Study:
         return list(dict.fromkeys(self.ways[name] for name in self.results.planners))
 
     def of(self, way: str, preset: str, robots: int, level: str) -> Runs:
-        """The runs of one cell that count."""
+        """The runs of one cell that count, but those that are still to be flown."""
         runs = self.results.runs
         mine = np.isin(runs["planner"], [label for label, x in self.ways.items() if x == way])
         here = (runs["scene"] == preset) & (runs["robots"] == robots)
-        return runs.where(runs.counted & mine & here & (runs["knows_obstacles"] == level))
+        told = runs["knows_obstacles"] == level
+        return runs.where(runs.counted & ~self.to_be_flown & mine & here & told)
+
+    @property
+    def to_be_flown(self) -> np.ndarray:
+        """Bool [n]: of a study that was cut short."""
+        runs = self.results.runs
+        ready = (runs["robots_planned"] > 0) | (runs["plan_status"] == reading.POLICY)
+        unflown: np.ndarray = ready & ~runs["flown"] & runs.asked
+        return unflown
 
     @property
     def known(self) -> Iterator[tuple[str, int]]:
@@ -197,6 +206,8 @@ def main(
     if level not in LEVELS:
         raise ConfigError(f"--level {level}: give one of {', '.join(LEVELS)}")
     study = read(folders)
+    if left := int(study.to_be_flown.sum()):
+        print(f"{left} runs are not flown yet; tables by team and level leave them out")
     for lines in (by_team(study, level), by_level(study), replans(study), pairs(study)):
         print("\n".join(lines))
     if figures is not None:
