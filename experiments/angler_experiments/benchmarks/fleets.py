@@ -32,6 +32,8 @@ class Study:
     ways: dict[str, str]
     """How the robots fly, by the planners' labels: a planner or a policy, and how often it plans
     anew."""
+    left: int
+    """Runs that are still to be flown; they are not among the results."""
 
     @property
     def every_way(self) -> list[str]:
@@ -39,20 +41,12 @@ class Study:
         return list(dict.fromkeys(self.ways[name] for name in self.results.planners))
 
     def of(self, way: str, preset: str, robots: int, level: str) -> Runs:
-        """The runs of one cell that count, but those that are still to be flown."""
+        """The runs of one cell that count."""
         runs = self.results.runs
         mine = np.isin(runs["planner"], [label for label, x in self.ways.items() if x == way])
         here = (runs["scene"] == preset) & (runs["robots"] == robots)
         told = runs["knows_obstacles"] == level
-        return runs.where(runs.counted & ~self.to_be_flown & mine & here & told)
-
-    @property
-    def to_be_flown(self) -> np.ndarray:
-        """Bool [n]: of a study that was cut short."""
-        runs = self.results.runs
-        ready = (runs["robots_planned"] > 0) | (runs["plan_status"] == reading.POLICY)
-        unflown: np.ndarray = ready & ~runs["flown"] & runs.asked
-        return unflown
+        return runs.where(runs.counted & mine & here & told)
 
     @property
     def known(self) -> Iterator[tuple[str, int]]:
@@ -80,7 +74,9 @@ def read(folders: Sequence[Path]) -> Study:
     columns = {
         name: np.concatenate([part.runs[name] for part in parts]) for name in parts[0].runs.columns
     }
-    runs = Runs(columns)
+    every_run = Runs(columns)
+    unflown = _to_be_flown(every_run)
+    runs = every_run.where(~unflown)
     keys = ("planner", "scene", "robots", "knows_obstacles", "knows_current", "problem_seed")
     every = list(zip(*(columns[name].tolist() for name in (*keys, "world")), strict=True))
     if len(set(every)) < len(every):
@@ -94,7 +90,13 @@ def read(folders: Sequence[Path]) -> Study:
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
     about = {**parts[0].about, "planners": entries, "scenes": scenes}
     whole = replace(parts[0], about=about, runs=runs, problem=reading.problems(runs), examples=[])
-    return Study(results=whole, ways=ways)
+    return Study(results=whole, ways=ways, left=int(unflown.sum()))
+
+
+def _to_be_flown(runs: Runs) -> np.ndarray:
+    ready = (runs["robots_planned"] > 0) | (runs["plan_status"] == reading.POLICY)
+    unflown: np.ndarray = ready & ~runs["flown"] & runs.asked
+    return unflown
 
 
 def _way(entry: dict[str, Any]) -> str:
@@ -206,8 +208,8 @@ def main(
     if level not in LEVELS:
         raise ConfigError(f"--level {level}: give one of {', '.join(LEVELS)}")
     study = read(folders)
-    if left := int(study.to_be_flown.sum()):
-        print(f"{left} runs are not flown yet; tables by team and level leave them out")
+    if study.left:
+        print(f"{study.left} runs are not flown yet, and left out")
     for lines in (by_team(study, level), by_level(study), replans(study), pairs(study)):
         print("\n".join(lines))
     if figures is not None:
