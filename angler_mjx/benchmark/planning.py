@@ -25,7 +25,7 @@ from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.simulator.prepare import with_paths
-from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.simulator.simulator import NO_AUTOTUNING, Simulator
 from angler_mjx.world.environment import Environment
 
 
@@ -208,7 +208,8 @@ def _of_device(
             if alike not in programs:
                 begin = time.perf_counter()
                 planner = device_planner(setting.told(), one.planner)
-                programs[alike] = jax.jit(planner).lower(*given).compile()
+                program = jax.jit(planner, compiler_options=NO_AUTOTUNING)
+                programs[alike] = program.lower(*given).compile()
                 jax.block_until_ready(programs[alike](*given))
                 extras = {"warm_up_s": time.perf_counter() - begin}
             begin = time.perf_counter()
