@@ -31,8 +31,8 @@ def by_team(study: Study, level: str) -> Figure:
         }
         for scene in study.results.scenes
     }
-    said = f"obstacles and current told as {level}; Wilson's 95 %"
-    return _drawn(study, "Whole teams that arrive, by team", said, panels, ticks, "robots")
+    said = f"what moves is told as {level}; Wilson's 95 %"
+    return _drawn(study, "Whole teams that arrive, by their robots", said, panels, ticks, "robots")
 
 
 def by_level(study: Study) -> Figure:
