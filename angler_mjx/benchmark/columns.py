@@ -34,10 +34,17 @@ MEASURED: tuple[Column, ...] = (
     Column("flown", _B, "1", "some robot had a path, and the plans were flown", ""),
     Column("robots_reached", _I, "1", "robots that arrived", ""),
     Column("reached", _B, "1", "all robots arrived", ""),
-    Column("success", _B, "1", "every robot had a path, and arrived", ""),
+    Column("success", _B, "1", "every robot had a path, or a policy, and arrived", ""),
     Column("makespan_s", _F, "s", "arrival of the last robot; null unless all arrived", ""),
     Column("flowtime_s", _F, "s", "sum of all arrivals; null unless all arrived", ""),
     Column("late_s", _F, "s", "latest arrival after the end of its path", ""),
+    Column(
+        "failed_replans",
+        _I,
+        "1",
+        "times that a robot on its way got no new plan, sum of robots; null if none was asked for",
+        "",
+    ),
     Column("flown_length_m", _F, "m", "flown way of all robots", ""),
     Column("energy_j", _F, "J", "electrical energy of the thrusters of all robots", ""),
     Column("min_clearance_m", _F, "m", "least hull distance to cells, floor, obstacles", ""),
@@ -69,7 +76,13 @@ ASKED: tuple[Column, ...] = (
     Column("knows_current", _S, "", "what was known of the current", None),
     Column("problem_seed", pa.int64(), "1", "seed of the world", None),
     Column("world", pa.int64(), "1", "index of the world", None),
-    Column("plan_status", _S, "", "how planning ended; closed, no room: it was not asked", None),
+    Column(
+        "plan_status",
+        _S,
+        "",
+        "how planning ended; closed, no room: not asked; policy: needs none",
+        None,
+    ),
     Column("plan_reason", _S, "", "why there are not plans for all robots", None),
 )
 """What says which run it is, and how planning ended."""
@@ -91,3 +104,6 @@ WORDS = ("plan_reason", "failure", "failure_pair")
 CLOSED, NO_ROOM = "closed", "no room"
 """Statuses of problems that a planner was not asked: it had been given up on; the world has no room
 for the team."""
+
+POLICY = "policy"
+"""Status of problems that a policy flew: nothing was planned before the start."""

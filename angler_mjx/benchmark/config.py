@@ -1,7 +1,7 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
 
@@ -9,28 +9,87 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.world import presets
 
 type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
 
 
-class PlannerEntry(FileModel):
-    """One of the planners that are compared."""
+POLICIES = get_args(PolicyConfig.model_fields["name"].annotation)
+"""As a scenario names them."""
 
-    name: str = Field(max_length=4096)
+
+class PlannerEntry(FileModel):
+    """One of those that are compared: a planner, flown as it planned or online, or a policy."""
+
+    name: str = Field(default="", max_length=4096)
     """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
+    policy: str | None = None
+    """Instead of a planner: a policy by its name in a scenario, such as mppi, which flies without
+    plans."""
     label: Label | None = None
-    """What tables and figures call it; its name, or its class, if left out."""
+    """What tables and figures call it; its name, or its class, and how it is flown if left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Its own, as in the scenario's table [planner.NAME]."""
+    """Its own, as in the scenario's table [planner.NAME], or [policy.NAME]."""
     knows: KnowsConfig | None = None
     """What it is told, whatever others are told: for planners that can make no use of more."""
+    replan_hz: float = 0.0
+    """As in the scenario's table [planner]: plans are made anew so often in flight."""
+    delay_s: float = 0.0
+    """As in the scenario's table [planner]."""
+    order: Literal["free", "kept"] | None = None
+    """As in the scenario's table [execution]; the scenario's if left out."""
+    presets: tuple[str, ...] = ()
+    """Of the file's presets those whose problems it is asked; all if left out."""
+    teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
+    """Sizes of teams that it is asked; all if left out."""
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        if not self.name and self.policy is None:
+            raise ValueError(
+                'name is missing: give a planner, or a policy, such as policy = "mppi"'
+            )
+        if self.name in POLICIES:
+            raise ValueError(
+                f"name = {shown(self.name)}: is a policy; give policy = {shown(self.name)} instead"
+            )
+        if self.policy == "none":
+            raise ValueError("policy = 'none': nobody flies by it; give the name of a planner")
+        if self.policy is not None:
+            for key in ("name", "replan_hz", "delay_s", "order"):
+                if getattr(self, key):
+                    raise ValueError(
+                        f"{key} = {shown(getattr(self, key))}: policy = {shown(self.policy)} flies "
+                        f"without plans; leave out {key}, or policy"
+                    )
+        return self
+
+    @field_validator("presets")
+    @classmethod
+    def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _presets(names)
+
+    @property
+    def online(self) -> dict[str, Any]:
+        """How its plans are looked after while they are flown; empty if they are not."""
+        given = {key: getattr(self, key) for key in ("replan_hz", "delay_s", "order")}
+        return {key: value for key, value in given.items() if value}
 
     @property
     def title(self) -> str:
         """Its label."""
-        return self.label or self.name.rpartition(":")[2]
+        if self.label:
+            return self.label
+        called = self.policy or self.name.rpartition(":")[2]
+        parts = [
+            called,
+            f"{self.replan_hz:g} Hz" if self.replan_hz else "",
+            f"{self.delay_s:g} s late" if self.delay_s else "",
+            "order kept" if self.order == "kept" else "",
+        ]
+        return ", ".join(part for part in parts if part)
 
 
 class SceneEntry(FileModel):
@@ -85,9 +144,7 @@ class BenchmarkConfig(FileModel):
     @field_validator("presets")
     @classmethod
     def _exist(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            presets.load(name)
-        return names
+        return _presets(names)
 
     @model_validator(mode="after")
     def _told_apart(self) -> Self:
@@ -98,6 +155,13 @@ class BenchmarkConfig(FileModel):
         _once("seeds", self.seeds)
         _once("knows", [str(one) for one in self.knows])
         return self
+
+
+def _presets(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names that are of presets."""
+    for name in names:
+        presets.load(name)
+    return names
 
 
 def _once(key: str, values: Any) -> None:

@@ -38,7 +38,7 @@ class Flight:
     runs: Mapping[int, int]
     """Numbers of the runs by world."""
     plans: Mapping[int, list[Any]]
-    """Paths of each robot by world; None where there is none."""
+    """Paths of each robot by world; None where there is none. Empty where a policy flies."""
 
 
 def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Flight]:
@@ -50,13 +50,16 @@ def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Fligh
     made = []
     for planner in planners:
         rows = store.rows(
-            "SELECT runs.id, world, paths FROM runs JOIN plans ON plans.runid = runs.id "
+            "SELECT runs.id, world, paths FROM runs LEFT JOIN plans ON plans.runid = runs.id "
             "WHERE experimentid = ? AND plannerid = ? AND flown IS NULL ORDER BY world",
             (experiment, planner),
         )
         if rows:
             with reading(store.path):
-                plans = {row["world"]: bytes_of.unpacked(row["paths"]) for row in rows}
+                plans = {
+                    row["world"]: [] if row["paths"] is None else bytes_of.unpacked(row["paths"])
+                    for row in rows
+                }
             runs = {row["world"]: row["id"] for row in rows}
             made.append(Flight(planner=planner, runs=runs, plans=plans))
     return made
@@ -113,7 +116,7 @@ class _Plans:
         for t in range(len(firsts)):
             flight, first = next(self._coming)
             for world, paths in flight.plans.items():
-                if first <= world < first + simulator.tile:
+                if paths and first <= world < first + simulator.tile:
                     answers[t * simulator.tile + world - first] = _answer(paths)
         held = jax.device_get(worlds.path)
         return hosted.gather(answers, held)[0], None

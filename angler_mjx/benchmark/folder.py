@@ -37,7 +37,7 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> Claim:
     try:
         shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
         vehicles = [one.vehicle for s in benchmark.settings for one in s.scenario.fleet]
-        files = [one.spec.reference.file for one in benchmark.contestants]
+        files = [one.file for one in benchmark.contestants]
         planners = [(inputs.PLANNER, file) for file in dict.fromkeys(files) if file is not None]
         inputs.take(building, vehicles, planners)
         write_json(building / ENVIRONMENT, describe_environment())
@@ -125,8 +125,9 @@ def about(benchmark: Benchmark, building: Path, *, complete: bool) -> None:
         "planners": [
             {
                 "label": one.label,
-                "name": one.spec.reference.name,
-                "settings": dict(one.spec.settings),
+                "name": one.name,
+                "settings": one.settings,
+                "online": dict(one.online),
             }
             for one in benchmark.contestants
         ],

@@ -64,7 +64,7 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
 
     Args:
         robots: rows of `angler_mjx.storage.results.EPISODE_SCHEMA`, of all robots of a world.
-        whole: whether each of them had a path.
+        whole: whether each of them had a path, or needed none.
     """
     reached = [robot for robot in robots if robot["outcome"] == "reached"]
     success = whole and len(reached) == len(robots)
@@ -77,11 +77,12 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
         "energy_j": float(sum(robot["energy_j"] for robot in robots)),
         "min_clearance_m": float(min(robot["min_clearance_m"] for robot in robots)),
         "min_separation_m": _least([robot["min_separation_m"] for robot in robots]),
+        "failed_replans": _sum([robot.get("failed_replans") for robot in robots]),
     }
     if success:
         ends = [float(robot["time_to_goal_s"]) for robot in robots]
         row |= {"makespan_s": max(ends), "flowtime_s": float(sum(ends))}
-        row["late_s"] = float(max(robot["late_s"] for robot in robots))
+        row["late_s"] = _most([robot["late_s"] for robot in robots])
     failed = [robot for robot in robots if robot["outcome"] != "reached"]
     if failed:
         first = min(failed, key=results.end_time_s)
@@ -100,3 +101,13 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
 def _least(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(min(known)) if known else None
+
+
+def _most(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(max(known)) if known else None
+
+
+def _sum(values: Sequence[int | None]) -> int | None:
+    known = [value for value in values if value is not None]
+    return sum(known) if known else None

@@ -1,5 +1,6 @@
 """Asking planners the problems of a setting: answers into the database as they come."""
 
+import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,9 +10,10 @@ import jax
 import numpy as np
 
 from angler_mjx.benchmark import paths as bytes_of
-from angler_mjx.benchmark.columns import CLOSED, NO_ROOM, WORDS
+from angler_mjx.benchmark.columns import CLOSED, NO_ROOM, POLICY, WORDS
+from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.benchmark.measures import of_answer
-from angler_mjx.benchmark.questions import Contestant, Setting
+from angler_mjx.benchmark.questions import Setting
 from angler_mjx.benchmark.store import Store
 from angler_mjx.control import plans
 from angler_mjx.control.joint_trajectory import JointTrajectory
@@ -23,7 +25,7 @@ from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.simulator.prepare import with_paths
-from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.simulator.simulator import NO_AUTOTUNING, Simulator
 from angler_mjx.world.environment import Environment
 
 
@@ -100,6 +102,12 @@ def plan(
         advance: called with the number of problems that are done or given up.
     """
     todo = {number: _left(asked, number, store, advance) for number, _ in contestants}
+    for number, one in contestants:
+        if one.policy is not None:
+            for world in sorted(todo.pop(number)):
+                _keep_unplanned(asked, number, world, store)
+                advance(1)
+    contestants = [(number, one) for number, one in contestants if number in todo]
     fitting = np.flatnonzero(asked.fits).tolist()
     first = fitting[:close_after] if close_after else fitting
     for part in (first, fitting[len(first) :]):
@@ -150,14 +158,15 @@ def _answers(
     pool: Pool,
 ) -> Iterator[tuple[int, Contestant, int, Answer]]:
     """Planner, world and answer, as they come; nobody is asked while a device plans."""
+    compiled: dict[str, Any] = {}
     for number, one, worlds in orders:
         if one.on_device:
-            for world, given in _of_device(asked, one, worlds):
+            for world, given in _of_device(asked, one, worlds, compiled):
                 yield number, one, world, given
     tickets: dict[int, tuple[int, Contestant, int]] = {}
     for number, one, worlds in orders:
         for world in worlds if not one.on_device else ():
-            ticket = pool.submit(asked.problems[world], one.spec_of(asked.setting))
+            ticket = pool.submit(asked.problems[world], one.spec_of(asked.setting.scenario))
             tickets[ticket] = number, one, world
     for ticket, given in pool.completed(tickets):
         yield *tickets[ticket], given
@@ -179,26 +188,32 @@ def _of_kind(given: Answer, one: Contestant) -> Answer:
 
 
 def _of_device(
-    asked: Asked, one: Contestant, worlds: Sequence[int]
+    asked: Asked, one: Contestant, worlds: Sequence[int], programs: dict[str, Any]
 ) -> Iterator[tuple[int, Answer]]:
-    """Answers of a planner that plans a batch: each took its share of the batch's time."""
+    """Answers of a planner that plans a batch: each took its share of the batch's time.
+
+    Programs are shared by those that plan alike, and fly otherwise.
+    """
     setting, simulator = asked.setting, asked.simulator
     shape = PathShape(points=setting.scenario.planner.points, joints=one.joints)
     limit_s = LATE * setting.scenario.planner.deadline_s
-    compiled, extras = None, {}
+    extras = {}
+    alike = json.dumps([one.name, one.settings], sort_keys=True)
     for first in _tiles(setting, simulator):
         wanted = [world for world in worlds if first <= world < first + simulator.tile]
         if not wanted:
             continue
         given = simulator.asked(first, seed=setting.seed, knows=setting.knows)
         try:
-            if compiled is None:
+            if alike not in programs:
                 begin = time.perf_counter()
-                compiled = jax.jit(device_planner(setting.told(), one.spec)).lower(*given).compile()
-                jax.block_until_ready(compiled(*given))
+                planner = device_planner(setting.told(), one.planner)
+                program = jax.jit(planner, compiler_options=NO_AUTOTUNING)
+                programs[alike] = program.lower(*given).compile()
+                jax.block_until_ready(programs[alike](*given))
                 extras = {"warm_up_s": time.perf_counter() - begin}
             begin = time.perf_counter()
-            path = jax.block_until_ready(compiled(*given))
+            path = jax.block_until_ready(programs[alike](*given))
             seconds = time.perf_counter() - begin
             with_paths(given[0], path, one.label, shape)
             host = jax.device_get(path)
@@ -236,13 +251,9 @@ def _robot(host: Any, world: int, robot: int) -> Path | NoPlan:
 def _keep(asked: Asked, planner: int, world: int, given: Answer, store: Store) -> None:
     there = any(not isinstance(path, NoPlan) for path in given.paths)
     row = {
-        **dict.fromkeys(WORDS),
+        **_nothing_flown(asked, world),
         **of_answer(given),
-        **asked.difficulty[world],
         "plan_reason": given.reason or None,
-        "success": False,
-        "reached": False,
-        "robots_reached": 0,
         **({} if there else {"flown": False}),
     }
     store.add(
@@ -254,3 +265,19 @@ def _keep(asked: Asked, planner: int, world: int, given: Answer, store: Store) -
         bytes_of.packed(given.paths) if there else None,
         given.progress,
     )
+
+
+def _keep_unplanned(asked: Asked, planner: int, world: int, store: Store) -> None:
+    """A run of a policy, to be flown."""
+    row = {**_nothing_flown(asked, world), "planned": False, "robots_planned": 0}
+    store.add(asked.experiment, planner, world, POLICY, row, None)
+
+
+def _nothing_flown(asked: Asked, world: int) -> dict[str, Any]:
+    return {
+        **dict.fromkeys(WORDS),
+        **asked.difficulty[world],
+        "success": False,
+        "reached": False,
+        "robots_reached": 0,
+    }

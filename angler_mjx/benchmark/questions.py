@@ -9,36 +9,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark.config import BenchmarkConfig, PlannerEntry, merged
+from angler_mjx.benchmark import contestants as compared
+from angler_mjx.benchmark.config import BenchmarkConfig, merged
+from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
-from angler_mjx.planning import register
-from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
-from angler_mjx.scenario.tables import KnowsConfig, PlannerConfig
+from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.on_device import device_planner
 
 PLAIN = "as it is"
 """Name of the scene of a benchmark that names none."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Contestant:
-    """A planner that is compared with others."""
-
-    label: str
-    spec: PlannerSpec
-    knows: Knows | None
-    """What it is told; that of the problems if None."""
-    joints: bool
-    """Whether its paths are trajectories of joints."""
-    on_device: bool
-    """Whether it plans a batch at once."""
-
-    def spec_of(self, setting: "Setting") -> PlannerSpec:
-        """What a worker makes it of, for the problems of a setting."""
-        return replace(self.spec, most_points=setting.scenario.planner.points)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +47,10 @@ class Setting:
         planner = self.scenario.planner.model_copy(update={"knows": known})
         return self.scenario.model_copy(update={"planner": planner})
 
+    def flown(self, one: Contestant, source: str = "") -> Scenario:
+        """The scenario by which the robots of a contestant fly; see `contestants.flown`."""
+        return compared.flown(self.scenario, self.knows, one, f"{source} ({self})")
+
     def __str__(self) -> str:
         return f"{self.scene}, {self.robots} robot{'s' if self.robots > 1 else ''}"
 
@@ -86,6 +72,8 @@ class Benchmark:
             one
             for one in self.contestants
             if (setting.knows == one.knows if one.knows else setting.knows in told)
+            and (not one.teams or setting.robots in one.teams)
+            and (not one.presets or setting.preset in one.presets)
         ]
 
     def resolved(self) -> dict[str, Any]:
@@ -93,23 +81,25 @@ class Benchmark:
         return {
             "benchmark": self.config.model_dump(mode="json"),
             "scenario": self.scenario.model_dump(mode="json", exclude_unset=True),
-            "planners": [
-                {"label": one.label, "sha256": one.spec.reference.sha256}
-                for one in self.contestants
-            ],
+            "planners": [{"label": one.label, "sha256": one.sha256} for one in self.contestants],
             "problems": sorted({setting.scenario.digest() for setting in self.settings}),
         }
 
 
-def read(path: Path) -> Benchmark:
+def read(path: Path, **instead: Any) -> Benchmark:
     """A benchmark from its file.
+
+    Args:
+        path: of the file.
+        **instead: top-level keys that replace those of the file.
 
     Raises:
         ConfigError: naming every fault of it, or the first of what it names.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    table = read_toml(path)
-    config = parse(BenchmarkConfig, table, source=str(path))
+    table = {**read_toml(path), **instead}
+    source = str(path) + (f" with other {', '.join(instead)}" if instead else "")
+    config = parse(BenchmarkConfig, table, source=source)
     folder = path.absolute().parent
     planners = tuple(
         one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.planner
@@ -132,47 +122,39 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
         ConfigError, UnsupportedError: as `read`.
     """
     try:
-        contestants = tuple(_contestant(one) for one in config.planner)
+        contestants = tuple(compared.contestant(one) for one in config.planner)
     except ConfigError as error:
         raise ConfigError(f"{named(source)}: {error}") from error
     settings = tuple(_settings(config, scenario, contestants, source))
     made = Benchmark(config=config, scenario=scenario, contestants=contestants, settings=settings)
-    for setting in settings:
+    made = replace(made, settings=tuple(s for s in settings if made.asked(s)))
+    if not made.settings:
+        raise ConfigError(
+            f"{named(source)}: presets and teams: no planner is asked any of them; see presets "
+            "and teams of each [[planner]]"
+        )
+    for setting in made.settings:
         for one in made.asked(setting):
             _require_able(one, setting, source)
     return made
 
 
 def _require_able(one: Contestant, setting: Setting, source: str) -> None:
-    """Refuse a planner of the device that can make no use of what is known."""
+    """Refuse who can make no use of what is known, or cannot be flown as it is to be."""
     if one.on_device:
         try:
-            device_planner(setting.told(), one.spec)
+            device_planner(setting.told(), one.planner)
         except ConfigError as error:
             raise ConfigError(
                 f"{named(source)}: planner {shown(one.label)}: {error}; or say in its table "
                 "what it is told, by knows"
             ) from error
+    setting.flown(one, named(source))
 
 
 def _absolute(name: str, folder: Path) -> str:
     path, colon, qualname = name.rpartition(":")
     return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name
-
-
-def _contestant(entry: PlannerEntry) -> Contestant:
-    table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
-    spec = PlannerConfig(name=entry.name, settings=table).chosen()
-    on_device = spec.reference.on_device or callable(
-        getattr(spec.reference.load(), "plan_batch", None)
-    )
-    return Contestant(
-        label=entry.title,
-        spec=spec,
-        knows=None if entry.knows is None else entry.knows.knows(),
-        joints=register.gives_joints(spec),
-        on_device=on_device,
-    )
 
 
 def _settings(
@@ -191,6 +173,7 @@ def _settings(
         "points": config.points or scenario.planner.points,
         "deadline_s": config.deadline_s,
     }
+    base["policy"] = {**base.get("policy", {}), "name": "none"}
     base = merged(base, config.set)
     known = [] if all(one.knows for one in contestants) else _told(config, scenario)
     known += [one.knows for one in contestants if one.knows is not None]
@@ -227,6 +210,9 @@ OURS = {
     "planner.points": "points",
     "planner.deadline_s": "deadline_s",
     "planner.knows": "[[knows]]",
+    "planner.replan_hz": "replan_hz in [[planner]]",
+    "planner.delay_s": "delay_s in [[planner]]",
+    "policy.name": "policy in [[planner]]",
 }
 """Keys of a scenario that a benchmark file says by keys of its own."""
 

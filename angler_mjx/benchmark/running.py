@@ -14,14 +14,17 @@ from typing import Any, Protocol
 import jax
 
 from angler_mjx.benchmark import flying, folder, planning, questions, scenery, tables
-from angler_mjx.benchmark.questions import Benchmark, Contestant, Setting
+from angler_mjx.benchmark.columns import POLICY
+from angler_mjx.benchmark.contestants import Contestant
+from angler_mjx.benchmark.questions import Benchmark, Setting
 from angler_mjx.benchmark.report import page
-from angler_mjx.benchmark.store import FILE, Store
-from angler_mjx.errors import RunError
+from angler_mjx.benchmark.store import FILE, STATUS, Store
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims
 
@@ -44,30 +47,43 @@ class _Simulators:
     """Compiled simulators of the scenario that is worked on."""
 
     scenario: Scenario | None = None
-    made: dict[bool, Simulator] = field(default_factory=dict)
+    made: dict[tuple[bool, str, Knows | None], Simulator] = field(default_factory=dict)
 
-    def of(self, setting: Setting, joints: bool) -> Simulator:
+    def of(self, setting: Setting, joints: bool, one: Contestant | None = None) -> Simulator:
+        """For paths of joints or not, flown as they are, or as a contestant flies."""
         if self.scenario is not setting.scenario:
             self.scenario, self.made = setting.scenario, {}
             # Programs of hundreds of settings are more than a process may map into its memory.
             gc.collect()
             jax.clear_caches()
-        if joints not in self.made:
+        own = None if one is None or not one.flies_itself else one
+        key = (joints, "" if own is None else own.label, None if own is None else setting.knows)
+        if key not in self.made:
             shape = PathShape(points=setting.scenario.planner.points, joints=joints)
-            simulator = Simulator(setting.scenario, paths=shape)
+            flown = setting.scenario if own is None else setting.flown(own)
+            simulator = Simulator(flown, paths=shape)
             simulator.compile()
-            self.made[joints] = simulator
-        return self.made[joints]
+            self.made[key] = simulator
+        return self.made[key]
 
 
-def read(source: Path) -> Benchmark:
+def read(source: Path, **instead: Any) -> Benchmark:
     """A benchmark from its file, or from the results folder of one that is to be made again.
 
+    Args:
+        source: the file or the folder.
+        **instead: top-level keys that replace those of the file.
+
     Raises:
-        ConfigError: naming the faults.
+        ConfigError: naming the faults; or keys are given with a folder.
         UnsupportedError: the libraries of a planner are not installed.
     """
-    return folder.read(source) if source.is_dir() else questions.read(source)
+    if source.is_dir() and instead:
+        raise ConfigError(
+            f"{source}: is made again as it was; leave out {', '.join(instead)}, or give the "
+            "benchmark file"
+        )
+    return folder.read(source) if source.is_dir() else questions.read(source, **instead)
 
 
 def run(
@@ -138,13 +154,15 @@ def summary(place: Path) -> str:
     with Store(place / FILE, only_read=True) as store:
         rows = store.rows(
             "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
+            "min(status) AS least, "
             "(SELECT count(*) FROM closed WHERE plannerid = plannerConfigs.id) AS closed "
             "FROM runs JOIN plannerConfigs ON plannerConfigs.id = plannerid "
             "GROUP BY plannerid ORDER BY plannerid"
         )
     return "\n".join(
-        f"{row['name']}: {row['success']} of {row['runs']} teams all arrived, {row['planned']} "
-        f"planned" + (f"; {row['closed']} problems not asked" if row["closed"] else "")
+        f"{row['name']}: {row['success']} of {row['runs']} teams all arrived"
+        + ("" if STATUS[row["least"]] == POLICY else f", {row['planned']} planned")
+        + (f"; {row['closed']} problems not asked" if row["closed"] else "")
         for row in rows
     )
 
@@ -194,12 +212,18 @@ def _one(
         store.add_scenery(experiment, world, scenery.of(problems.problems[world]))
     told.at(f"{setting}: planning")
     planning.plan(problems, asked, store, pool, config.close_after, told.advance)
-    told.at(f"{setting}: flying")
     for kind in sorted(set(joints)):
-        numbers = [number for number, one in asked if one.joints == kind]
+        told.at(f"{setting}: flying")
+        numbers = [n for n, one in asked if one.joints == kind and not one.flies_itself]
         flights = flying.to_fly(experiment, numbers, store)
         if flights:
             flying.fly(setting, simulators.of(setting, kind), flights, examples, store)
+    for number, one in asked:
+        flights = flying.to_fly(experiment, [number], store) if one.flies_itself else []
+        if flights:
+            told.at(f"{setting}: flying {one.label}")
+            simulator = simulators.of(setting, one.joints, one)
+            flying.fly(setting, simulator, flights, examples, store)
 
 
 def _is_done(

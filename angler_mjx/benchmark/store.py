@@ -15,13 +15,14 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Self
 
-from angler_mjx.benchmark.columns import NUMBERS, WORDS
-from angler_mjx.benchmark.questions import Contestant, Setting
+from angler_mjx.benchmark.columns import NUMBERS, POLICY, WORDS
+from angler_mjx.benchmark.contestants import Contestant
+from angler_mjx.benchmark.questions import Setting
 from angler_mjx.errors import ConfigError, RunError
 
 FILE = "results.sqlite"
 
-STATUS = ("planned", "partial", "none", "timeout", "error", "died")
+STATUS = ("planned", "partial", "none", "timeout", "error", "died", POLICY)
 """How planning ends, by its number in the database."""
 
 _KINDS = {"double": "REAL", "int32": "INTEGER", "bool": "BOOLEAN"}
@@ -88,8 +89,18 @@ class Store:
                 rows = [("status", i, text) for i, text in enumerate(STATUS)]
                 self._write("INSERT INTO enums VALUES (?, ?, ?)", rows)
             self._base.execute("SELECT count(*) FROM closed")
+            if not only_read:
+                self._bring_up_to_date()
         except sqlite3.DatabaseError as error:
             raise self._named(error) from error
+
+    def _bring_up_to_date(self) -> None:
+        """Columns of runs that a database of an older version lacks, empty."""
+        there = {row["name"] for row in self._base.execute("PRAGMA table_info(runs)")}
+        for one, name in NUMBERS:
+            if name not in there:
+                kind = _KINDS[str(one.kind)]
+                self._base.execute(f"ALTER TABLE runs ADD COLUMN {name} {kind}")
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -139,7 +150,7 @@ class Store:
         found = self.rows("SELECT id FROM plannerConfigs WHERE name = ?", (one.label,))
         if found:
             return int(found[0]["id"])
-        settings = {"name": one.spec.reference.name, **one.spec.settings}
+        settings = {"name": one.name, **one.settings, **one.online}
         return self._insert(
             "plannerConfigs", {"name": one.label, "settings": json.dumps(settings, sort_keys=True)}
         )

@@ -11,6 +11,8 @@ import numpy as np
 
 from angler_mjx.control.plans import points_m
 from angler_mjx.errors import RunError
+from angler_mjx.planning.online.policy import Memory
+from angler_mjx.planning.online.replanning import Plans
 from angler_mjx.sim.record import FIELDS, STATES, Field, Sample
 from angler_mjx.sim.state import Outcome, Tally, World, WorldState
 from angler_mjx.simulator.hosted import PlanNotes
@@ -69,6 +71,8 @@ class End:
     p: jax.Array
     last: Last | None = None
     """What follows on the samples; None where nothing is recorded."""
+    failed_replans: jax.Array | None = None
+    """int32 [tile, r] until each robot's end; None where nothing was planned anew."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +121,26 @@ def end(state: WorldState, *, recorded: bool) -> End:
         obstacle_p=state.obstacles.p,
         obstacle_q=state.obstacles.q,
     )
-    return End(tally=state.tally, p=state.vehicles.p, last=last if recorded else None)
+    return End(
+        tally=state.tally,
+        p=state.vehicles.p,
+        last=last if recorded else None,
+        failed_replans=_failed_replans(state),
+    )
+
+
+def _failed_replans(state: WorldState) -> jax.Array | None:
+    """What a robot's planner did after its end is not counted: others may have flown on."""
+    carry = None if state.policy is None else state.policy.carry
+    if not isinstance(carry, Memory) or carry.plans is None:
+        return None
+    count: jax.Array = _failed_until(carry.plans, state.tally.outcome, state.tally.end_time_s)
+    return count
+
+
+@jax.jit
+def _failed_until(plans: Plans, outcome: jax.Array, end_time_s: jax.Array) -> jax.Array:
+    return plans.failed(jnp.where(outcome == Outcome.RUNNING, jnp.inf, end_time_s))
 
 
 def last_in(following: Sample, step: int) -> Last:
@@ -167,6 +190,9 @@ def tile_result(tile: FinishedTile) -> TileResult:
         plan_end_s=np.asarray(tile.constants.plan_end_s)[:kept],
         notes=None if tile.notes is None else tile.notes.rows(slice(kept)),
         redraws=np.asarray(tile.constants.redraws)[:kept],
+        failed_replans=None
+        if tile.end.failed_replans is None
+        else np.asarray(tile.end.failed_replans)[:kept],
     )
 
 

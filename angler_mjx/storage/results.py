@@ -51,10 +51,17 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("plan_length_m", pa.float32(), "m", "planned way; null without a path"),
     ("plan_end_s", pa.float32(), "s", "when the path is over; null without a path"),
     ("late_s", pa.float32(), "s", "arrival after the end of the path; null if not reached"),
+    (
+        "failed_replans",
+        pa.int32(),
+        "1",
+        "times that no new plan was found on the way; null where none was asked for",
+    ),
 )
 
-_SINCE_PLANNERS = 6
-"""Columns at the end that runs before there was a choice of planners lack."""
+_SINCE = (1, 7)
+"""Columns at the end that older runs lack: before failed replans were told, and before there was a
+choice of planners."""
 
 MISSING = (
     "time_to_goal_s",
@@ -68,6 +75,7 @@ MISSING = (
     "plan_length_m",
     "plan_end_s",
     "late_s",
+    "failed_replans",
 )
 """Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
 
@@ -111,6 +119,8 @@ class TileResult:
     """None where worlds were planned on the device."""
     redraws: np.ndarray
     """int [w]."""
+    failed_replans: np.ndarray | None = None
+    """int [w, r]; None where nothing was planned anew."""
 
 
 def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
@@ -180,6 +190,9 @@ def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> d
         "plan_length_m": _known(np.where(planned, result.plan_length_m.reshape(-1), np.nan)),
         "plan_end_s": _known(over),
         "late_s": _known(np.where(reached, end - over, np.nan)),
+        "failed_replans": pa.nulls(planned.size, pa.int32())
+        if result.failed_replans is None
+        else pa.array(result.failed_replans.reshape(-1), pa.int32()),
     }
 
 
@@ -216,10 +229,8 @@ def checked(table: pa.Table) -> pa.Table:
 
 def _with_plans(table: pa.Table) -> pa.Table:
     """Rows with the columns that older runs lack, empty."""
-    if table.schema.names != EPISODE_SCHEMA.names[:-_SINCE_PLANNERS]:
-        return table
-    for name in EPISODE_SCHEMA.names[-_SINCE_PLANNERS:]:
-        field = EPISODE_SCHEMA.field(name)
+    lacking = next((n for n in _SINCE if table.schema.names == EPISODE_SCHEMA.names[:-n]), 0)
+    for field in list(EPISODE_SCHEMA)[len(EPISODE_SCHEMA) - lacking :]:
         table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     return table
 

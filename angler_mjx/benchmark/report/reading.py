@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from angler_mjx.errors import ConfigError
@@ -18,6 +19,9 @@ CLOSED = "closed"
 """Status of a run that was not asked, as its cell had been given up."""
 NO_ROOM = "no room"
 """Status of a run that nobody was asked, as its world cannot hold the team."""
+
+POLICY = "policy"
+"""Status of a run in which a policy flew: nothing was to be planned."""
 
 TEXTS = ("planner", "scene", "preset", "knows_obstacles", "knows_current", "plan_status")
 WHOLE = ("run", "robots", "problem_seed", "world", "robots_planned", "robots_reached")
@@ -37,6 +41,8 @@ MEASURES = (
     "free_lines",
 )
 """Columns of numbers that may be missing in a row."""
+SINCE = ("failed_replans",)
+"""Columns of numbers that older folders lack."""
 FAILURES = ("failure_x_m", "failure_y_m")
 
 _HELP = "give the results folder of a benchmark"
@@ -121,8 +127,10 @@ class Results:
 
     @property
     def pending(self) -> int:
-        """Runs that were planned and have not been flown."""
-        return int(np.sum(self.runs["planned"] & ~self.runs["flown"] & self.runs.asked))
+        """Runs that were planned, or are a policy's, and have not been flown."""
+        runs = self.runs
+        ready = runs["planned"] | (runs["plan_status"] == POLICY)
+        return int(np.sum(ready & ~runs["flown"] & runs.asked))
 
     @cached_property
     def planners(self) -> list[str]:
@@ -206,6 +214,9 @@ def _runs(path: Path) -> Runs:
     columns |= {name: table[name].fill_null(0).to_numpy() for name in WHOLE}
     columns |= {name: np.array(table[name].fill_null(False).to_pylist(), bool) for name in TRUTHS}
     columns |= {name: _numbers(table[name]) for name in (*MEASURES, *FAILURES)}
+    none = np.full(table.num_rows, np.nan)
+    there = table.column_names
+    columns |= {name: _numbers(table[name]) if name in there else none for name in SINCE}
     return Runs(columns)
 
 
@@ -219,12 +230,15 @@ def _numbers(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def _failures(path: Path, runs: Runs) -> Failures:
-    """All robots that had a path and failed; without their table the first of each run."""
+    """All robots that had a path, or a policy, and failed; without a table the first of each."""
     needed = ("run", "planned", "outcome", *FAILURES)
     if path.is_file():
         table = _table(path)
         if all(name in table.column_names for name in needed):
-            table = table.filter(table["planned"])
+            flew = runs["run"][runs["plan_status"] == POLICY]
+            table = table.filter(
+                pc.or_(table["planned"], pc.is_in(table["run"], pa.array(flew, pa.int64())))
+            )
             return _placed(
                 table["run"].to_numpy(),
                 _texts(table["outcome"]),

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 def benchmark(
     source: Annotated[Path, tyro.conf.Positional],
     out: Path | None = None,
+    presets: tuple[str, ...] | None = None,
+    teams: tuple[int, ...] | None = None,
+    problems: int | None = None,
     workers: int | None = None,
     ray: str | None = None,
     resume: bool = False,
@@ -30,6 +33,9 @@ def benchmark(
         source: Benchmark file (.toml); or the results folder of a benchmark, which is made again
             and compared with what it was.
         out: Results folder to make; runs/NAME if left out.
+        presets: Of worlds; the file's if left out.
+        teams: Numbers of robots; the file's if left out.
+        problems: Worlds of each preset, scene, team and seed; the file's if left out.
         workers: Processes that plan; one for each processor if left out.
         ray: Address of a Ray cluster whose processors plan (ray start --head prints it), such as
             127.0.0.1:6379.
@@ -43,11 +49,12 @@ def benchmark(
     from angler_mjx.cli.shared.given import at_least_one
 
     if report:
-        if out or workers or ray or resume:
+        if out or workers or ray or resume or presets or teams or problems:
             raise ConfigError("--report: makes the page of a results folder; leave out other flags")
         print(running.report(source))
         return
-    found = running.read(source)
+    given = {"presets": presets, "teams": teams, "problems": problems}
+    found = running.read(source, **{key: x for key, x in given.items() if x is not None})
     name = f"{found.config.name}-again" if source.is_dir() else found.config.name
     place = out or Path("runs") / name
     if source.is_dir() and resume and (place / "about.json").is_file():

@@ -63,8 +63,13 @@ class Plans:
     """[R] made last; begin where the robots will be when they are taken up."""
     take: jax.Array
     """bool [R] who is to take ``soon`` up; the others go on with what is left of ``now``."""
-    failed: jax.Array
-    """int32 [R] how often no new plan was found before the robot had arrived."""
+    failed_s: jax.Array
+    """[R, n] when no new plan was found for a robot that had not arrived; inf where one was, or
+    nothing was made yet. Of the n times in the horizon; later ones are not counted."""
+
+    def failed(self, until_s: jax.Array) -> jax.Array:
+        """Int32 [R]: how often no new plan was found before a time [R] of each robot."""
+        return jnp.sum(self.failed_s < until_s[..., None], axis=-1, dtype=jnp.int32)
 
 
 def begin(settings: Replanning, known: Known) -> Plans:
@@ -84,7 +89,9 @@ def begin(settings: Replanning, known: Known) -> Plans:
         position_m=soon.position_m[:, : settings.points],
     )
     nobody = jnp.zeros(rows, bool)
-    return Plans(now=now, soon=soon, take=nobody, failed=jnp.zeros(rows, jnp.int32))
+    times = max(round(settings.horizon_s / settings.dt_s) - 1, 0) // settings.every
+    never = jnp.full((rows, times), jnp.inf, known.goal_m.dtype)
+    return Plans(now=now, soon=soon, take=nobody, failed_s=never)
 
 
 def due(settings: Replanning, step: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -128,10 +135,12 @@ def make(
     old = jax.vmap(remainder)(plans.now, soon_s)
     clear = _clear(settings, old, new, radius, obstacles)
     way = jnp.sqrt(jnp.sum((known.goal_m - known.belief.p) ** 2, axis=-1))
-    failed = plans.failed + (~new.found & (way > settings.goal_tolerance_m))
+    missing = ~new.found & (way > settings.goal_tolerance_m)
+    at = jnp.round(known.time_s / (settings.every * settings.dt_s)).astype(jnp.int32) - 1
+    failed_s = plans.failed_s.at[:, at].set(jnp.where(missing, known.time_s, jnp.inf), mode="drop")
     held = replace(new, time_s=jnp.zeros_like(new.time_s), position_m=_at(start, new))
     soon = jax.tree.map(partial(_choose, new.found), new, held)
-    return replace(plans, soon=soon, take=new.found | ~clear, failed=failed)
+    return replace(plans, soon=soon, take=new.found | ~clear, failed_s=failed_s)
 
 
 def take_up(plans: Plans, clocks: FollowCarry, cruise_mps: jax.Array) -> tuple[Plans, FollowCarry]:

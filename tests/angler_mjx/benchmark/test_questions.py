@@ -37,6 +37,8 @@ def read(tmp_path, more="", planner=""):
         ("nonsense = 1", "nonsense = 1: unknown key"),
         ("close_after = -1", "close_after = -1"),
         ("set.worlds = 5", "set.worlds: give problems instead"),
+        ('set.policy.name = "mppi"', r"set.policy.name: give policy in \[\[planner\]\] instead"),
+        ("set.planner.replan_hz = 1.0", r"set.planner.replan_hz: give replan_hz in "),
         (
             '[[scene]]\nname = "a"\nset.planner.knows.obstacles = "truth"',
             r"set.planner.knows: give \[\[knows\]\] instead",
@@ -64,6 +66,29 @@ def test_a_wrong_file_is_one_message_that_names_file_key_and_value(tmp_path, mor
         ('[[planner]]\nname = "grid"', "planner.label: 'grid' is there twice"),
         ('[[planner]]\nname = "grid"\nlabel = "b"\nsettings.x = 1', "no setting of this planner"),
         ('[[planner]]\nname = "no.py:Such"', "no.py cannot be read"),
+        (
+            '[[planner]]\nname = "RRTConnect"\nreplan_hz = 1.0',
+            "planner 'RRTConnect, 1 Hz': planner.replan_hz = 1: .*plans on the host.*take grid, ",
+        ),
+        (
+            '[[planner]]\nname = "grid"\nreplan_hz = 3.0',
+            r"planner 'grid, 3 Hz'.*\n.*planner.replan_hz = 3: .*must be a whole number",
+        ),
+        ('[[planner]]\nname = "grid"\ndelay_s = 1.0', "planner.delay_s = 1: nothing is planned"),
+        ('[[planner]]\nname = "grid"\norder = "keep"', r"planner\[1\].order = 'keep'"),
+        ('[[planner]]\npolicy = "mpi"', r"policy.name = 'mpi': .*'mppi'"),
+        ('[[planner]]\npolicy = "none"', r"policy = 'none': nobody flies by it"),
+        ('[[planner]]\nname = "mppi"', r"name = 'mppi': is a policy; give policy = 'mppi'"),
+        ('[[planner]]\nlabel = "x"', r"planner\[1\]: name is missing"),
+        (
+            '[[planner]]\npolicy = "mppi"\nsettings = { smples = 3 }',
+            "policy.mppi.smples = 3: unknown key",
+        ),
+        (
+            '[[planner]]\npolicy = "mppi"\nreplan_hz = 1.0',
+            "replan_hz = 1.0: policy = 'mppi' flies without plans; leave out replan_hz",
+        ),
+        ('[[planner]]\nname = "priority"\npresets = ["reaf"]', "'reaf' is no preset"),
     ],
 )
 def test_a_wrong_planner_is_told_before_anything_is_computed(tmp_path, planner, said):
@@ -128,3 +153,83 @@ def test_a_planner_that_says_what_it_is_told_is_asked_that_alone(tmp_path):
         Knows(): ["grid"],
         Knows(obstacles="truth", current="truth"): ["RRT"],
     }
+
+
+ONLINE = """
+[[planner]]
+name = "grid"
+replan_hz = 2.0
+delay_s = 0.25
+order = "kept"
+knows = { obstacles = "observed" }
+
+[[planner]]
+policy = "mppi"
+settings = { samples = 64 }
+knows = { obstacles = "truth", current = "predicted" }
+"""
+
+
+def test_the_same_planner_is_told_apart_by_how_it_is_flown(tmp_path):
+    made = read(tmp_path, planner=ONLINE)
+    assert [one.label for one in made.contestants] == [
+        "grid",
+        "grid, 2 Hz, 0.25 s late, order kept",
+        "mppi",
+    ]
+
+
+def test_who_flies_otherwise_flies_the_same_problems_by_another_scenario(tmp_path):
+    made = read(tmp_path, planner=ONLINE)
+    (setting, plain), (observed, online), (told, mppi) = (
+        (s, one) for s in made.settings for one in made.asked(s)
+    )
+    assert setting.flown(plain) is setting.scenario
+    flown = observed.flown(online)
+    assert flown.planner.name == "grid"
+    assert (flown.planner.replan_hz, flown.planner.delay_s) == (2.0, 0.25)
+    assert flown.execution.order == "kept"
+    assert flown.planner.knows.knows() == Knows(obstacles="observed")
+    assert flown.planner.deadline_s == setting.scenario.planner.deadline_s
+    flown_by_policy = told.flown(mppi)
+    assert flown_by_policy.policy.name == "mppi"
+    assert flown_by_policy.policy.mppi.samples == 64
+    known = flown_by_policy.policy.knows
+    assert known is not None
+    assert known.knows() == Knows(obstacles="truth", current="predicted")
+    assert not flown_by_policy.online
+    digests = {one.digest() for one in (setting.scenario, flown, flown_by_policy)}
+    assert len(digests) == 1
+
+
+def test_the_policy_of_the_scenario_flies_nobody_else(tmp_path):
+    table = (tmp_path / "own.toml").absolute()
+    text = questions.shipped()["reef_fleet"].read_text()
+    table.write_text(f'{text}\n[policy]\nname = "mppi"\nmppi = {{ samples = 32 }}\n')
+    file = tmp_path / "x.toml"
+    file.write_text(FILE.format(more="").replace('"reef_fleet"', '"own.toml"') + ONLINE)
+    made = questions.read(file)
+    (setting, plain), _, (told, mppi) = ((s, one) for s in made.settings for one in made.asked(s))
+    assert setting.flown(plain).policy.name == "none"
+    assert told.flown(mppi).policy.mppi.samples == 64
+
+
+def test_an_entry_is_asked_its_own_presets_and_teams(tmp_path):
+    table = 'presets = ["open", "reef"]\nteams = [1, 3]'
+    own = '[[planner]]\nname = "priority"\npresets = ["reef"]\nteams = [3]'
+    made = read(tmp_path, table, own)
+    asked = {(s.preset, s.robots): [x.label for x in made.asked(s)] for s in made.settings}
+    assert asked == {
+        ("open", 1): ["grid"],
+        ("open", 3): ["grid"],
+        ("reef", 1): ["grid"],
+        ("reef", 3): ["grid", "priority"],
+    }
+    only = questions.read(tmp_path / "x.toml", teams=(3,), presets=("reef",), problems=1)
+    assert [(str(s), s.scenario.worlds) for s in only.settings] == [("reef, 3 robots", 1)]
+    with pytest.raises(ConfigError, match=r"x.toml with other teams.*\n.*teams\[0\] = 0"):
+        questions.read(tmp_path / "x.toml", teams=(0,))
+    nobody = 'teams = [5]\npresets = ["reef"]'
+    (tmp_path / "x.toml").write_text(FILE.format(more='presets = ["open"]') + nobody)
+    with pytest.raises(ConfigError, match="no planner is asked any of them"):
+        questions.read(tmp_path / "x.toml")

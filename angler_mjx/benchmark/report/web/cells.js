@@ -62,5 +62,5 @@ function drawMade() {
   if (barred) say("left out", `${barred} runs, whose worlds cannot hold the team`);
   const given = data.cells.filter((c) => c.closed).map((c) => `${names[c.planner]} on ${data.scenes[c.scene]} with ${c.team} (${c.closed})`);
   say("cells given up", given.join("; "));
-  for (const planner of about.planners || []) say(planner.label, `${planner.name ?? ""} ${JSON.stringify(planner.settings ?? {})}`);
+  for (const planner of about.planners || []) say(planner.label, `${planner.name ?? ""} ${JSON.stringify({ ...planner.settings, ...planner.online })}`);
 }

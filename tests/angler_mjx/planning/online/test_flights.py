@@ -15,6 +15,7 @@ from angler_mjx.sim import policy as policies
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator import scenario_policy
+from angler_mjx.storage import harvest
 
 SCENARIO = """
 name = "crossing"
@@ -161,6 +162,32 @@ def test_an_obstacle_that_drifts_into_a_plan_is_planned_around(replanned):
     )
     planned = start + np.clip(times / 20.0, 0.0, 1.0) * (goal - start)
     assert np.linalg.norm(planned - bodies[:, 0], axis=-1).min() < radius + 0.7
+
+
+def test_what_a_robot_was_not_planned_for_is_counted_until_its_end(replanned):
+    """The first robot's goal lies outside the cube: nobody finds a way to it, once a second."""
+    worlds = blind(replanned)
+    place = worlds.environment
+    worlds = replace(
+        worlds, environment=replace(place, goal_m=place.goal_m.at[0, 0].set([50.0, 0.0, -6.0]))
+    )
+    state, _, _ = fly(replanned, worlds)
+    assert outcomes(state) == [Outcome.RUNNING, Outcome.REACHED]
+    whole = np.asarray(harvest.end(state, recorded=False).failed_replans)
+    np.testing.assert_array_equal(whole, [[29, 0]])  # at 1, 2, ... 29 s of 30
+    ended = replace(
+        state.tally,
+        outcome=state.tally.outcome.at[0, 0].set(Outcome.COLLISION_DYNAMIC),
+        end_time_s=state.tally.end_time_s.at[0, 0].set(10.3),
+    )
+    early = harvest.end(replace(state, tally=ended), recorded=False).failed_replans
+    np.testing.assert_array_equal(early, [[10, 0]])
+
+
+def test_nothing_is_counted_where_nothing_is_planned_anew(kept):
+    state = kept.reset(kept.worlds())
+    assert harvest.end(state, recorded=False).failed_replans is None
+    assert harvest.end(replace(state, policy=None), recorded=False).failed_replans is None
 
 
 @pytest.mark.nightly(by="the flight around the obstacle, in the fused engine")
