@@ -228,7 +228,17 @@ def _of_device(
                 text = f"took {share_s:.3g} s a problem; it had {limit_s / LATE:g} s"
                 yield world, failed(setting.robots, "timeout", text, share_s)
             else:
-                yield world, answer(own, asked.problems[world], share_s, extras, shape.points)
+                yield (
+                    world,
+                    answer(
+                        own,
+                        asked.problems[world],
+                        share_s,
+                        extras,
+                        shape.points,
+                        any_speed=True,
+                    ),
+                )
             extras = {}
 
 

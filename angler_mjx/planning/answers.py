@@ -73,6 +73,8 @@ def answer(
     extras: Any,
     most_points: int = MOST_POINTS,
     progress: Any = None,
+    *,
+    any_speed: bool = False,
 ) -> Answer:
     """What can be flown of what a planner gave.
 
@@ -84,8 +86,10 @@ def answer(
         most_points: of one path.
         progress: of the planner, a sequence of pairs of a time, s, and a cost, in order of time;
             what is not so is left out, and what is more than `MOST_TOLD`.
+        any_speed: paths may be faster over ground than the robot cruises, as those of planners are
+            that count on a current.
     """
-    paths = checked(given, problem, most_points)
+    paths = checked(given, problem, most_points, any_speed=any_speed)
     missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
     reasons = {reason for _, reason in missing}
     if len(missing) == len(paths) and len(reasons) == 1:
@@ -109,27 +113,30 @@ def failed(robots: int, status: Status, reason: str, planning_s: float) -> Answe
     return Answer(paths=paths, status=status, reason=reason, planning_s=planning_s)
 
 
-def checked(given: Any, problem: Problem, most_points: int = MOST_POINTS) -> list[Path | NoPlan]:
+def checked(
+    given: Any, problem: Problem, most_points: int = MOST_POINTS, *, any_speed: bool = False
+) -> list[Path | NoPlan]:
     """A path of each robot that can be flown, or why there is none.
 
     Args:
         given: what a planner's ``plan`` returned, whatever it is.
         problem: that it was asked, in arrays of NumPy.
         most_points: of one path.
+        any_speed: see `answer`.
     """
     robots = problem.robots
     if not isinstance(given, Sequence) or isinstance(given, str | bytes):
         return [NoPlan(f"gave no list of paths but {type(given).__name__}")] * robots
     if len(given) != robots:
         return [NoPlan(f"gave {len(given)} paths for {robots} robots")] * robots
-    return [_path(path, problem, robot, most_points) for robot, path in enumerate(given)]
+    return [_path(path, problem, robot, most_points, any_speed) for robot, path in enumerate(given)]
 
 
 class _RefusedError(Exception):
     """A path cannot be flown; its text is the reason."""
 
 
-def _path(path: Any, problem: Problem, robot: int, most: int) -> Path | NoPlan:
+def _path(path: Any, problem: Problem, robot: int, most: int, any_speed: bool) -> Path | NoPlan:
     try:
         match path:
             case NoPlan():
@@ -140,7 +147,7 @@ def _path(path: Any, problem: Problem, robot: int, most: int) -> Path | NoPlan:
                 kept = _joints(path, most)
             case _:
                 raise _RefusedError(f"no path but {type(path).__name__}")
-        _judge(kept, problem, robot)
+        _judge(kept, problem, robot, any_speed)
     except _RefusedError as refused:
         return NoPlan(str(refused))
     return kept
@@ -210,7 +217,7 @@ def _array(name: str, values: Any, shape: tuple[int, ...] | None, kind: Any = np
     return array
 
 
-def _judge(path: Path, problem: Problem, robot: int) -> None:
+def _judge(path: Path, problem: Problem, robot: int, any_speed: bool) -> None:
     """Start, end and speed of a path whose arrays are sound."""
     time = np.asarray(path.time_s, np.float64)
     points = path.position_m if isinstance(path, Trajectory) else path.position[:, :3]
@@ -222,13 +229,14 @@ def _judge(path: Path, problem: Problem, robot: int) -> None:
         raise _RefusedError(f"ends at {time[-1]:.4g} s, after the horizon of {problem.horizon_s:g}")
     cruise = float(np.asarray(problem.team.cruise_speed_mps)[robot])
     span, way = np.diff(time), np.linalg.norm(np.diff(place, axis=0), axis=1)
-    over = np.flatnonzero(way > (1.0 + FASTER) * cruise * span + ROUNDING_M)
+    most = np.where(any_speed & (span > 0.0), np.inf, (1.0 + FASTER) * cruise * span)
+    over = np.flatnonzero(way > most + ROUNDING_M)
     if len(over):
         at = over[0]
         if span[at] == 0.0:
             raise _RefusedError(f"jumps {way[at]:.3g} m at {time[at]:.4g} s (point {at + 1})")
         _too_fast(way[at] / span[at], cruise, at, time)
-    if isinstance(path, JointTrajectory):
+    if isinstance(path, JointTrajectory) and not any_speed:
         _curves(path, cruise, time)
 
 

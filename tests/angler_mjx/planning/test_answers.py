@@ -66,6 +66,13 @@ def test_who_is_faster_only_by_rounding_is_believed():
     assert not isinstance(path, NoPlan)
 
 
+def test_who_counts_on_a_current_may_be_faster_over_ground_but_may_not_jump():
+    fast, jump = way_points([0, 4], [START, GOAL]), way_points([0, 4, 4], [START, START, GOAL])
+    assert isinstance(checked([fast], ONE)[0], NoPlan)
+    assert not isinstance(checked([fast], ONE, any_speed=True)[0], NoPlan)
+    assert "jumps" in checked([jump], ONE, any_speed=True)[0].reason
+
+
 def test_a_path_may_have_as_many_points_as_are_flown():
     assert not isinstance(checked([many(64)], ONE, 64)[0], NoPlan)
     assert isinstance(checked([many(65)], ONE, 64)[0], NoPlan)
