@@ -14,7 +14,7 @@ from angler_mjx.planning.planner import Path
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
-from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.planning.ways.robot import WayConfig, layers
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.world.config import resolve
@@ -99,11 +99,11 @@ def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
         margin_m=scenario.planner.margin_m,
         n_point=scenario.planner.points,
     )
-    if name == GRID:
-        return replace(config, **spec.settings)
-    chosen = priority.PrioritySettings(**spec.settings)
     fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
-    needed = priority.layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
+    needed = layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
+    if name == GRID:
+        return replace(config, n_layer=needed, **spec.settings)
+    chosen = priority.PrioritySettings(**spec.settings)
     return replace(config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or needed)
 
 

@@ -4,7 +4,6 @@ The ways are those of `grid`, which knows one order of priority only; see `team`
 comes to its own, and `queue` for how a batch of worlds is worked off.
 """
 
-import math
 from dataclasses import dataclass
 
 import jax
@@ -15,12 +14,9 @@ from angler_mjx.planning.priority.queue import work_off
 from angler_mjx.planning.priority.team import Task
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import terrain
-from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig
 from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.world.environment import Environment
-
-MOST_LAYERS = 1024
-"""More memory than any search needs."""
 
 SLOTS = 1024
 """Worlds that are searched side by side; what they come to does not depend on it."""
@@ -44,15 +40,6 @@ class PrioritySettings:
         for name, low, high in (("budget", 1, 10000), ("layers", 0, MOST_LAYERS)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be {low} to {high}")
-
-
-def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
-    """Layers with which a search to the horizon goes as fast as a robot of that speed can.
-
-    A layer is half a step along an axis; diagonal steps are rounded up by up to 16 %.
-    """
-    needed = math.ceil(2.0 * 1.16 * horizon_s * speed_mps / cell_m)
-    return min(max(needed, WayConfig.n_layer), MOST_LAYERS)
 
 
 class PriorityPlanner:

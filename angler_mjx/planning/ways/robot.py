@@ -1,5 +1,6 @@
 """The way of one robot among all that moves: searched on the lattice, then pulled straight."""
 
+import math
 from dataclasses import dataclass, replace
 
 import jax
@@ -13,6 +14,9 @@ from angler_mjx.planning.ways.lattice import FreeSpace, Terrain, free_space
 from angler_mjx.planning.ways.pulling import pull
 from angler_mjx.planning.ways.tracing import Route, trace_back
 from angler_mjx.planning.ways.traffic import Balls, Others, Traffic, balls
+
+MOST_LAYERS = 1024
+"""More memory than any search needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +35,15 @@ class WayConfig:
     than the robot can, and finds less. Diagonal steps are up to 16 % slow: allow that much more."""
     start_hold_s: float = 30.0
     """How long the start of a robot that is not planned yet is kept clear."""
+
+
+def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
+    """Layers with which a search to the horizon goes as fast as a robot of that speed can.
+
+    A layer is half a step along an axis; diagonal steps are rounded up by up to 16 %.
+    """
+    needed = math.ceil(2.0 * 1.16 * horizon_s * speed_mps / cell_m)
+    return min(max(needed, WayConfig.n_layer), MOST_LAYERS)
 
 
 def grown(bodies: Traffic | None, by_m: jax.Array) -> Traffic | None:

@@ -11,7 +11,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
 from angler_mjx.planning.priority import planner
 from angler_mjx.planning.priority.queue import work_off
-from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig, layers
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
@@ -133,9 +133,9 @@ def test_the_queue_steps_each_task_to_its_own_end(count, slots):
 
 def test_layers_let_a_robot_search_as_fast_as_it_is():
     # 180 s at 0.5 m/s are 60 cells of 1.5 m: 120 half steps, and a sixth more for diagonals.
-    assert planner.layers(180.0, 0.5, 1.5) == 140
-    assert planner.layers(10.0, 0.5, 1.5) == WayConfig().n_layer
-    assert planner.layers(86400.0, 3.0, 0.1) == planner.MOST_LAYERS
+    assert layers(180.0, 0.5, 1.5) == 140
+    assert layers(10.0, 0.5, 1.5) == WayConfig().n_layer
+    assert layers(86400.0, 3.0, 0.1) == MOST_LAYERS
 
 
 def test_settings_out_of_bounds_are_refused_by_name():
