@@ -83,7 +83,12 @@ class Flyer:
             return after
 
         self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
-        self._memory: PolicyMemory = jax.jit(begin)(*self._scene(session.observe()))
+        self._begin: Callable[..., PolicyMemory] = jax.jit(begin)
+        self.restart()
+
+    def restart(self) -> None:
+        """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
+        self._memory = self._begin(*self._scene(self._session.observe()))
 
     @property
     def memory(self) -> PolicyMemory:
