@@ -69,16 +69,18 @@ class Flyer:
             )
             return here.known(belief)
 
-        def begin(world: Any, *scene: Any) -> PolicyMemory:
+        def begin(scene: Any, *told: Any) -> PolicyMemory:
+            world, *moving = _alone(scene)
             memory: PolicyMemory = policies.begin(
-                chosen, stages, world.policy_key, known(world, *scene)
+                chosen, stages, world.policy_key, known(world, *moving, *told)
             )
             return memory
 
-        def act(memory: PolicyMemory, world: Any, *scene: Any) -> tuple[PolicyMemory, Any]:
-            told = partial(known, world, *scene)
+        def act(memory: PolicyMemory, scene: Any, *now: Any) -> tuple[PolicyMemory, Any]:
+            world, *moving = _alone(scene)
+            told = partial(known, world, *moving, *now)
             after: tuple[PolicyMemory, Any] = policies.step(
-                chosen, world.policy_key, memory, told, scene[-1]
+                chosen, world.policy_key, memory, told, now[-1]
             )
             return after
 
@@ -111,11 +113,9 @@ class Flyer:
 
     def _scene(self, observation: Observation) -> tuple[Any, ...]:
         inside = self._session.inside()
-        world, vehicles, obstacles = jax.tree.map(
-            lambda leaf: leaf[0], (inside.worlds, inside.state.vehicles, inside.state.obstacles)
-        )
+        scene = (inside.worlds, inside.state.vehicles, inside.state.obstacles)
         number = np.int32(round(observation.time_s / self._session.dt_s))
-        return world, vehicles, obstacles, _belief(observation.estimate), number
+        return scene, _belief(observation.estimate), number
 
 
 def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
@@ -131,7 +131,7 @@ def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
     scenario, spec = inside.simulator.scenario, inside.simulator.spec
     level = scenario.planner.knows.knows() if knows is None else knows
     left_s = max(scenario.time.horizon_s - now.time_s, spec.control_dt_s)
-    world, obstacles = jax.tree.map(lambda x: x[0], (inside.worlds, inside.state.obstacles))
+    world, obstacles = _alone((inside.worlds, inside.state.obstacles))
     w, x, y, z = np.moveaxis(np.asarray(now.estimate.q, np.float32), -1, 0)
     made = asking.ask_now(
         world,
@@ -151,11 +151,16 @@ def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
     return host
 
 
+def _alone(batch: Any) -> Any:
+    """The one world of a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[0], batch)
+
+
 def _belief(estimate: Estimate) -> Belief:
     """What the robots are told of themselves; how sure they are nobody asks here."""
-    p, q, nu = (jnp.asarray(x, jnp.float32) for x in (estimate.p, estimate.q, estimate.nu))
-    flow = None if estimate.flow is None else jnp.asarray(estimate.flow, jnp.float32)
-    still = jnp.zeros_like(p)
+    p, q, nu = (_single(x) for x in (estimate.p, estimate.q, estimate.nu))
+    flow = None if estimate.flow is None else _single(estimate.flow)
+    still = _single(np.zeros_like(p))
     return Belief(
         p=p,
         q=q,
@@ -165,3 +170,8 @@ def _belief(estimate: Estimate) -> Belief:
         velocity_std_mps=still,
         attitude_std_rad=still,
     )
+
+
+def _single(values: Any) -> Any:
+    """On the host, for a call that takes it to the device."""
+    return np.asarray(values, np.float32)
