@@ -118,6 +118,12 @@ def _fleet_table(scene: Scene) -> rr.TextDocument:
         f"| {style.OUTCOME_TEXT[robot.outcome]} | {robot.end_time_s:.1f} s |"
         for robot in scene.robots
     ]
+    if scene.replan_hz:
+        lines += [
+            "",
+            f"Thin lines are the plans before the start; plans were made anew {scene.replan_hz:g} "
+            "times a second in flight.",
+        ]
     return rr.TextDocument(
         f"# World {scene.world}\n\n" + "\n".join(lines), media_type=rr.MediaType.MARKDOWN
     )

@@ -1,6 +1,7 @@
 """The replay file, read back; and what happens where it cannot be made."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -129,3 +130,20 @@ def test_without_a_display_it_says_what_to_do(run, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(UnsupportedError, match="no display"):
         replay.show(run, 12)
+
+
+def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):
+    from angler_mjx.viewing import legends, replay_world
+
+    def text(one):
+        return replay_world._fleet_table(one).text.as_arrow_array().to_pylist()[0]
+
+    def lines(one):
+        return [sign.get_label() for sign in legends.signs(one)]
+
+    anew = replace(scene, replan_hz=2.0)
+    assert "anew" not in text(scene)
+    assert "plans before the start" in text(anew)
+    assert "2 times a second" in text(anew)
+    assert "planned way" in lines(scene)
+    assert "first plan" in lines(anew)
