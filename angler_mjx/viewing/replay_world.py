@@ -121,8 +121,8 @@ def _fleet_table(scene: Scene) -> rr.TextDocument:
     if scene.replan_hz:
         lines += [
             "",
-            f"Thin lines are the plans before the start; plans were made anew {scene.replan_hz:g} "
-            "times a second in flight.",
+            "Thin lines are the plans before the start; in flight, plans were made anew at "
+            f"{scene.replan_hz:g} Hz.",
         ]
     return rr.TextDocument(
         f"# World {scene.world}\n\n" + "\n".join(lines), media_type=rr.MediaType.MARKDOWN

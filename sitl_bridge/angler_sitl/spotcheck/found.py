@@ -79,7 +79,7 @@ class Found:
         parts = [f"by {planner.name} before the start"]
         if planner.replan_hz:
             parts.append(
-                f"anew in every flight, {planner.replan_hz:g} times a second, taken up "
+                f"anew in every flight at {planner.replan_hz:g} Hz, taken up "
                 f"{planner.delay_s:g} s later; known of obstacles: {knows.obstacles}, of the "
                 f"current: {knows.current}"
             )

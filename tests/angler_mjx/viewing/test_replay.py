@@ -144,6 +144,6 @@ def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):
     anew = replace(scene, replan_hz=2.0)
     assert "anew" not in text(scene)
     assert "plans before the start" in text(anew)
-    assert "2 times a second" in text(anew)
+    assert "at 2 Hz" in text(anew)
     assert "planned way" in lines(scene)
     assert "first plan" in lines(anew)

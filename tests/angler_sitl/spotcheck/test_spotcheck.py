@@ -475,7 +475,7 @@ def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
     found = checking.check(anew, settings, tmp_path / "check", Told())
     assert found.complete
     report = (tmp_path / "check" / "report.md").read_text()
-    for said in ("2 times a second", "0.25 s later", "obstacles: observed", "in the order"):
+    for said in ("at 2 Hz", "0.25 s later", "obstacles: observed", "in the order"):
         assert said in report
     # Of each kind of flight: how many robots ended in each way.
     reached = sum(row["outcome"] == "reached" for row in found.flights[1, "guided", 4].rows)
