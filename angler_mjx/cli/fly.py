@@ -12,7 +12,10 @@ import tyro
 from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.cli.sitl.run import Level, Source, prepare
 from angler_mjx.cli.sitl.run import opener as real_autopilots
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
+
+_INTERRUPTED = 130
+"""Exit code of a shell's command that Ctrl-C ended."""
 
 
 def fly(
@@ -64,6 +67,7 @@ def fly(
     from angler_mjx.session.recording import SessionRecording
     from angler_mjx.storage import folder
     from angler_mjx.teleop import opening
+    from angler_mjx.teleop.signals import stoppable
 
     loaded = scenario_given(
         scenario,
@@ -101,7 +105,9 @@ def fly(
                 running = sum(status.outcome.name == "RUNNING" for status in seen.status)
                 tell(f"{seen.time_s:.0f} s of {loaded.time.horizon_s:g} s, {running} running")
 
-        flown = flying(scene, loaded.time.horizon_s, watch)
+        stop = stack.enter_context(stoppable())
+        flown = flying(scene, loaded.time.horizon_s, watch, stopped=lambda: stop.asked)
+        stop.closing = True
         run = None if recording is None else recording.close(course(flown, compile_s))
     print(f"{flown.last.time_s:.2f} s of the scene in {flown.wall_s:.2f} s, {flown.steps} steps")
     for i, status in enumerate(flown.last.status):
@@ -109,3 +115,9 @@ def fly(
         print(f"robot_{i}: {status.outcome.name.lower()}{refused}")
     if run is not None:
         print(run.path)
+    if flown.broken:
+        kept = "nothing is kept" if run is None else f"what was flown until then is in {run.path}"
+        if not stop.asked:
+            raise RunError(f"{flown.broken}\n{kept}")
+        print(f"angler: interrupted; {kept}", file=sys.stderr)
+        sys.exit(_INTERRUPTED)
