@@ -116,7 +116,7 @@ _READING = (
     "between the places where the episodes ended, of those that ended alike. Each: median, and "
     "nine of ten below. Arrival: median difference, and nine of ten within. Clearance: median "
     "difference of the least one. Effort: median ratio of root mean square signals beside "
-    "neutral. The interval takes robots as independent, which those of one world are not."
+    "neutral. The interval is that of 95 %, by world: robots of one world are no independent draws."
 )
 
 
