@@ -64,6 +64,7 @@ def fly(
     from angler_mjx.cli.shared.given import planner_given, scenario_given
     from angler_mjx.session.flying import course
     from angler_mjx.session.flying import fly as flying
+    from angler_mjx.session.online import Flyer
     from angler_mjx.session.recording import SessionRecording
     from angler_mjx.storage import folder
     from angler_mjx.teleop import opening
@@ -96,6 +97,8 @@ def fly(
         stack.callback(scene.close)
         if recording is not None:
             recording.begin(scene)
+        tell("compiling what commands the robots")
+        flyer = Flyer(scene)
         compile_s = time.perf_counter() - begun
 
         def watch(seen: Any) -> None:
@@ -106,10 +109,12 @@ def fly(
                 tell(f"{seen.time_s:.0f} s of {loaded.time.horizon_s:g} s, {running} running")
 
         stop = stack.enter_context(stoppable())
-        flown = flying(scene, loaded.time.horizon_s, watch, stopped=lambda: stop.asked)
+        flown = flying(scene, loaded.time.horizon_s, watch, flyer, lambda: stop.asked)
         stop.closing = True
         run = None if recording is None else recording.close(course(flown, compile_s))
-    print(f"{flown.last.time_s:.2f} s of the scene in {flown.wall_s:.2f} s, {flown.steps} steps")
+    time_s, wall_s = flown.last.time_s, flown.wall_s
+    pace = time_s / max(wall_s, 1e-9)
+    print(f"{time_s:.2f} s of the scene in {wall_s:.2f} s ({pace:.1f} times real time)")
     for i, status in enumerate(flown.last.status):
         refused = f", refused: {status.refused}" if status.refused else ""
         print(f"robot_{i}: {status.outcome.name.lower()}{refused}")

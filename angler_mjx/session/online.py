@@ -38,7 +38,7 @@ class Flyer:
     """A policy that commands the robots of a session."""
 
     def __init__(self, session: Scene, policy: Policy | None = None) -> None:
-        """Ask the policy to begin; the session stands at its reset.
+        """Compile the policy and ask it to begin; the session stands at its reset.
 
         Args:
             session: that it commands.
@@ -87,6 +87,8 @@ class Flyer:
         self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
         self._begin: Callable[..., PolicyMemory] = jax.jit(begin)
         self.restart()
+        # Compiled now, and not in the first step of a flight; what it gives is of no use yet.
+        jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
 
     def restart(self) -> None:
         """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
