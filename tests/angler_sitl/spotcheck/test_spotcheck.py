@@ -586,5 +586,6 @@ def test_a_real_autopilot_is_planned_for_anew_as_in_a_run(ardusub, tmp_path):
     assert [row["outcome"] for row in rows] == ["reached", "reached"]
     for gap in found.gaps("guided", 2, "recorded"):
         assert gap.agrees
-        # Plans are made from where robots are on their plans, so that a gap does not grow.
-        assert gap.track_rms_m < 0.4
+        # Where two plans are nearly as good, either may be taken: around a sphere of 0.7 m, by a
+        # robot whose hull reaches 0.35 m, that is a metre aside or two seconds of way.
+        assert gap.track_rms_m < 1.0
