@@ -12,7 +12,10 @@ import tyro
 from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.cli.sitl.run import Level, Source, prepare
 from angler_mjx.cli.sitl.run import opener as real_autopilots
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
+
+_INTERRUPTED = 130
+"""Exit code of a shell's command that Ctrl-C ended."""
 
 
 def fly(
@@ -61,9 +64,11 @@ def fly(
     from angler_mjx.cli.shared.given import planner_given, scenario_given
     from angler_mjx.session.flying import course
     from angler_mjx.session.flying import fly as flying
+    from angler_mjx.session.online import Flyer
     from angler_mjx.session.recording import SessionRecording
     from angler_mjx.storage import folder
     from angler_mjx.teleop import opening
+    from angler_mjx.teleop.signals import stoppable
 
     loaded = scenario_given(
         scenario,
@@ -92,6 +97,8 @@ def fly(
         stack.callback(scene.close)
         if recording is not None:
             recording.begin(scene)
+        tell("compiling what commands the robots")
+        flyer = Flyer(scene)
         compile_s = time.perf_counter() - begun
 
         def watch(seen: Any) -> None:
@@ -101,11 +108,21 @@ def fly(
                 running = sum(status.outcome.name == "RUNNING" for status in seen.status)
                 tell(f"{seen.time_s:.0f} s of {loaded.time.horizon_s:g} s, {running} running")
 
-        flown = flying(scene, loaded.time.horizon_s, watch)
+        stop = stack.enter_context(stoppable())
+        flown = flying(scene, loaded.time.horizon_s, watch, flyer, lambda: stop.asked)
+        stop.closing = True
         run = None if recording is None else recording.close(course(flown, compile_s))
-    print(f"{flown.last.time_s:.2f} s of the scene in {flown.wall_s:.2f} s, {flown.steps} steps")
+    time_s, wall_s = flown.last.time_s, flown.wall_s
+    pace = time_s / max(wall_s, 1e-9)
+    print(f"{time_s:.2f} s of the scene in {wall_s:.2f} s ({pace:.1f} times real time)")
     for i, status in enumerate(flown.last.status):
         refused = f", refused: {status.refused}" if status.refused else ""
         print(f"robot_{i}: {status.outcome.name.lower()}{refused}")
     if run is not None:
         print(run.path)
+    if flown.broken:
+        kept = "nothing is kept" if run is None else f"what was flown until then is in {run.path}"
+        if not stop.asked:
+            raise RunError(f"{flown.broken}\n{kept}")
+        print(f"angler: interrupted; {kept}", file=sys.stderr)
+        sys.exit(_INTERRUPTED)

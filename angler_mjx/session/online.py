@@ -38,7 +38,7 @@ class Flyer:
     """A policy that commands the robots of a session."""
 
     def __init__(self, session: Scene, policy: Policy | None = None) -> None:
-        """Ask the policy to begin; the session stands at its reset.
+        """Compile the policy and ask it to begin; the session stands at its reset.
 
         Args:
             session: that it commands.
@@ -69,21 +69,30 @@ class Flyer:
             )
             return here.known(belief)
 
-        def begin(world: Any, *scene: Any) -> PolicyMemory:
+        def begin(scene: Any, *told: Any) -> PolicyMemory:
+            world, *moving = _alone(scene)
             memory: PolicyMemory = policies.begin(
-                chosen, stages, world.policy_key, known(world, *scene)
+                chosen, stages, world.policy_key, known(world, *moving, *told)
             )
             return memory
 
-        def act(memory: PolicyMemory, world: Any, *scene: Any) -> tuple[PolicyMemory, Any]:
-            told = partial(known, world, *scene)
+        def act(memory: PolicyMemory, scene: Any, *now: Any) -> tuple[PolicyMemory, Any]:
+            world, *moving = _alone(scene)
+            told = partial(known, world, *moving, *now)
             after: tuple[PolicyMemory, Any] = policies.step(
-                chosen, world.policy_key, memory, told, scene[-1]
+                chosen, world.policy_key, memory, told, now[-1]
             )
             return after
 
         self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
-        self._memory: PolicyMemory = jax.jit(begin)(*self._scene(session.observe()))
+        self._begin: Callable[..., PolicyMemory] = jax.jit(begin)
+        self.restart()
+        # Compiled now, and not in the first step of a flight; what it gives is of no use yet.
+        jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
+
+    def restart(self) -> None:
+        """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
+        self._memory = self._begin(*self._scene(self._session.observe()))
 
     @property
     def memory(self) -> PolicyMemory:
@@ -106,11 +115,9 @@ class Flyer:
 
     def _scene(self, observation: Observation) -> tuple[Any, ...]:
         inside = self._session.inside()
-        world, vehicles, obstacles = jax.tree.map(
-            lambda leaf: leaf[0], (inside.worlds, inside.state.vehicles, inside.state.obstacles)
-        )
+        scene = (inside.worlds, inside.state.vehicles, inside.state.obstacles)
         number = np.int32(round(observation.time_s / self._session.dt_s))
-        return world, vehicles, obstacles, _belief(observation.estimate), number
+        return scene, _belief(observation.estimate), number
 
 
 def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
@@ -126,7 +133,7 @@ def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
     scenario, spec = inside.simulator.scenario, inside.simulator.spec
     level = scenario.planner.knows.knows() if knows is None else knows
     left_s = max(scenario.time.horizon_s - now.time_s, spec.control_dt_s)
-    world, obstacles = jax.tree.map(lambda x: x[0], (inside.worlds, inside.state.obstacles))
+    world, obstacles = _alone((inside.worlds, inside.state.obstacles))
     w, x, y, z = np.moveaxis(np.asarray(now.estimate.q, np.float32), -1, 0)
     made = asking.ask_now(
         world,
@@ -146,11 +153,16 @@ def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
     return host
 
 
+def _alone(batch: Any) -> Any:
+    """The one world of a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[0], batch)
+
+
 def _belief(estimate: Estimate) -> Belief:
     """What the robots are told of themselves; how sure they are nobody asks here."""
-    p, q, nu = (jnp.asarray(x, jnp.float32) for x in (estimate.p, estimate.q, estimate.nu))
-    flow = None if estimate.flow is None else jnp.asarray(estimate.flow, jnp.float32)
-    still = jnp.zeros_like(p)
+    p, q, nu = (_single(x) for x in (estimate.p, estimate.q, estimate.nu))
+    flow = None if estimate.flow is None else _single(estimate.flow)
+    still = _single(np.zeros_like(p))
     return Belief(
         p=p,
         q=q,
@@ -160,3 +172,8 @@ def _belief(estimate: Estimate) -> Belief:
         velocity_std_mps=still,
         attitude_std_rad=still,
     )
+
+
+def _single(values: Any) -> Any:
+    """On the host, for a call that takes it to the device."""
+    return np.asarray(values, np.float32)

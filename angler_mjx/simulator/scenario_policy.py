@@ -114,7 +114,8 @@ def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
     if not callable(getattr(spec.reference.load(), "plan_batch", None)):
         raise ConfigError(
             f"planner.replan_hz = {scenario.planner.replan_hz:g}: planner {spec.reference.name} "
-            "plans on the host, and worlds of a batch are planned anew on the device; take grid, "
-            "priority, current or a class with plan_batch"
+            "plans on the host, before the start alone. In flight, of a batch or of one scene, "
+            "robots are planned for on the device: take grid, priority, current or a class with "
+            "plan_batch, or leave out replan_hz"
         )
     return BatchAnew(reference=spec.reference, settings=tuple(sorted(spec.settings.items())))

@@ -21,6 +21,10 @@ DOT, LARGE_DOT = -3.0, -6.0
 """Radii of the points of labels: below zero they are pixels, so that a robot of half a metre is
 found in a world of thirty."""
 
+MOST_NAMED = 16
+"""Robots that are all named in space; of a larger fleet those are that failed, or nothing else
+could be seen."""
+
 _PLAN, _TRAIL = -0.75, -1.5
 """Radii of lines, in pixels: seen from afar, and hiding nothing from a camera beside them."""
 
@@ -187,6 +191,7 @@ def log_still(
     *,
     goal_m: np.ndarray,
     plan_m: np.ndarray,
+    named: bool = True,
 ) -> None:
     """What does not change of a robot: where it is to go, its shapes, and how the rest looks.
 
@@ -199,9 +204,12 @@ def log_still(
         space: path of its entities.
         goal_m: [3] in W.
         plan_m: [n, 3] way-points in W.
+        named: whether its goal is written at; else only a click tells.
     """
     color = color_of(robot)
-    goal = rr.Points3D([goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"])
+    goal = rr.Points3D(
+        [goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"], show_labels=named
+    )
     recording.log(f"{space}/goal", goal, static=True)
     plan = rr.LineStrips3D([plan_m], colors=[color], radii=[_PLAN])
     recording.log(f"{space}/plan", plan, static=True)

@@ -37,7 +37,13 @@ def signs(scene: Scene) -> list[Line2D | Patch]:
     there = np.asarray(given.exists)
     still = np.asarray(given.motion) == STATIC
     handles: list[Line2D | Patch] = [
-        Line2D([], [], color=style.QUIET, linestyle=(0, (3, 2)), label="planned way"),
+        Line2D(
+            [],
+            [],
+            color=style.QUIET,
+            linestyle=(0, (3, 2)),
+            label="first plan" if scene.replan_hz else "planned way",
+        ),
         Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
         Line2D(
             [], [], color=style.QUIET, marker="*", ms=11, linestyle="", label="goal (disc: start)"

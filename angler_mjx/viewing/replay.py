@@ -122,6 +122,8 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
     """The world in space; beside it the fleet's table, distances to goal, and events."""
     import rerun.blueprint as rrb
 
+    from angler_mjx.viewing.entities import MOST_NAMED
+
     root = f"/{_root(one.world)}"
     eye = window.from_above(one.bounds_m)
     space = window.space_view([f"{root}/space/**"], root, "World", eye)
@@ -136,6 +138,7 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
             origin=f"{root}/distance_to_goal_m",
             name="Distance to goal, m",
             axis_x=rrb.TimeAxis(view_range=whole),
+            plot_legend=rrb.PlotLegend(visible=len(one.robots) <= MOST_NAMED),
         ),
         rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
         row_shares=[3, 3, 2],

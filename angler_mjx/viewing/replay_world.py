@@ -52,6 +52,7 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
         space,
         goal_m=robot.goal_m,
         plan_m=robot.plan_m,
+        named=len(scene.robots) <= entities.MOST_NAMED,
     )
     recording.send_columns(
         f"{space}/vehicle",
@@ -59,7 +60,7 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
         rr.Transform3D.columns(translation=robot.p_m, quaternion=entities.xyzw(robot.q)),
     )
     _trail(recording, scene, robot, f"{space}/trail")
-    _label(recording, robot, f"{space}/vehicle/label")
+    _label(recording, scene, robot, f"{space}/vehicle/label")
     away = np.linalg.norm(robot.p_m - robot.goal_m, axis=1)
     series = f"{root}/distance_to_goal_m/{name}"
     color = entities.color_of(robot.index)
@@ -85,8 +86,9 @@ def _trail(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
     )
 
 
-def _label(recording: rr.RecordingStream, robot: RobotTrack, path: str) -> None:
-    """The robot's number above it, with the outcome once it is known."""
+def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
+    """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
+    few = len(scene.robots) <= entities.MOST_NAMED
     ended = f"{robot.index}: {style.OUTCOME_TEXT[robot.outcome]}"
     colors = [entities.color_of(robot.index), entities.ending(arrived=robot.arrived)]
     recording.send_columns(
@@ -96,6 +98,7 @@ def _label(recording: rr.RecordingStream, robot: RobotTrack, path: str) -> None:
             labels=[str(robot.index), ended],
             colors=colors,
             radii=[entities.DOT, entities.LARGE_DOT],
+            show_labels=[few, few or not robot.arrived],
         ),
     )
 
@@ -118,6 +121,12 @@ def _fleet_table(scene: Scene) -> rr.TextDocument:
         f"| {style.OUTCOME_TEXT[robot.outcome]} | {robot.end_time_s:.1f} s |"
         for robot in scene.robots
     ]
+    if scene.replan_hz:
+        lines += [
+            "",
+            "Thin lines are the plans before the start; in flight, plans were made anew at "
+            f"{scene.replan_hz:g} Hz.",
+        ]
     return rr.TextDocument(
         f"# World {scene.world}\n\n" + "\n".join(lines), media_type=rr.MediaType.MARKDOWN
     )

@@ -67,6 +67,8 @@ class Scene:
     """[T, n, 3]."""
     obstacle_q: np.ndarray
     """[T, n, 4]."""
+    replan_hz: float = 0.0
+    """How often plans were made anew in flight; those that are shown are the first ones."""
 
     @property
     def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -140,4 +142,5 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
         robots=tracks,
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
+        replan_hz=run.scenario.planner.replan_hz,
     )

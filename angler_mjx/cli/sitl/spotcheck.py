@@ -37,7 +37,8 @@ def spotcheck(
     """Fly episodes of a batch run again with real ArduSub autopilots, and report the gap.
 
     Worlds are made again from the run's scenario and seed, and compared with what it recorded. The
-    same plans are flown at each level. The folder holds report.md with figures, gaps.csv, and every
+    same plans are flown at each level; where the run made them anew in flight, that is done again,
+    from what the autopilots believe. The folder holds report.md with figures, gaps.csv, and every
     flight.
 
     Args:

@@ -94,12 +94,12 @@ def check(
 def _plan(run_path: Path, settings: Settings) -> Found:
     """Everything that can be refused before anything is computed."""
     run = Run(run_path)
-    if (run.path / POLICY).exists():
+    scenario = run.scenario
+    if (run.path / POLICY).exists() and not scenario.online:
         raise ConfigError(
             f"{run.path / POLICY}: a policy commanded the robots of this run, and autopilots fly "
-            "plans, not that; give a run without a policy"
+            "plans, not that; give a run of plans, flown as they are or made anew in flight"
         )
-    scenario = run.scenario
     _ = run.trajectories
     fleet = len(scenario.members())
     counts = tuple(dict.fromkeys(settings.robots)) or (fleet,)

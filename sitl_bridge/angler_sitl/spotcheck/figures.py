@@ -50,10 +50,14 @@ def overlay(found: Found, world: int, robots: int) -> Figure:
         width = max(3.1 * columns + 0.6, 9.4)
         figure = style.new_figure(width, 9.4, headline_in=0.75)
         shown = f"the first {SHOWN} of {robots} robots" if robots > SHOWN else f"{robots} robots"
+        anew = found.run.scenario.planner.replan_hz > 0.0
+        plans, way = (
+            ("planned anew in flight", "first plan") if anew else ("the same plans", "planned way")
+        )
         style.headline(
             figure,
-            f"World {world}: the same plans, flown {len(flights)} times",
-            f"{shown}; cross: failed there; the grey band is the planned way",
+            f"World {world}: {plans}, flown {len(flights)} times",
+            f"{shown}; cross: failed there; the grey band is the {way}",
         )
         grid = figure.subplots(3, columns, squeeze=False, height_ratios=[1.0, 1.0, 0.65])
         for robot in range(columns):
@@ -64,7 +68,7 @@ def overlay(found: Found, world: int, robots: int) -> Figure:
         handles: list[Any] = [
             Line2D([], [], color=COLORS[name], linewidth=2.0, label=name) for name in flights
         ]
-        handles.append(Line2D([], [], color=style.FAINT, linewidth=5.0, label="planned way"))
+        handles.append(Line2D([], [], color=style.FAINT, linewidth=5.0, label=way))
         handles.append(Patch(color=style.ROCK(0.75), label="rock, at any height"))
         figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
     return figure

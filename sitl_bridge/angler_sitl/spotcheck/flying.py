@@ -11,6 +11,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import ControllerConfig
+from angler_mjx.session import online
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.simulator.simulator import Simulator
@@ -110,7 +111,11 @@ class BatchFlyer:
 
 
 class SitlFlyer:
-    """Real autopilots at one level, brought up anew for each world."""
+    """Real autopilots at one level, brought up anew for each world.
+
+    Where the scenario looks after its plans, its policy does so here too: from what the autopilots
+    believe, with the keys of the world, and as late as in the batch simulator.
+    """
 
     def __init__(
         self,
@@ -125,6 +130,7 @@ class SitlFlyer:
         self._session = SitlSession(
             scenario, level=level, source=source, speed=speed, binary=binary
         )
+        self._policy: online.Flyer | None = None
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -143,10 +149,11 @@ class SitlFlyer:
         """See `Flyer.fly`."""
         session, timing = self._session, self._scenario.time
         observed = session.reset(worlds=worlds)
+        policy = self._looking_after()
         samples = list[Any]()
         for step in range(timing.control_steps):
             over = all(one.outcome is not Outcome.RUNNING for one in observed.status)
-            observed = session.step()
+            observed = session.step(None if policy is None else policy.commands(observed))
             if step % timing.steps_per_sample == 0:
                 samples.append(jax.tree.map(np.asarray, session.inside().sample))
                 tell((step + 1) / timing.control_steps)
@@ -162,6 +169,16 @@ class SitlFlyer:
             seed=self._scenario.seed,
             sample_dt_s=timing.steps_per_sample * timing.control_dt_s,
         )
+
+    def _looking_after(self) -> online.Flyer | None:
+        """What looks after the plans of the world that was just reset; compiled once for all."""
+        if not self._scenario.online:
+            return None
+        if self._policy is None:
+            self._policy = online.Flyer(self._session)
+        else:
+            self._policy.restart()
+        return self._policy
 
 
 def crew(scenario: Scenario, robots: int) -> Scenario:

@@ -71,6 +71,22 @@ class Found:
                 listed += gaps.between(pick.world, flight, other)
         return listed
 
+    @property
+    def plans(self) -> str:
+        """Who made the plans, when, and knowing what: the same in every flight."""
+        scenario = self.run.scenario
+        planner, knows = scenario.planner, scenario.planner.knows
+        parts = [f"by {planner.name} before the start"]
+        if planner.replan_hz:
+            parts.append(
+                f"anew in every flight at {planner.replan_hz:g} Hz, taken up "
+                f"{planner.delay_s:g} s later; known of obstacles: {knows.obstacles}, of the "
+                f"current: {knows.current}"
+            )
+        if scenario.execution.order == "kept":
+            parts.append("flown in the order of the plans")
+        return ", ".join(parts)
+
     def names(self) -> tuple[str, ...]:
         """Of all flights of a world, in the order of tables and legends."""
         return (*self.settings.references, *self.settings.levels)

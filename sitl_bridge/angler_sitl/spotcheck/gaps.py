@@ -59,7 +59,7 @@ class Sum:
     """Both arrived, or neither."""
     agree_low: float
     agree_high: float
-    """95 % interval of the share of ``agree``, as if robots were independent."""
+    """95 % interval of the share of ``agree``, by world: robots of one are not independent."""
     track_rms_m: tuple[float, float]
     """Median, and nine of ten are below; so the others."""
     path_rms_m: tuple[float, float]

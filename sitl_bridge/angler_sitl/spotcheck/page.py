@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing.style import save
 from angler_mjx.viewing.tables import table
 from angler_sitl.spotcheck import figures, folder, gaps
@@ -85,6 +86,7 @@ def text(found: Found, pictures: Sequence[tuple[int, int, str]]) -> str:
             [
                 f"- Scenario {scenario.name}, seed {scenario.seed}, controller of the run: "
                 f"{scenario.controller.title}.{ended}",
+                f"- Plans: {found.plans}.",
                 f"- ArduSub {found.autopilot}; external navigation by {found.settings.source}.",
                 f"- Command: `{origin['command']}`, commit {origin['commit'] or 'unknown'}.",
                 "- Not alike: autopilots go by their own filters and are not told the current, "
@@ -94,6 +96,7 @@ def text(found: Found, pictures: Sequence[tuple[int, int, str]]) -> str:
         "## In sum",
         in_sum(found),
         _READING,
+        ends(found),
         *([f"![summary]({SUMMARY})"] if pictures else []),
         "## Worlds",
         table(
@@ -113,7 +116,7 @@ _READING = (
     "between the places where the episodes ended, of those that ended alike. Each: median, and "
     "nine of ten below. Arrival: median difference, and nine of ten within. Clearance: median "
     "difference of the least one. Effort: median ratio of root mean square signals beside "
-    "neutral. The interval takes robots as independent, which those of one world are not."
+    "neutral. The interval is that of 95 %, by world: robots of one world are no independent draws."
 )
 
 
@@ -149,6 +152,31 @@ def in_sum(found: Found) -> str:
         for name, count, reference, one in rows(found)
     ]
     return table(head, body)
+
+
+def ends(found: Found) -> str:
+    """The table of how robots ended in each kind of flight, over the worlds that were picked."""
+    flown = [
+        (
+            name,
+            count,
+            [
+                row["outcome"]
+                for key, one in found.flights.items()
+                if key[1:] == (name, count)
+                for row in one.rows
+            ],
+        )
+        for count in found.counts
+        for name in found.names()
+    ]
+    seen = [outcome for outcome in OUTCOMES if any(outcome in listed for *_, listed in flown)]
+    body = [
+        [name, str(count), *(f"{listed.count(outcome)} of {len(listed)}" for outcome in seen)]
+        for name, count, listed in flown
+        if listed
+    ]
+    return table(["flown by", "robots", *seen], body)
 
 
 def _world(found: Found, world: int, count: int) -> str:

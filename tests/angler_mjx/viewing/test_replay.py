@@ -1,6 +1,7 @@
 """The replay file, read back; and what happens where it cannot be made."""
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -129,3 +130,46 @@ def test_without_a_display_it_says_what_to_do(run, monkeypatch):
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(UnsupportedError, match="no display"):
         replay.show(run, 12)
+
+
+def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):
+    from angler_mjx.viewing import legends, replay_world
+
+    def text(one):
+        return replay_world._fleet_table(one).text.as_arrow_array().to_pylist()[0]
+
+    def lines(one):
+        return [sign.get_label() for sign in legends.signs(one)]
+
+    anew = replace(scene, replan_hz=2.0)
+    assert "anew" not in text(scene)
+    assert "plans before the start" in text(anew)
+    assert "at 2 Hz" in text(anew)
+    assert "planned way" in lines(scene)
+    assert "first plan" in lines(anew)
+
+
+@pytest.mark.parametrize("count", [16, 17])
+def test_of_a_crowd_those_are_named_that_failed(scene, count, tmp_path, monkeypatch):
+    """Sixteen are all named; among more, goals and numbers would hide what they name."""
+    many = tuple(
+        replace(
+            scene.robots[0], index=i, outcome="reached" if i else "collision_static", end_time_s=9.0
+        )
+        for i in range(count)
+    )
+    crowd = replace(scene, robots=many)
+    monkeypatch.setattr(replay.scene, "read", lambda run, world: crowd)
+    scenario = SimpleNamespace(name="reef_fleet", seed=7)
+    replay.write(SimpleNamespace(path=tmp_path, scenario=scenario), [12])
+    held = {}
+    for chunk in rr.chunk.RrdReader(tmp_path / REPLAY).stream().to_chunks():
+        held.setdefault(chunk.entity_path, []).append(chunk)
+
+    def shown(entity):
+        return _column(held, f"/world_12/space/{entity}", "Points3D:show_labels").to_pylist()
+
+    few = count == 16
+    assert shown("robot_3/goal") == [[few]]
+    assert shown("robot_3/vehicle/label") == [[few], [few]]
+    assert shown("robot_0/vehicle/label") == [[few], [True]]

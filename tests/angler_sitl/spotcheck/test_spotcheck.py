@@ -10,6 +10,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -24,7 +25,7 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import Outcome, World
 from angler_mjx.storage.folder import (
     EPISODES,
     SUMMARY,
@@ -33,7 +34,7 @@ from angler_mjx.storage.folder import (
 )
 from angler_mjx.vehicles import library
 from angler_sitl.firmware import parameters, probe
-from angler_sitl.spotcheck import checking, figures, flight, gaps, picking, scenes
+from angler_sitl.spotcheck import checking, figures, flight, flying, gaps, picking, scenes
 from angler_sitl.spotcheck.flight import Flight
 from angler_sitl.spotcheck.found import Settings
 
@@ -58,6 +59,46 @@ parameter_set = "wu2018"
 
 [[fleet]]
 vehicle = "bluerov2"
+"""
+
+
+CROSSING = """
+schema_version = 1
+name = "crossing"
+engine = "fused"
+worlds = 1
+tile = 1
+
+[time]
+horizon_s = 40.0
+record_hz = 5.0
+
+[world]
+preset = "open"
+shape = [10, 10, 4]
+depth_m = 2.0
+placement = "given"
+start_m = [[-5.0, 0.0, -6.0], [0.0, -5.0, -4.0]]
+goal_m = [[5.0, 0.0, -6.0], [0.0, 5.0, -4.0]]
+
+[[world.currents]]
+type = "uniform"
+velocity_mps = [0.0, -0.15, 0.0]
+
+[[world.obstacles.explicit]]
+type = "sphere"
+radius_m = 0.7
+position_m = [0.0, 1.6, -6.0]
+motion = {type = "drift"}
+
+[[fleet]]
+vehicle = "bluerov2_heavy"
+count = 2
+
+[planner]
+replan_hz = 1.0
+delay_s = 0.25
+knows = {obstacles = "observed"}
 """
 
 
@@ -411,6 +452,93 @@ def test_fewer_robots_of_a_world_are_the_first_of_it(world):
     np.testing.assert_array_equal(cut.environment.grid.occupied, world.environment.grid.occupied)
 
 
+@pytest.fixture
+def anew(run, tmp_path):
+    """The run as of a scenario whose plans are made anew in flight."""
+    copy = tmp_path / "anew"
+    shutil.copytree(run.path, copy)
+    config = json.loads((copy / "config.json").read_text())
+    planner = config["planner"]
+    planner |= {"replan_hz": 2.0, "delay_s": 0.25}
+    planner["knows"] = {"obstacles": "observed", "current": "nothing"}
+    config["execution"] = {"order": "kept"}
+    (copy / "config.json").write_text(json.dumps(config))
+    (copy / "policy.json").write_text('{"class": "of the scenario", "sha256": "0"}')
+    return copy
+
+
+def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
+    anew, flyers, settings, tmp_path, monkeypatch
+):
+    for name in ("summary", "overlay"):
+        monkeypatch.setattr(figures, name, lambda *_: Figure(figsize=(1.0, 1.0)))
+    found = checking.check(anew, settings, tmp_path / "check", Told())
+    assert found.complete
+    report = (tmp_path / "check" / "report.md").read_text()
+    for said in ("at 2 Hz", "0.25 s later", "obstacles: observed", "in the order"):
+        assert said in report
+    # Of each kind of flight: how many robots ended in each way.
+    reached = sum(row["outcome"] == "reached" for row in found.flights[1, "guided", 4].rows)
+    assert f"guided | 4 | {reached} of 4" in report.replace("| guided", "guided")
+
+
+class Booted:
+    """A session whose only robot flies on and on, and that remembers what it was told."""
+
+    def __init__(self, scenario, **_):
+        self.resets, self.told = 0, []
+
+    def reset(self, worlds):
+        self.resets += 1
+        return SimpleNamespace(status=(SimpleNamespace(outcome=Outcome.RUNNING),))
+
+    def step(self, commands=None):
+        self.told.append(commands)
+        return SimpleNamespace(status=(SimpleNamespace(outcome=Outcome.RUNNING),))
+
+    def inside(self):
+        simulator = SimpleNamespace(labels=list)
+        return SimpleNamespace(worlds=None, state=None, sample=np.zeros(1), simulator=simulator)
+
+
+class Planning:
+    """What looks after plans: commands are numbers, counted from each beginning."""
+
+    made = 0
+
+    def __init__(self, session):
+        Planning.made += 1
+        self.restart()
+
+    def restart(self):
+        self.number = 0
+
+    def commands(self, observation):
+        self.number += 1
+        return {0: self.number}
+
+
+@pytest.mark.parametrize("online", [True, False])
+def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkeypatch):
+    monkeypatch.setattr(flying, "SitlSession", Booted)
+    monkeypatch.setattr(flying.online, "Flyer", Planning)
+    monkeypatch.setattr(flying.flight, "flown", lambda *_, **__: None)
+    monkeypatch.setattr(Planning, "made", 0)
+    time = SimpleNamespace(control_steps=3, steps_per_sample=1, control_dt_s=0.05)
+    flyer = flying.SitlFlyer(
+        SimpleNamespace(time=time, seed=1, online=online), "guided", "vision", "max", None
+    )
+    for index in (4, 7):
+        flyer.fly(index, None, lambda share: None)
+    session = flyer._session
+    assert session.resets == 2
+    if online:  # begun anew in the second world, and compiled for the first alone
+        assert session.told == [{0: 1}, {0: 2}, {0: 3}] * 2
+        assert Planning.made == 1
+    else:
+        assert session.told == [None] * 6
+
+
 @pytest.mark.sitl
 def test_the_surrogates_gains_are_those_of_the_firmware(ardusub, tmp_path):
     given = parameters.for_vehicle(library.load("bluerov2_heavy"), "guided", "vision")
@@ -444,3 +572,20 @@ def test_a_real_autopilot_flies_the_plan_of_a_run(ardusub, tmp_path):
         assert gap.agrees
     for gap in found.gaps("thrusters", 2, "recorded"):
         assert gap.track_rms_m < 0.1
+
+
+@pytest.mark.sitl
+def test_a_real_autopilot_is_planned_for_anew_as_in_a_run(ardusub, tmp_path):
+    """A sphere drifts into the way of the first robot, and no plan before the start knows of it."""
+    (tmp_path / "crossing.toml").write_text(CROSSING)
+    run = rollout(load_scenario(tmp_path / "crossing.toml"), out=tmp_path / "run")
+    settings = Settings(episodes=1, against=(), levels=("guided",), binary=ardusub.path)
+    found = checking.check(run.path, settings, tmp_path / "check", Told())
+    rows = found.flights[0, "guided", 2].rows
+    # Along its first plan it is hit: see the flights of planning/online, in the same scene.
+    assert [row["outcome"] for row in rows] == ["reached", "reached"]
+    for gap in found.gaps("guided", 2, "recorded"):
+        assert gap.agrees
+        # Of two plans that are nearly as good either may be taken, and then flights are a metre
+        # apart; both are flown at cruise speed, 20 s of it.
+        assert abs(gap.arrival_s) < 4.0
