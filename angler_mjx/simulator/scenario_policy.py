@@ -1,16 +1,19 @@
 """The policy that a scenario asks for: one by name, or order kept and plans made anew in flight."""
 
 from collections.abc import Callable
+from typing import Any
 
 from angler_mjx.control.laws.follow import FollowGains
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Mppi
+from angler_mjx.planning.online.host_planner import HostAnew
 from angler_mjx.planning.online.planners import BatchAnew, CurrentAnew, GridAnew, PriorityAnew
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.register import PlannerSpec, gives_joints
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.on_device import (
@@ -98,7 +101,7 @@ def _replanning(scenario: Scenario) -> Replanning | None:
         knows=planner.knows.knows(),
         horizon_s=time.horizon_s,
         goal_tolerance_m=scenario.goal_tolerance_m,
-        deadline_s=planner.deadline_s,
+        deadline_s=_deadline_s(scenario),
     )
 
 
@@ -111,11 +114,37 @@ def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
         if spec.reference.name == GRID:
             return GridAnew(config=config)
         return PriorityAnew(config=config, budget=priority_budget(spec))
+    settings = tuple(sorted(spec.settings.items()))
     if not callable(getattr(spec.reference.load(), "plan_batch", None)):
+        return _of_host(scenario, spec, settings)
+    return BatchAnew(reference=spec.reference, settings=settings)
+
+
+def _of_host(
+    scenario: Scenario, spec: PlannerSpec, settings: tuple[tuple[str, Any], ...]
+) -> HostAnew:
+    name, rate = spec.reference.name, f"planner.replan_hz = {scenario.planner.replan_hz:g}"
+    if scenario.tile != 1:
         raise ConfigError(
-            f"planner.replan_hz = {scenario.planner.replan_hz:g}: planner {spec.reference.name} "
-            "plans on the host, before the start alone. In flight, of a batch or of one scene, "
-            "robots are planned for on the device: take grid, priority, current or a class with "
-            "plan_batch, or leave out replan_hz"
+            f"{rate}: planner {name} plans on the host, and batches of worlds are planned for on "
+            "the device in flight: take grid, priority, current or a class with plan_batch, leave "
+            "out replan_hz, or fly one scene with angler fly (or one world at a time: tile = 1)"
         )
-    return BatchAnew(reference=spec.reference, settings=tuple(sorted(spec.settings.items())))
+    if gives_joints(spec):
+        raise ConfigError(
+            f"{rate}: planner {name} gives headings (JointTrajectory), and replanning goes on from "
+            "way-points; leave out its heading, or replan_hz"
+        )
+    return HostAnew(reference=spec.reference, settings=settings, points=scenario.planner.points)
+
+
+def _deadline_s(scenario: Scenario) -> float:
+    """Wall-clock time for a plan: one of the host has to be made when it is to be taken up."""
+    planner = scenario.planner
+    spec = planner.chosen()
+    on_device = spec.reference.on_device or callable(
+        getattr(spec.reference.load(), "plan_batch", None)
+    )
+    if on_device:
+        return planner.deadline_s
+    return min(planner.deadline_s, planner.delay_s or 1.0 / planner.replan_hz)
