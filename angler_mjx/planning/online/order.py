@@ -34,6 +34,10 @@ class Order:
     """[] a place stands for so much time before and after its own."""
     needs_s: jax.Array
     """[b, K, a] what the clock of a must have passed before b may be there; -inf: nothing."""
+    place_m: jax.Array
+    """[b, K, 3] the places."""
+    reach_m: jax.Array
+    """[b, K, a] between a's centre and the place; nearer ones are in each other's way."""
 
 
 def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
@@ -64,15 +68,39 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
     robots = jnp.arange(reach_m.shape[0])
     _, needs = jax.lax.scan(of_robot, None, robots)
     itself = jnp.eye(reach_m.shape[0], dtype=bool)
-    return Order(time_s=time, half_s=half, needs_s=jnp.where(itself[:, None], -jnp.inf, needs))
+    return Order(
+        time_s=time,
+        half_s=half,
+        needs_s=jnp.where(itself[:, None], -jnp.inf, needs),
+        place_m=where,
+        reach_m=jnp.where(itself[:, None], -jnp.inf, reach_m[:, None] + width[:, :, None]),
+    )
 
 
-def limits(order: Order, clock_s: jax.Array) -> jax.Array:
+def limits(
+    order: Order,
+    clock_s: jax.Array,
+    stands: jax.Array | None = None,
+    at_m: jax.Array | None = None,
+) -> jax.Array:
     """How far the clock of each robot may go now, [R]; inf where nothing is in its way.
 
     Args:
         order: of the world.
         clock_s: [R] how far each robot is along its plan.
+        stands: bool [R] whose clock nobody waits for: others only keep clear of where it is.
+        at_m: [R, 3] where the robots are.
     """
-    held = jnp.any(clock_s < order.needs_s, axis=-1)
+    waits = clock_s < order.needs_s
+    if stands is not None and at_m is not None:
+        gap = _distance(order.place_m[:, :, None], at_m)
+        # Who is near already may go away.
+        nearer = gap < _distance(at_m[:, None], at_m)[:, None]
+        ahead = (order.time_s + order.half_s > clock_s[:, None])[..., None]
+        waits = jnp.where(stands, (gap < order.reach_m) & nearer & ahead, waits)
+    held = jnp.any(waits, axis=-1)
     return jnp.min(jnp.where(held, order.time_s - order.half_s, jnp.inf), axis=-1)
+
+
+def _distance(a: jax.Array, b: jax.Array) -> jax.Array:
+    return jnp.sqrt(jnp.sum((a - b) ** 2, axis=-1))

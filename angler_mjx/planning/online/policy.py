@@ -10,6 +10,7 @@ from angler_mjx.control.plans import Plan
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.online import guidance, order, replanning
+from angler_mjx.planning.online.guidance import Standing
 from angler_mjx.planning.online.order import Order
 from angler_mjx.planning.online.replanning import Plans, Replanning
 from angler_mjx.sim.knowledge import Knows
@@ -24,6 +25,8 @@ class Memory:
     clocks: FollowCarry
     """[R]"""
     order: Order | None
+    standing: Standing | None
+    """Who is waited for no longer, where order is kept."""
     plans: Plans | None
     """Where they are made anew; otherwise the world's own are flown."""
 
@@ -59,7 +62,10 @@ class Online(Policy):
             plans = replanning.begin(self.replanning, known)
         path = known.path if plans is None else plans.now
         return Memory(
-            clocks=guidance.begin(known.belief.q), order=self._order(path, known), plans=plans
+            clocks=guidance.begin(known.belief.q),
+            order=self._order(path, known),
+            standing=guidance.moving(known.belief.p) if self.keeps_order else None,
+            plans=plans,
         )
 
     def act(
@@ -69,7 +75,7 @@ class Online(Policy):
         if self.replanning is not None:
             carry = self._anew(self.replanning, carry, known, key, step)
         path = known.path if carry.plans is None else carry.plans.now
-        clocks, target = guidance.step(
+        clocks, target, standing = guidance.step(
             self.gains,
             carry.clocks,
             Estimate(p=known.belief.p, q=known.belief.q, nu=known.belief.nu),
@@ -77,8 +83,9 @@ class Online(Policy):
             carry.order,
             known.params.cruise_speed_mps,
             self.dt_s,
+            carry.standing,
         )
-        return replace(carry, clocks=clocks), target
+        return replace(carry, clocks=clocks, standing=standing), target
 
     def _order(self, path: Plan, known: Known) -> Order | None:
         if not self.keeps_order:
@@ -98,7 +105,8 @@ class Online(Policy):
 
         def take(carry: Memory) -> Memory:
             plans, clocks = replanning.take_up(_of(carry), carry.clocks, cruise)
-            return Memory(clocks=clocks, order=self._order(plans.now, known), plans=plans)
+            order = self._order(plans.now, known)
+            return replace(carry, clocks=clocks, order=order, plans=plans)
 
         # Those that were a whole period on their way are taken up before others take their place.
         parts = [(makes, make), (takes, take)]
