@@ -62,6 +62,7 @@ def fly(
     choose(device)
     keep_all_programs()
     from angler_mjx.cli.shared.given import planner_given, scenario_given
+    from angler_mjx.planning.online import host_planner
     from angler_mjx.session.flying import course
     from angler_mjx.session.flying import fly as flying
     from angler_mjx.session.online import Flyer
@@ -95,6 +96,7 @@ def fly(
         logs = None if recording is None else recording.building / folder.ROBOTS
         scene = opener(loaded, world, logs, tell).session
         stack.callback(scene.close)
+        stack.callback(host_planner.close)
         if recording is not None:
             recording.begin(scene)
         tell("compiling what commands the robots")

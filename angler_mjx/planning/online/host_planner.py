@@ -5,7 +5,7 @@ did not find within its deadline is no plan, and the robots brake and hold.
 """
 
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -58,12 +58,22 @@ def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
     return Trajectory(time_s=time, position_m=place, found=found)  # type: ignore[arg-type]
 
 
-@cache
-def _workers(anew: HostAnew) -> "Workers":
-    """One process for each planner; it ends with this one."""
-    from angler_mjx.planning.host.workers import Workers
+_PROCESSES: "dict[HostAnew, Workers]" = {}
+"""One process for each planner that was asked; they end with this one, or by `close`."""
 
-    spec = PlannerSpec(
-        reference=anew.reference, settings=dict(anew.settings), most_points=anew.points
-    )
-    return Workers(spec, 1)
+
+def _workers(anew: HostAnew) -> "Workers":
+    if anew not in _PROCESSES:
+        from angler_mjx.planning.host.workers import Workers
+
+        spec = PlannerSpec(
+            reference=anew.reference, settings=dict(anew.settings), most_points=anew.points
+        )
+        _PROCESSES[anew] = Workers(spec, 1)
+    return _PROCESSES[anew]
+
+
+def close() -> None:
+    """End the processes that plan; who is asked later gets a new one."""
+    while _PROCESSES:
+        _PROCESSES.popitem()[1].close()

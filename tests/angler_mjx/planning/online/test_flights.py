@@ -265,4 +265,4 @@ def test_a_planner_of_the_host_is_refused_in_a_batch(load, tmp_path):
     (tmp_path / "never.py").write_text(HOST)
     planner = {"name": f"{tmp_path}/never.py:Never", "replan_hz": 1.0}
     with pytest.raises(ConfigError, match=r"planner\.replan_hz = 1: planner .* plans on the host"):
-        angler.Simulator(load(planner=planner))
+        angler.Simulator(load(planner=planner, tile=2))

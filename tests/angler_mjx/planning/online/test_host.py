@@ -2,7 +2,9 @@
 
 import jax
 import numpy as np
+import pytest
 
+from angler_mjx.planning.online import host_planner
 from angler_mjx.planning.online.host_planner import HostAnew
 from angler_mjx.planning.register import find
 
@@ -19,6 +21,12 @@ class OneStays:
         ways = list(zip(problem.team.start_m, problem.team.goal_m))[:-1]
         return [way_points([0, 60], way) for way in ways] + [NoPlan("stays")]
 '''
+
+
+@pytest.fixture(autouse=True)
+def ended():
+    yield
+    host_planner.close()
 
 
 def test_a_compiled_policy_waits_for_the_plans_of_another_process(tmp_path):
