@@ -38,7 +38,7 @@ def fly(
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
-        planner: That plans; the scenario's if left out. One of the device.
+        planner: That plans; the scenario's if left out.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
         order: Whether robots that are in time wait for those that are to pass a place before them.
         policy: That commands the robots instead of their plans; the scenario's if left out.

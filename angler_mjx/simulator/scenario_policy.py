@@ -115,9 +115,15 @@ def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
             return GridAnew(config=config)
         return PriorityAnew(config=config, budget=priority_budget(spec))
     settings = tuple(sorted(spec.settings.items()))
-    if not callable(getattr(spec.reference.load(), "plan_batch", None)):
+    if _on_host(spec):
         return _of_host(scenario, spec, settings)
     return BatchAnew(reference=spec.reference, settings=settings)
+
+
+def _on_host(spec: PlannerSpec) -> bool:
+    if spec.reference.on_device:
+        return False
+    return not callable(getattr(spec.reference.load(), "plan_batch", None))
 
 
 def _of_host(
@@ -141,10 +147,6 @@ def _of_host(
 def _deadline_s(scenario: Scenario) -> float:
     """Wall-clock time for a plan: one of the host has to be made when it is to be taken up."""
     planner = scenario.planner
-    spec = planner.chosen()
-    on_device = spec.reference.on_device or callable(
-        getattr(spec.reference.load(), "plan_batch", None)
-    )
-    if on_device:
+    if not _on_host(planner.chosen()):
         return planner.deadline_s
     return min(planner.deadline_s, planner.delay_s or 1.0 / planner.replan_hz)

@@ -47,7 +47,7 @@ def least(
     Args:
         moves: uint32 [nx, ny, nz] which moves may end in each cell.
         start: int32 [3] cell.
-        goal: int32 [3] cell; ``start`` where nothing can be reached must be no cell of a way.
+        goal: int32 [3] cell, taken to be free.
         lengths: static.
         interpret: run as ordinary JAX, on any device.
     """

@@ -45,9 +45,9 @@ def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
     workers = _workers(anew)
     answer = workers.take(workers.submit(asked))
     start = np.asarray(asked.team.start_m)
-    time = np.zeros((asked.robots, anew.points), start.dtype)
-    place = np.repeat(start[:, None], anew.points, axis=1)
-    found = np.zeros(asked.robots, bool)
+    time: Any = np.zeros((asked.robots, anew.points), start.dtype)
+    place: Any = np.repeat(start[:, None], anew.points, axis=1)
+    found: Any = np.zeros(asked.robots, bool)
     for robot, path in enumerate(answer.paths):
         if isinstance(path, Trajectory):
             rows = path.time_s.shape[0]
@@ -55,7 +55,7 @@ def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
                 all_rows[robot, :rows] = own
                 all_rows[robot, rows:] = all_rows[robot, rows - 1]
             found[robot] = True
-    return Trajectory(time_s=time, position_m=place, found=found)  # type: ignore[arg-type]
+    return Trajectory(time_s=time, position_m=place, found=found)
 
 
 _PROCESSES: "dict[HostAnew, Workers]" = {}
