@@ -16,19 +16,19 @@ _LOOKS = (0.25, 0.75)
 """Where the water is looked at, as shares of a step."""
 
 
-def step_costs(land: Terrain, robot: Swimmer, clearance_m: jax.Array, flow: Flow) -> jax.Array:
-    """Cost float16 [26, nx, ny, nz] of each of `STEPS` from each cell, metres of still water.
+def step_costs(land: Terrain, team: Swimmer, clearance_m: jax.Array, flow: Flow) -> jax.Array:
+    """Cost of each of `STEPS` from each cell, metres of still water.
 
     Args:
         land: the world.
-        robot: one.
-        clearance_m: [] to keep from all that stands.
+        team: [R] robots.
+        clearance_m: [R] to keep from all that stands.
         flow: of the water; it stays.
 
     Returns:
-        Infinite where a step is not free.
+        float16 [R, 26, nx, ny, nz]; infinite where a step is not free.
     """
-    free = _free_steps(land.layout, free_space(land, clearance_m))
+    free = jax.vmap(lambda clear: _free_steps(land.layout, free_space(land, clear)))(clearance_m)
     shape, cell_m = land.layout.shape, land.grid.cell_m
     axes = [jnp.arange(n) for n in shape]
     at = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -37,14 +37,19 @@ def step_costs(land: Terrain, robot: Swimmer, clearance_m: jax.Array, flow: Flow
 
     def one(step: jax.Array) -> jax.Array:
         length = jnp.sqrt(jnp.sum(step * step))
-        total = jnp.zeros(centre.shape[0], centre.dtype)
-        for share in _LOOKS:
-            water = jax.vmap(flow)(centre + share * cell_m * step)
-            total += pace(robot, jnp.broadcast_to(step / length, water.shape), water)[0]
-        return total * (length * cell_m / len(_LOOKS))
+        looks = [centre + share * cell_m * step for share in _LOOKS]
+        # The water is the same for all robots: looked at once, whatever the compiler would prefer.
+        water = jax.lax.optimization_barrier([jax.vmap(flow)(place) for place in looks])
 
-    cost = jax.lax.map(one, steps).reshape(26, *shape)
-    return jnp.where(free, cost, jnp.inf).astype(jnp.float16)
+        def of_robot(robot: Swimmer) -> jax.Array:
+            along = jnp.broadcast_to(step / length, centre.shape)
+            total = sum(pace(robot, along, seen)[0] for seen in water)
+            return (total * (length * cell_m / len(_LOOKS))).astype(jnp.float16)
+
+        return jax.vmap(of_robot)(team)
+
+    cost = jnp.moveaxis(jax.lax.map(one, steps), 0, 1).reshape(-1, 26, *shape)
+    return jnp.where(free, cost, jnp.inf)
 
 
 def _free_steps(layout: Layout, free: FreeSpace) -> jax.Array:

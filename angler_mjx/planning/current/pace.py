@@ -104,11 +104,13 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
         Cost [...] in metres of still water that take as much (of energy and hurry, or of time), at
         most `NO_WAY`; and speed [...] m/s, over ground, positive, the lowest where there is no way.
     """
+    # Axis by axis and speed by speed, so that a GPU keeps all of it in registers.
     cruise = robot.cruise_mps
-    along = jnp.sum(direction * flow, axis=-1)
-    across = jnp.maximum(jnp.sum(flow * flow, axis=-1) - along * along, 0.0)
-    level = jnp.sqrt(direction[..., 0] ** 2 + direction[..., 1] ** 2 + 1e-12)
-    ahead = jnp.stack([direction[..., 0] / level, direction[..., 1] / level], axis=-1)
+    x, y, z = (direction[..., axis] for axis in range(3))
+    stream = [flow[..., axis] for axis in range(3)]
+    along = x * stream[0] + y * stream[1] + z * stream[2]
+    square_of_flow = stream[0] ** 2 + stream[1] ** 2 + stream[2] ** 2
+    across = jnp.maximum(square_of_flow - along * along, 0.0)
     if robot.objective == "time":
         square = cruise * cruise - across
         speed = along + jnp.sqrt(jnp.maximum(square, 1e-9))
@@ -116,31 +118,36 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
         speed = jnp.maximum(speed, _SLOWEST * cruise)
         return jnp.where(goes, cruise / speed, NO_WAY), speed
     still = robot.rest_w + robot.factor[0] * cruise ** robot.exponent[0] + robot.hurry_w
-    tried = jnp.array(_SPEEDS, along.dtype) * cruise
-    square = tried**2 - across[..., None]
-    speed = along[..., None] + jnp.sqrt(jnp.maximum(square, 1e-9))
-    slow = jnp.maximum(speed, _SLOWEST * cruise)
-    swum = slow[..., None] * direction[..., None, :] - flow[..., None, :]
-    ahead = ahead[..., None, :]
-    surge = swum[..., 0] * ahead[..., 0] + swum[..., 1] * ahead[..., 1]
-    sway = swum[..., 1] * ahead[..., 0] - swum[..., 0] * ahead[..., 1]
-    axes = jnp.stack([surge, sway, swum[..., 2]], axis=-1)
-    effort = jnp.sum((axes / robot.limit_mps) ** 2, axis=-1)
-    cost = (_power(robot, axes) + robot.hurry_w) * cruise / (still * slow)
-    goes = (square > 0.0) & (speed > _SLOWEST * cruise) & (effort <= 1.0)
-    cost = jnp.where(goes, cost, NO_WAY)
-    least = jnp.min(cost, axis=-1)
-    best = jnp.argmin(cost, axis=-1)
-    chosen = jnp.take_along_axis(slow, best[..., None], axis=-1)[..., 0]
+    level = jnp.sqrt(x * x + y * y + 1e-12)
+    ahead = (x / level, y / level)
+    least = jnp.full_like(along, NO_WAY)
     # Where there is no way nobody counts on being fast.
-    return least, jnp.where(least < NO_WAY, chosen, _SLOWEST * cruise)
+    chosen = jnp.full_like(along, 1.0) * (_SLOWEST * cruise)
+    for tried in _SPEEDS:
+        square = (tried * cruise) ** 2 - across
+        speed = along + jnp.sqrt(jnp.maximum(square, 1e-9))
+        slow = jnp.maximum(speed, _SLOWEST * cruise)
+        swum = [slow * d - c for d, c in zip((x, y, z), stream, strict=True)]
+        surge = swum[0] * ahead[0] + swum[1] * ahead[1]
+        sway = swum[1] * ahead[0] - swum[0] * ahead[1]
+        axes = (surge, sway, swum[2])
+        effort = sum((v / robot.limit_mps[n]) ** 2 for n, v in enumerate(axes))
+        cost = (_power(robot, axes) + robot.hurry_w) * cruise / (still * slow)
+        goes = (square > 0.0) & (speed > _SLOWEST * cruise) & (effort <= 1.0)
+        better = goes & (cost < least)
+        least, chosen = jnp.where(better, cost, least), jnp.where(better, slow, chosen)
+    return least, chosen
 
 
-def _power(robot: Swimmer, axes: jax.Array) -> jax.Array:
-    """Power [...] at speeds [..., 3] along the body's axes.
+def _power(robot: Swimmer, axes: tuple[jax.Array, ...]) -> jax.Array:
+    """Power [...] at speeds [...] along the three axes of the body.
 
     Thrusters' power goes with about the 1.5th power of their thrust. Thrusts for two axes add up in
     half of the thrusters and cancel in the others; their squares add up on the whole.
     """
-    alone = robot.factor * (jnp.abs(axes) + 1e-6) ** robot.exponent
-    return robot.rest_w + jnp.sum(alone ** (4.0 / 3.0), axis=-1) ** 0.75
+    # By logarithms: powers to any exponent take several times as long on a GPU.
+    together = sum(
+        jnp.exp(4.0 / 3.0 * (jnp.log(factor) + exponent * jnp.log(jnp.abs(speed) + 1e-6)))
+        for factor, exponent, speed in zip(robot.factor, robot.exponent, axes, strict=True)
+    )
+    return robot.rest_w + jnp.exp(0.75 * jnp.log(together))

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.programs import on_gpu
 from angler_mjx.control.trajectory import Trajectory, hold
-from angler_mjx.planning.current import search
+from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import Objective, Swimmer, swimmer
 from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
@@ -135,16 +136,14 @@ def _batch(
     swimmers = jax.vmap(of_team)(teams)
     clearance = teams.radius_m + config.margin_m
 
-    def costs(land: Terrain, one: Swimmer, clear: jax.Array, known: KnownCurrent) -> jax.Array:
+    def costs(land: Terrain, team: Swimmer, clear: jax.Array, known: KnownCurrent) -> jax.Array:
         zero = jnp.zeros((), clear.dtype)
-        return step_costs(land, one, clear, lambda p: known.velocity(p, zero))
+        return step_costs(land, team, clear, lambda p: known.velocity(p, zero))
 
-    cost = jax.vmap(jax.vmap(costs, in_axes=(None, 0, 0, None)))(
-        lands, swimmers, clearance, current
-    )
+    cost = jax.vmap(costs)(lands, swimmers, clearance, current)
     start, goal = (jax.vmap(_cells)(lands, place) for place in (teams.start_m, teams.goal_m))
     flat = cost.reshape(worlds * robots, *cost.shape[2:])
-    value = search.costs_to_goal(flat, goal.reshape(-1, 3))
+    value = _least(flat, goal.reshape(-1, 3))
     value = value.reshape(worlds, robots, *value.shape[1:])
 
     def of_robot(
@@ -197,6 +196,13 @@ def _batch(
         value,
         start,
     )
+
+
+def _least(cost: jax.Array, goal: jax.Array) -> jax.Array:
+    """`search.costs_to_goal`, by a program for each robot where that is possible."""
+    if on_gpu():
+        return jax.vmap(search_kernel.costs_to_goal)(cost, goal)
+    return search.costs_to_goal(cost, goal)
 
 
 def _cells(land: Terrain, place: jax.Array) -> jax.Array:

@@ -17,6 +17,11 @@ STEPS = np.array([s for s in itertools.product((-1, 0, 1), repeat=3) if s != (0,
 """[26, 3] cells."""
 
 
+def most_sweeps(shape: tuple[int, ...]) -> int:
+    """More are not made over cells of this shape."""
+    return 4 * sum(shape)
+
+
 def costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
     """Least cost from every cell.
 
@@ -32,11 +37,10 @@ def costs_to_goal(cost: jax.Array, goal: jax.Array) -> jax.Array:
     at = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
     is_goal = jnp.all(at == goal[:, None, None, None, :], axis=-1)
     begin = jnp.where(is_goal, 0.0, FAR).astype(jnp.float32)
-    most = 4 * sum(shape)
 
     def going(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, changed, count = state
-        return changed & (count < most)
+        return changed & (count < most_sweeps(shape))
 
     def sweep(
         state: tuple[jax.Array, jax.Array, jax.Array],

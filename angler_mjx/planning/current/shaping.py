@@ -125,20 +125,19 @@ def shortened(
         seen = next_to | line_of_sight(land, a, b, clearance_m)
         return jnp.where(seen, total, jnp.inf)
 
-    def reach(
-        state: tuple[jax.Array, jax.Array], j: jax.Array
-    ) -> tuple[tuple[jax.Array, jax.Array], None]:
+    def reach(j: jax.Array, state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         least, before = state
         rows = j - 1 - jnp.arange(_WINDOW)
         there = jnp.maximum(rows, 0)
         ways = jax.vmap(cost, in_axes=(0, None, 0))(points[there], points[j], rows == j - 1)
         total = jnp.where(rows >= 0, least[there] + ways, jnp.inf)
         best = jnp.argmin(total)
-        return (least.at[j].set(total[best]), before.at[j].set(there[best])), None
+        return least.at[j].set(total[best]), before.at[j].set(there[best])
 
-    least = jnp.full(n, jnp.inf, points.dtype).at[0].set(0.0)
-    (least, before), _ = jax.lax.scan(reach, (least, jnp.zeros(n, jnp.int32)), jnp.arange(1, n))
-    before = jnp.where(jnp.all(points == points[0], axis=-1), 0, before)
+    # From the first point that is none of the repetitions; of a batch, as far as its longest way.
+    least = jnp.where(jnp.arange(n) <= spare, 0.0, jnp.inf).astype(points.dtype)
+    begin = (least, jnp.zeros(n, jnp.int32))
+    least, before = jax.lax.fori_loop(spare + 1, n, reach, begin)
 
     def back(at: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
         return before[at], at
