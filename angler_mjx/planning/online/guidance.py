@@ -17,9 +17,9 @@ SLACK_M = 0.2
 """How far a robot may be from its place on the plan and still count as there; order keeps it free
 beside the radii."""
 PATIENCE_S = 15.0
-"""Nobody waits longer for a robot that is behind and stands, though nobody holds it."""
-MOVES_M = 0.25
-"""Who is within this of where it was stands."""
+"""Nobody waits longer for a robot that gets no further and does not wait for one that does."""
+FURTHER_S = 0.5
+"""Of its plan; who has come less far than this in all that time got no further."""
 LEAST_SPEED_MPS = 0.05
 """Of a robot that is behind: slower cruise speeds count as this one."""
 
@@ -27,17 +27,17 @@ LEAST_SPEED_MPS = 0.05
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Since when robots [R] of a team have not moved on though they could."""
+    """Since when robots [R] of a team get no further on their plans though they could."""
 
-    at_m: jax.Array
-    """[R, 3] where they were last seen to move."""
+    passed_s: jax.Array
+    """[R] how far each was on its plan when it was last seen to get on."""
     for_s: jax.Array
     """[R] since then."""
 
 
-def moving(p: jax.Array) -> Standing:
-    """Robots at p [R, 3], none of which stands yet."""
-    return Standing(at_m=p, for_s=jnp.zeros(p.shape[:1], p.dtype))
+def moving(clock_s: jax.Array) -> Standing:
+    """Robots [R] so far along their plans, none of which stands yet."""
+    return Standing(passed_s=clock_s, for_s=jnp.zeros_like(clock_s))
 
 
 def begin(q: jax.Array) -> FollowCarry:
@@ -85,20 +85,20 @@ def step(
     behind = jnp.maximum(jnp.sqrt(jnp.sum((here - estimate.p) ** 2, axis=-1)) - SLACK_M, 0.0)
     passed = carry.clock_s - behind / jnp.maximum(cruise_mps, LEAST_SPEED_MPS)
     stands = None if standing is None else standing.for_s > PATIENCE_S
-    most = jnp.maximum(carry.clock_s, limits(order, passed, stands, estimate.p))
-    clock = jnp.minimum(after.clock_s, most)
+    speed = jnp.sqrt(jnp.sum(estimate.nu[:, :3] ** 2, axis=-1))
+    most, barred = limits(order, passed, stands, estimate.p, speed)
+    clock = jnp.minimum(after.clock_s, jnp.maximum(carry.clock_s, most))
     held = clock < after.clock_s
     target = replace(target, velocity_mps=jnp.where(held[:, None], 0.0, target.velocity_mps))
     if standing is not None:
-        standing = _seen(standing, estimate.p, held | (behind == 0.0), dt)
+        standing = _seen(standing, passed, held & ~barred, dt)
     return replace(after, clock_s=clock), target, standing
 
 
-def _seen(standing: Standing, p: jax.Array, may_stand: jax.Array, dt: float) -> Standing:
-    """Who stands one control step later; ``may_stand`` [R] who is held, or where it is to be."""
-    off = jnp.sqrt(jnp.sum((p - standing.at_m) ** 2, axis=-1))
-    moves = may_stand | (off > MOVES_M)
+def _seen(standing: Standing, passed_s: jax.Array, waits: jax.Array, dt: float) -> Standing:
+    """Who stands one control step later; ``waits`` [R] for others who get on."""
+    gets_on = waits | (passed_s > standing.passed_s + FURTHER_S)
     return Standing(
-        at_m=jnp.where(moves[:, None], p, standing.at_m),
-        for_s=jnp.where(moves, 0.0, standing.for_s + dt),
+        passed_s=jnp.where(gets_on, passed_s, standing.passed_s),
+        for_s=jnp.where(gets_on, 0.0, standing.for_s + dt),
     )

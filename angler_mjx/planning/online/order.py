@@ -21,6 +21,14 @@ from angler_mjx.control.plans import Plan
 
 SAMPLES = 128
 """Places of a plan that are compared; between two of them robots are taken to be anywhere."""
+_ROUNDING = 0.1
+"""Share of half a sample by which clocks that are level may differ: two robots that wait at the same
+time to the last bit would each be taken to be before the other."""
+
+
+_SOON_S = 1.0
+"""Kept clear, too: where robots that get no further may be so soon. Most are carried about by the
+current."""
 
 
 @jax.tree_util.register_dataclass
@@ -57,7 +65,7 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
     before, after = jnp.pad(leg, ((0, 0), (1, 0))), jnp.pad(leg, ((0, 0), (0, 1)))
     width = 0.5 * jnp.maximum(before, after)
     earlier = time[None, :] < time[:, None]
-    level = time - half
+    level = time - half - _ROUNDING * half
 
     def of_robot(_: None, b: jax.Array) -> tuple[None, jax.Array]:
         gap = jnp.sqrt(jnp.sum((where[b][None, :, None] - where[:, None]) ** 2, axis=-1))
@@ -82,24 +90,37 @@ def limits(
     clock_s: jax.Array,
     stands: jax.Array | None = None,
     at_m: jax.Array | None = None,
-) -> jax.Array:
-    """How far the clock of each robot may go now, [R]; inf where nothing is in its way.
+    speed_mps: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array]:
+    """How far the clock of each robot may go now.
 
     Args:
         order: of the world.
         clock_s: [R] how far each robot is along its plan.
         stands: bool [R] whose clock nobody waits for: others only keep clear of where it is.
         at_m: [R, 3] where the robots are.
+        speed_mps: [R] how fast they are.
+
+    Returns:
+        [R], inf where nothing is in its way; and bool [R] whose way is barred by one that stands.
     """
-    waits = clock_s < order.needs_s
-    if stands is not None and at_m is not None:
+    entry = order.time_s - order.half_s
+    # Who is there, or was, is not kept from it any more.
+    comes = (entry >= clock_s[:, None] - _ROUNDING * order.half_s)[..., None]
+    waits = (clock_s < order.needs_s) & comes
+    bars = jnp.zeros_like(waits)
+    if stands is not None and at_m is not None and speed_mps is not None:
         gap = _distance(order.place_m[:, :, None], at_m)
         # Who is near already may go away.
         nearer = gap < _distance(at_m[:, None], at_m)[:, None]
         ahead = (order.time_s + order.half_s > clock_s[:, None])[..., None]
-        waits = jnp.where(stands, (gap < order.reach_m) & nearer & ahead, waits)
-    held = jnp.any(waits, axis=-1)
-    return jnp.min(jnp.where(held, order.time_s - order.half_s, jnp.inf), axis=-1)
+        bars = stands & (gap < order.reach_m + _SOON_S * speed_mps) & nearer & ahead
+        waits &= ~stands
+    late, barred = (
+        jnp.min(jnp.where(jnp.any(held, axis=-1), entry, jnp.inf), axis=-1)
+        for held in (waits, bars)
+    )
+    return jnp.minimum(late, barred), (barred <= late) & jnp.isfinite(barred)
 
 
 def _distance(a: jax.Array, b: jax.Array) -> jax.Array:

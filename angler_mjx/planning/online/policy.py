@@ -61,10 +61,11 @@ class Online(Policy):
                 )
             plans = replanning.begin(self.replanning, known)
         path = known.path if plans is None else plans.now
+        clocks = guidance.begin(known.belief.q)
         return Memory(
-            clocks=guidance.begin(known.belief.q),
+            clocks=clocks,
             order=self._order(path, known),
-            standing=guidance.moving(known.belief.p) if self.keeps_order else None,
+            standing=guidance.moving(clocks.clock_s) if self.keeps_order else None,
             plans=plans,
         )
 

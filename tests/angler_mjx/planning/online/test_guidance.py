@@ -37,7 +37,7 @@ def flown():
     def fly(stands_s, end_s, patient):
         at = np.array(CROSS.position_m[:, 0])
         carry = guidance.begin(level)
-        standing = None if patient else guidance.moving(jnp.asarray(at))
+        standing = None if patient else guidance.moving(carry.clock_s)
         clocks = []
         for k in range(round(end_s / DT)):
             carry, target, standing = step(carry, at, standing)

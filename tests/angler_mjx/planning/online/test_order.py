@@ -29,6 +29,12 @@ CROSS = lines(
 )
 """The first passes the crossing at 5 s, the second at 10 s."""
 
+BESIDE = lines(
+    [(0, (-5, 0, 0)), (20, (5, 0, 0))],
+    [(0, (-5, 0.9, 0)), (20, (5, 0.9, 0))],
+)
+"""Nearer than their reach all the way, and never one behind the other."""
+
 RING = lines(
     [(0, (-6, 1, 0)), (12, (6, 1, 0))],
     [(0, (1, -8, 0)), (16, (1, 8, 0))],
@@ -45,7 +51,7 @@ def table():
 
 @pytest.fixture(scope="module")
 def bound():
-    return quickly(order.limits)
+    return quickly(lambda found, clocks: order.limits(found, clocks)[0])
 
 
 def place(plan, robot, clock):
@@ -53,13 +59,16 @@ def place(plan, robot, clock):
     return np.array([np.interp(clock, time, point[:, axis]) for axis in range(3)])
 
 
-def run(table, bound, plan, rates, kept, end_s, dt=0.1):
-    """Clocks that run at rates; the least distance of any two robots, and the clocks at the end."""
+def run(table, bound, plan, rates, kept, end_s, dt=0.1, less_s=0.0):
+    """Clocks that run at rates; the least distance of any two robots, and the clocks at the end.
+
+    Clocks that are held stop ``less_s`` before their bounds.
+    """
     robots = len(rates)
     found = table(plan, np.full((robots, robots), REACH, np.float32))
     clocks, least = np.zeros(robots, np.float32), np.inf
     for _ in range(round(end_s / dt)):
-        most = np.maximum(clocks, bound(found, clocks)) if kept else np.inf
+        most = np.maximum(clocks, bound(found, clocks) - np.float32(less_s)) if kept else np.inf
         clocks = np.minimum(clocks + np.float32(dt) * np.array(rates, np.float32), most)
         where = [place(plan, i, clocks[i]) for i in range(robots)]
         for i in range(robots):
@@ -81,6 +90,15 @@ def test_nobody_waits_who_is_in_time(table, bound):
     np.testing.assert_array_equal(free, kept)
 
 
+@pytest.mark.parametrize("less_s", [0.0, 1e-5])
+def test_who_go_side_by_side_wait_for_each_other_and_not_for_ever(table, bound, less_s):
+    """However the last bits of clocks and bounds are rounded."""
+    least, clocks = run(table, bound, BESIDE, [1.0, 0.5], True, 45.0, less_s=less_s)
+    assert np.all(clocks > 20.0)
+    apart = [np.linalg.norm(place(BESIDE, 0, t) - place(BESIDE, 1, t)) for t in (0.0, 10.0, 20.0)]
+    assert least > min(apart) - 0.05
+
+
 @pytest.mark.parametrize("late", range(4))
 def test_teams_never_stand_and_never_meet(table, bound, late):
     rates = [1.0] * 4
@@ -97,8 +115,8 @@ def test_who_is_behind_all_others_is_never_held(table, bound):
     plan = lines(*([(0, a), (float(draw.uniform(4, 20)), b)] for a, b in ends))
     found = table(plan, np.full((6, 6), REACH, np.float32))
     clocks = draw.uniform(0, 20, (200, 6)).astype(np.float32)
-    most = np.asarray(jax.vmap(order.limits, (None, 0))(found, clocks))
+    most, _ = (np.asarray(x) for x in jax.vmap(order.limits, (None, 0))(found, clocks))
     first = np.argmin(clocks, axis=1)
     rows = np.arange(len(clocks))
     assert np.all(most[rows, first] > clocks[rows, first])
-    assert np.mean(np.isfinite(most)) > 0.2
+    assert np.mean(np.isfinite(most)) > 0.1
