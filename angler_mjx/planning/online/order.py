@@ -22,10 +22,8 @@ from angler_mjx.control.plans import Plan
 SAMPLES = 128
 """Places of a plan that are compared; between two of them robots are taken to be anywhere."""
 _ROUNDING = 0.1
-"""Share of half a sample by which clocks that are level may differ: two robots that wait at the same
-time to the last bit would each be taken to be before the other."""
-
-
+"""Share of half a sample by which clocks that are level may differ: of two that wait at
+the same time each would be taken to be behind the other, by a last bit."""
 _SOON_S = 1.0
 """Kept clear, too: where robots that get no further may be so soon. Most are carried about by the
 current."""
