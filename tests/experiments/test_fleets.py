@@ -100,6 +100,16 @@ def test_planning_anew_is_compared_with_the_same_planner_on_the_same_problems(pa
     assert lines[3].startswith("| anew | 4 | +50.0 (")
 
 
+def test_folders_may_be_named_in_any_order(tmp_path):
+    """Costs of what both flew are paired over the worlds of all folders."""
+    rows = [{**one, "energy_j": 100.0 + one["world"], "makespan_s": 50.0} for one in ROWS]
+    small, large = ([one for one in rows if one["robots"] == n] for n in (2, 4))
+    parts = [folder(tmp_path / "b", large, [4]), folder(tmp_path / "a", small, [2])]
+    there, back = (fleets.pairs(fleets.read(some)) for some in (parts, parts[::-1]))
+    assert there == back
+    assert len(there) == 4
+
+
 def test_what_is_still_to_be_flown_has_not_failed(tmp_path, capsys):
     unflown = {"flown": False, "success": False}
     rows = [

@@ -167,7 +167,7 @@ def read(folder: Path) -> Results:
         about=about,
         runs=runs,
         problem=problem,
-        world=_numbered(runs, ("scene", "problem_seed", "world")),
+        world=worlds(runs),
         failures=_failures(folder / ROBOTS, runs),
         examples=sorted((folder / EXAMPLES).glob("*.npz"), key=lambda path: (len(path.name), path)),
     )
@@ -185,6 +185,11 @@ def problems(runs: Runs) -> np.ndarray:
     if len(np.unique(np.stack([plain, planner]), axis=1).T) == len(runs):
         return plain
     return _numbered(runs, (*names, "knows_obstacles", "knows_current"))
+
+
+def worlds(runs: Runs) -> np.ndarray:
+    """Int [n] which world each row lies in, whatever team."""
+    return _numbered(runs, ("scene", "problem_seed", "world"))
 
 
 def _numbered(runs: Runs, names: tuple[str, ...]) -> np.ndarray:

@@ -89,7 +89,14 @@ def read(folders: Sequence[Path]) -> Study:
     ways = {entry["label"]: _way(entry) for entry in entries}
     scenes = list(dict.fromkeys(scene for part in parts for scene in part.scenes))
     about = {**parts[0].about, "planners": entries, "scenes": scenes}
-    whole = replace(parts[0], about=about, runs=runs, problem=reading.problems(runs), examples=[])
+    whole = replace(
+        parts[0],
+        about=about,
+        runs=runs,
+        problem=reading.problems(runs),
+        world=reading.worlds(runs),
+        examples=[],
+    )
     return Study(results=whole, ways=ways, left=int(unflown.sum()))
 
 

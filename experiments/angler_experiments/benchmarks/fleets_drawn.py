@@ -74,7 +74,7 @@ def _drawn(
 def _lines(axes: Axes, lines: Sequence[Sequence[Rate]], ticks: Sequence[str]) -> None:
     for place, rates in enumerate(lines):
         held = [(i, one) for i, one in enumerate(rates) if one.asked]
-        shift = 0.5 * (place - (len(lines) - 1) / 2) / max(len(lines), 3)
+        shift = 0.35 * (place - (len(lines) - 1) / 2) / max(len(lines), 3)
         x = np.array([i + shift for i, _ in held])
         share = np.array([one.share for _, one in held])
         drawn = look.line(place)
