@@ -118,7 +118,8 @@ class BenchmarkConfig(FileModel):
     set: dict[str, Any] = Field(default_factory=dict)
     """Keys of the scenario that are otherwise in this benchmark; tables are merged."""
     presets: tuple[str, ...] = ()
-    """Of worlds; the scenario's if left out."""
+    """Of worlds, each with its own horizon unless set.time.horizon_s is given; the scenario's, with
+    its horizon, if left out."""
     scene: tuple[SceneEntry, ...] = ()
     """What else the worlds differ in; nothing if left out."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()

@@ -174,6 +174,8 @@ def _settings(
         "deadline_s": config.deadline_s,
     }
     base["policy"] = {**base.get("policy", {}), "name": "none"}
+    if config.presets:  # The scenario's horizon is that of its own world.
+        base["time"] = {key: x for key, x in base.get("time", {}).items() if key != "horizon_s"}
     base = merged(base, config.set)
     known = [] if all(one.knows for one in contestants) else _told(config, scenario)
     known += [one.knows for one in contestants if one.knows is not None]

@@ -31,6 +31,7 @@ from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.vehicles import library
+from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GaussMarkovConfig
 from angler_mjx.world.generate import check_fleet
@@ -70,6 +71,12 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+
+    @model_validator(mode="after")
+    def _horizon_of_preset(self) -> Self:
+        """The horizon of a file that gives none; before the checks of what fits it."""
+        self.__dict__["time"] = self.time.by_default(presets.load(self.world.preset).horizon_s)
+        return self
 
     @model_validator(mode="after")
     def _kernels_of_engine(self) -> Self:

@@ -41,7 +41,8 @@ class TimeConfig(FileModel):
     """Time steps."""
 
     horizon_s: float = Field(default=120.0, gt=0.0, le=86400.0)
-    """Simulated time of an episode; a whole number of control periods."""
+    """Simulated time of an episode; a whole number of control periods; the world's preset's if left
+    out."""
     physics_dt_s: float = Field(default=0.01, ge=1e-4, le=0.05)
     """Step of the physics."""
     control_dt_s: float = Field(default=0.05, ge=1e-4, le=1.0)
@@ -57,6 +58,21 @@ class TimeConfig(FileModel):
             whole("1 / (record_hz control_dt_s)", 1.0, self.record_hz * self.control_dt_s)
             whole("horizon_s record_hz", self.horizon_s * self.record_hz, 1.0)
         return self
+
+    def by_default(self, horizon_s: float) -> Self:
+        """The same with another horizon, unless it has been given one.
+
+        Raises:
+            ValueError: the horizon does not fit the other times.
+        """
+        if "horizon_s" in self.model_fields_set or horizon_s == self.horizon_s:
+            return self
+        whole("horizon_s / control_dt_s", horizon_s, self.control_dt_s)
+        if self.record_hz > 0:
+            whole("horizon_s record_hz", horizon_s * self.record_hz, 1.0)
+        made = self.model_copy(update={"horizon_s": horizon_s})
+        made.model_fields_set.discard("horizon_s")
+        return made
 
     @property
     def physics_steps(self) -> int:

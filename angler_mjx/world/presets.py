@@ -29,6 +29,8 @@ class Preset(FileModel):
     fill: float | None = None
     min_obstacles: int = 0
     placement: Literal["cross", "parallel", "random"] = "cross"
+    horizon_s: Annotated[float, Field(gt=0, le=86400)] = 120.0
+    """Of scenarios in it that give none: time for the ways through it; see `docs/planners.md`."""
     obstacles: ObstaclesConfig = ObstaclesConfig()
 
 

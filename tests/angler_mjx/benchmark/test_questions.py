@@ -233,3 +233,16 @@ def test_an_entry_is_asked_its_own_presets_and_teams(tmp_path):
     (tmp_path / "x.toml").write_text(FILE.format(more='presets = ["open"]') + nobody)
     with pytest.raises(ConfigError, match="no planner is asked any of them"):
         questions.read(tmp_path / "x.toml")
+
+
+def horizons(benchmark):
+    return {one.preset: one.scenario.time.horizon_s for one in benchmark.settings}
+
+
+def test_each_preset_has_its_own_horizon_unless_the_file_gives_one(tmp_path):
+    both = 'presets = ["reef", "corridor"]'
+    assert horizons(read(tmp_path, both)) == {"reef": 120.0, "corridor": 240.0}
+    given = read(tmp_path, f"{both}\nset.time.horizon_s = 90.0")
+    assert horizons(given) == {"reef": 90.0, "corridor": 90.0}
+    scene = '\n[[scene]]\nname = "a"\nset.time.horizon_s = 60.0'
+    assert horizons(read(tmp_path, both + scene)) == {"reef": 60.0, "corridor": 60.0}

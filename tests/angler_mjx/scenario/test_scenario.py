@@ -3,7 +3,7 @@
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 
 
 @pytest.mark.parametrize(
@@ -165,3 +165,27 @@ def test_missing_file_and_broken_toml(tmp_path):
     broken.write_text("name = ")
     with pytest.raises(ConfigError, match="not valid TOML"):
         load_scenario(broken)
+
+
+def of_preset(tmp_path, preset, more=""):
+    file = tmp_path / "one.toml"
+    file.write_text(
+        f'schema_version = 1\nname = "one"\n{more}\n[world]\npreset = "{preset}"\n'
+        '[[fleet]]\nvehicle = "bluerov2"\n'
+    )
+    return load_scenario(file)
+
+
+def test_a_scenario_without_a_horizon_has_that_of_its_preset(tmp_path):
+    assert of_preset(tmp_path, "reef").time.horizon_s == 120.0
+    long = of_preset(tmp_path, "corridor", "[time]\nrecord_hz = 1.0")
+    assert (long.time.horizon_s, long.time.control_steps) == (240.0, 4800)
+    assert "horizon_s" not in long.model_dump(exclude_unset=True)["time"]
+    assert of_preset(tmp_path, "corridor", "[time]\nhorizon_s = 120.0").time.horizon_s == 120.0
+
+
+def test_what_is_kept_of_a_scenario_is_the_same_scenario_whatever_its_preset_says_later(tmp_path):
+    long = of_preset(tmp_path, "corridor")
+    kept = long.model_dump(mode="json")
+    assert kept["time"]["horizon_s"] == 240.0
+    assert Scenario.model_validate(kept).digest() == long.digest()
