@@ -70,3 +70,11 @@ def test_a_benchmark_refuses_it_too(tmp_path):
     )
     with pytest.raises(ConfigError, match=r"b.toml.*set.time.horizon_s = 20: no robot.* 23.4 s"):
         questions.read(file)
+
+
+def test_more_robots_than_cells_are_refused_when_the_file_is_read(tmp_path):
+    file = write(tmp_path, 120.0, "shape = [2, 2, 2]")
+    assert len(load_scenario(file).members()) == 2
+    file.write_text(file.read_text().replace('"bluerov2"', '"bluerov2"\ncount = 5'))
+    with pytest.raises(ConfigError, match=r"10 robots \(fleet.count\) .*\(2, 2, 2\).* 8 robots"):
+        load_scenario(file)
