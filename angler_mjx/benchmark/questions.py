@@ -14,6 +14,7 @@ from angler_mjx.benchmark.config import BenchmarkConfig, merged
 from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
+from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.sim.knowledge import Knows
@@ -134,6 +135,7 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
             "and teams of each [[planner]]"
         )
     for setting in made.settings:
+        check_reachable(setting.scenario, f"{named(source)} ({setting}): set.time.horizon_s")
         for one in made.asked(setting):
             _require_able(one, setting, source)
     return made

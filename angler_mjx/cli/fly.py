@@ -22,6 +22,7 @@ def fly(
     scenario: Annotated[str, tyro.conf.Positional],
     planner: str | None = None,
     replan_hz: float | None = None,
+    knows: str | None = None,
     order: Literal["free", "kept"] | None = None,
     policy: Literal["none", "mppi"] | None = None,
     session: Literal["sim", "sitl"] = "sim",
@@ -40,6 +41,9 @@ def fly(
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         planner: That plans; the scenario's if left out.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
+        knows: What planners and policies are told of what moves, such as
+            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
+            left out.
         order: Whether robots that are in time wait for those that are to pass a place before them.
         policy: That commands the robots instead of their plans; the scenario's if left out.
         session: What moves: the simulator, or real autopilots.
@@ -61,7 +65,7 @@ def fly(
         prepare(isolate=isolate, gcs=None)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import planner_given, scenario_given
+    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_to_fly, unseen
     from angler_mjx.planning.online import host_planner
     from angler_mjx.session.flying import course
     from angler_mjx.session.flying import fly as flying
@@ -71,10 +75,10 @@ def fly(
     from angler_mjx.teleop import opening
     from angler_mjx.teleop.signals import stoppable
 
-    loaded = scenario_given(
+    loaded = scenario_to_fly(
         scenario,
         seed=seed,
-        planner=planner_given(planner, replan_hz=replan_hz),
+        planner=planner_given(planner, replan_hz=replan_hz, knows=knows_given(knows)),
         execution=None if order is None else {"order": order},
         policy=None if policy is None else {"name": policy},
     )
@@ -83,6 +87,9 @@ def fly(
             "angler fly: the scenario plans nothing anew, keeps no order and names no policy; give "
             "--replan-hz, --order kept or --policy mppi (angler rollout flies plans as they are)"
         )
+    notice = unseen(loaded)
+    if notice:
+        print(notice, file=sys.stderr)
     opener: opening.Opener = opening.simulated
     if session == "sitl":
         opener = real_autopilots(

@@ -33,6 +33,7 @@ def rollout(
     process: int | None = None,
     planner: str | None = None,
     replan_hz: float | None = None,
+    knows: str | None = None,
     order: Literal["free", "kept"] | None = None,
     policy: Literal["none", "mppi"] | None = None,
     workers: int | None = None,
@@ -66,6 +67,9 @@ def rollout(
         planner: That gives robots their paths; the scenario's if left out. One that angler plan
             --list names, or FILE.py:CLASS.
         replan_hz: How often robots are planned for anew while they fly; 0: never.
+        knows: What planners and policies are told of what moves, such as
+            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
+            left out.
         order: Whether robots that are in time wait for those that are to pass a place before them.
         policy: That commands the robots instead of their plans; the scenario's if left out. Its
             settings stand in the scenario's [policy.NAME].
@@ -85,7 +89,15 @@ def rollout(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import at_least_one, flag, planner_given, scenario_given
+    from angler_mjx.cli.shared.given import (
+        at_least_one,
+        flag,
+        knows_given,
+        planner_given,
+        scenario_given,
+        scenario_to_fly,
+        unseen,
+    )
     from angler_mjx.cli.shared.progress import Bar
     from angler_mjx.runs import rollout as runs
 
@@ -95,7 +107,7 @@ def rollout(
         "engine": engine,
         "kernels": kernels,
         "tile": tile,
-        "planner": planner_given(planner, replan_hz=replan_hz),
+        "planner": planner_given(planner, replan_hz=replan_hz, knows=knows_given(knows)),
         "execution": None if order is None else {"order": order},
         "policy": None if policy is None else {"name": policy},
     }
@@ -113,7 +125,10 @@ def rollout(
         ]
         flags = ", ".join(map(flag, named))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
-    loaded = scenario_given(scenario, **overrides)
+    loaded = scenario_given(scenario) if resume else scenario_to_fly(scenario, **overrides)
+    notice = None if resume else unseen(loaded)
+    if notice and shared.index == 0:
+        print(notice, file=sys.stderr)
     place = out or Path("runs") / loaded.name
     with Bar(quiet=json or shared.index > 0) as bar:
         how: dict[str, Any] = {

@@ -129,12 +129,24 @@ def require_same(place: Path, scenario: Scenario) -> None:
         )
 
 
+_GIVEN = (
+    ("time", "record_hz"),
+    ("planner", "name"),
+    ("planner", "replan_hz"),
+    ("planner", "knows"),
+    ("execution", "order"),
+    ("policy", "name"),
+)
+"""Keys of tables that flags of a run change."""
+
+
 def _fixed(scenario: Scenario) -> dict[str, Any]:
     """What no flag of a run changes; a vehicle's copy stands for it."""
     table = scenario.model_dump(
         exclude={"worlds", "seed", "engine", "kernels", "tile", "description"}
     )
-    table["time"].pop("record_hz")
+    for name, key in _GIVEN:
+        table[name].pop(key)
     for entry in table["fleet"]:
         entry["vehicle"] = library.load(entry["vehicle"]).name
     return table

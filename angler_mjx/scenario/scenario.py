@@ -303,6 +303,11 @@ def _blamed(fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], s
     exact = [key for key in given if fault.key[: len(key)] == key]
     if exact:
         return fault.text.replace(".".join(exact[0]), blame(".".join(exact[0])), 1)
+    if not fault.key:  # Of a whole file: the message says which keys.
+        said = [key for key in given if key[1:] and f"{'.'.join(key)} = " in fault.text]
+        text = fault.text.removeprefix("(whole file): ")
+        if said:
+            return text.replace(".".join(said[0]), blame(".".join(said[0])), 1)
     near = [key for key in given if key[: len(fault.key)] == fault.key] or given
     return f"{', '.join(blame('.'.join(key)) for key in near)}: {fault.text}"
 

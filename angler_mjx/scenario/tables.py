@@ -268,7 +268,16 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
             )
         return
     hz, delay = planner.replan_hz, planner.delay_s
-    whole(f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s)
+    try:
+        whole(
+            f"planner.replan_hz = {hz:g}: 1 / (replan_hz control_dt_s)", 1.0, hz * time.control_dt_s
+        )
+    except ValueError as error:
+        most = 1.0 / time.control_dt_s
+        raise ValueError(
+            f"{error}; control_dt_s = {time.control_dt_s:g} allows {most:g} Hz at most, and that "
+            f"over whole numbers: {most:g}, {most / 2:g}, {most / 4:g}"
+        ) from error
     if delay > 0.0:
         whole(f"planner.delay_s = {delay:g}: delay_s / control_dt_s", delay, time.control_dt_s)
     if delay * hz > 1.0 + 1e-6:

@@ -163,7 +163,8 @@ def require_valid(constants: Constants, first: int, kept: int) -> None:
         bad = first + int(np.flatnonzero(~valid)[0])
         raise RunError(
             f"world {bad} cannot hold the fleet: no drawing within the redraw limit had room for "
-            "its starts and goals; use fewer robots, a larger shape or a lower density"
+            "its starts and goals; use fewer robots (fleet.count), a larger world.shape, a lower "
+            "world.density or a smaller world.clearance_m"
         )
 
 

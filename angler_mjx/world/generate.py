@@ -4,6 +4,7 @@
 batched. World i of a seed is the same whatever batch it is made in.
 """
 
+import math
 from functools import partial
 
 import jax
@@ -121,12 +122,19 @@ def check_fleet(recipe: WorldRecipe, radius_m: np.ndarray | jax.Array) -> None:
         radius_m: [..., n_robot] radius of each robot's bounding sphere.
 
     Raises:
-        ConfigError: no robot, one too wide for the cells, or given places that are not free.
+        ConfigError: no robot, more than cells, one too wide for the cells, or given places that are
+            not free.
     """
     radius = np.asarray(radius_m)
     n_robot = radius.shape[-1]
     if n_robot < 1:
         raise ConfigError("the fleet has no robot")
+    cells = math.prod(recipe.shape)
+    if recipe.placement != "given" and n_robot > cells:
+        raise ConfigError(
+            f"{n_robot} robots (fleet.count) do not fit shape = {recipe.shape}: each "
+            f"starts in a cell of its own; take {cells} robots at most, or a larger shape"
+        )
     widest = float(radius.max())
     if not float(radius.min()) > 0 or widest >= 1.5 * recipe.cell_m:
         raise ConfigError(

@@ -13,6 +13,7 @@ from angler_mjx.errors import ConfigError
 def plan(
     scenario: Annotated[str | None, tyro.conf.Positional] = None,
     planner: str | None = None,
+    knows: str | None = None,
     worlds: int | None = None,
     seed: int | None = None,
     out: Path | None = None,
@@ -28,6 +29,9 @@ def plan(
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         planner: That plans; the scenario's if left out. One that --list names, or FILE.py:CLASS.
+        knows: What it is told of what moves, such as
+            obstacles=observed,current=predicted; of what is not named, nothing. The scenario's if
+            left out.
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the worlds; the scenario's if left out.
         out: File of plans to make; plans/NAME.zarr if left out.
@@ -41,7 +45,12 @@ def plan(
     """
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import at_least_one, planner_given, scenario_given
+    from angler_mjx.cli.shared.given import (
+        at_least_one,
+        knows_given,
+        planner_given,
+        scenario_to_fly,
+    )
     from angler_mjx.planning import register
 
     if list_:
@@ -55,9 +64,13 @@ def plan(
     from angler_mjx.simulator.simulator import Simulator
     from angler_mjx.storage.plans import write as plan_writer
 
-    table = {**(planner_given(planner) or {}), "deadline_s": deadline_s, "points": points}
+    table = {
+        **(planner_given(planner, knows=knows_given(knows)) or {}),
+        "deadline_s": deadline_s,
+        "points": points,
+    }
     chosen = {key: value for key, value in table.items() if value is not None}
-    loaded = scenario_given(scenario, worlds=worlds, seed=seed, planner=chosen or None)
+    loaded = scenario_to_fly(scenario, worlds=worlds, seed=seed, planner=chosen or None)
     place = out or Path("plans") / f"{loaded.name}.zarr"
     count = at_least_one("workers", workers)
     simulator = Simulator(loaded, workers=count)

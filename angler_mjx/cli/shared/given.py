@@ -1,9 +1,11 @@
 """A scenario as a command line gives it: a file, and flags that replace keys of it."""
 
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import named
 
 if TYPE_CHECKING:
     from angler_mjx.scenario.scenario import Scenario
@@ -26,12 +28,63 @@ def scenario_given(name_or_path: str, **flags: Any) -> "Scenario":
     return read_scenario(name_or_path, given, blame=flag)
 
 
+def scenario_to_fly(name_or_path: str, **flags: Any) -> "Scenario":
+    """As `scenario_given`, of a scenario that is to be planned or flown.
+
+    Raises:
+        ConfigError: also where no robot can be at its goal within the horizon.
+    """
+    from angler_mjx.scenario.reachable import check_reachable
+
+    loaded = scenario_given(name_or_path, **flags)
+    check_reachable(loaded, f"{named(name_or_path)}: time.horizon_s")
+    return loaded
+
+
 def flag(key: str) -> str:
     """The flag of a key: ``--record-hz`` of ``time.record_hz``, ``--policy`` of ``policy.name``."""
     return "--" + key.removesuffix(".name").rpartition(".")[2].replace("_", "-")
 
 
-def planner_given(name: str | None, **keys: float | None) -> dict[str, Any] | None:
+def knows_given(text: str | None) -> dict[str, str] | None:
+    """The scenario's table of what is known, from a flag such as obstacles=observed,current=truth.
+
+    Raises:
+        ConfigError: naming the part that is none, and what is possible.
+    """
+    if text is None:
+        return None
+    from angler_mjx.sim.knowledge import Knows, Level
+
+    levels, things = get_args(Level.__value__), [one.name for one in fields(Knows)]
+    made: dict[str, str] = {}
+    for part in text.split(","):
+        thing, _, level = (word.strip() for word in part.partition("="))
+        if thing not in things or level not in levels or thing in made:
+            raise ConfigError(
+                f"--knows {shown(part)}: give {' and '.join(things)} once each at most, as in "
+                f"obstacles=observed,current=predicted; levels are {', '.join(levels)}"
+            )
+        made[thing] = level
+    return made
+
+
+def unseen(scenario: "Scenario") -> str | None:
+    """What to say of a scenario that plans anew and is told of nothing that moves in it."""
+    if scenario.planner.replan_hz == 0.0 or scenario.planner.knows.obstacles != "nothing":
+        return None
+    from angler_mjx.world.config import resolve
+
+    there = resolve(scenario.world).obstacles
+    if there.dynamic.count == 0 and all(one.motion.type == "static" for one in there.explicit):
+        return None
+    return (
+        f"planner.replan_hz = {scenario.planner.replan_hz:g}, but planners are told of no moving "
+        "obstacle: add --knows obstacles=observed"
+    )
+
+
+def planner_given(name: str | None, **keys: Any) -> dict[str, Any] | None:
     """The scenario's table of a planner that flags give; a file's path from the working folder.
 
     Settings of the scenario's own planner stay with it.

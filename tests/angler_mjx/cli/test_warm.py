@@ -25,6 +25,7 @@ shape = [8, 8, 8]
 vehicle = "bluerov2"
 parameter_set = "blue_gazebo"
 count = 1
+cruise_speed_mps = 3.0
 """
 PROGRAMS = ("prepare", "reset", "segment")
 
