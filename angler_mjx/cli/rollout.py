@@ -153,16 +153,40 @@ def rollout(
         sys.exit(130)
 
 
-def figures(run: Annotated[Path, tyro.conf.Positional]) -> None:
+def figures(
+    run: Annotated[Path, tyro.conf.Positional],
+    beside: Path | None = None,
+    world: int | None = None,
+    robot: int | None = None,
+    at: tuple[float, ...] = (),
+) -> None:
     """Draw the figures of a run folder again and write its replay.
 
     Args:
         run: Run folder.
-    """
-    from angler_mjx.storage.folder import Run
+        beside: Run folder of the same worlds, flown otherwise: draw what is around one robot in
+            both, at a few times, instead.
+        world: With --beside: index of the world; one that ends differently if left out.
+        robot: With --beside: index of the robot; one that ends differently if left out.
+        at: With --beside: times, s; some before the robot's first failure if left out.
 
-    _draw(Run(run))
-    print(run / "figures")
+    Raises:
+        ConfigError: the runs are not of the same worlds, or do not hold what is to be drawn.
+    """
+    from angler_mjx.storage.folder import FIGURES, Run
+
+    if beside is None:
+        if world is not None or robot is not None or at:
+            raise ConfigError("--world, --robot and --at: choose what is drawn with --beside RUN")
+        _draw(Run(run))
+        print(run / "figures")
+        return
+    from angler_mjx.viewing import beside as pictures
+    from angler_mjx.viewing import style
+
+    what = pictures.choose([Run(run), Run(beside)], world, robot, at)
+    name = f"beside_world_{what.scenes[0].world}_robot_{what.robot}.png"
+    print(style.save(pictures.draw(what), run / FIGURES / name, palette=128))
 
 
 def replay(run: Annotated[Path, tyro.conf.Positional], world: int | None = None) -> None:

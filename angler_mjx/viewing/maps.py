@@ -3,19 +3,15 @@
 import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Polygon
 
-from angler_mjx.viewing import legends, style
+from angler_mjx.viewing import ground, legends, style
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
-from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import STATIC
-
-_ABOVE, _SOUTH = (0, 1), (0, 2)
-"""World axes of the two pictures: x and y, x and z."""
 
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 
@@ -37,10 +33,10 @@ def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
         style.headline(figure, title, subtitle)
         above, south = figure.subplots(1, 2)
         norm = Normalize(low[2], high[2])
-        for axes, plane in ((above, _ABOVE), (south, _SOUTH)):
-            _bounds(axes, scene, plane)
-            _rock(axes, scene.environment.grid, plane, norm)
-            if plane == _ABOVE:
+        for axes, plane in ((above, ground.ABOVE), (south, ground.SOUTH)):
+            ground.bounds(axes, scene, plane)
+            ground.rock(axes, scene.environment.grid, plane, norm)
+            if plane == ground.ABOVE:
                 _arrows(axes, scene)
             _obstacles(axes, scene, plane)
             for robot in scene.robots:
@@ -67,56 +63,6 @@ def describe(scene: Scene) -> str:
         if outcome != "reached" and outcome in ends
     ]
     return ", ".join([f"{arrived} of {len(ends)} robots arrived", *causes])
-
-
-def _bounds(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
-    low, high = scene.bounds_m
-    a, b = plane
-    axes.set_aspect("equal", anchor="N")
-    axes.set_facecolor(style.PAPER)
-    axes.add_patch(
-        Rectangle(
-            (low[a], low[b]),
-            high[a] - low[a],
-            high[b] - low[b],
-            facecolor=style.WATER,
-            edgecolor=style.FAINT,
-            zorder=0,
-        )
-    )
-    margin = 0.02 * float(np.max(high - low))
-    axes.set_xlim(low[a] - margin, high[a] + margin)
-    bottom, top = low[b] - margin, high[b] + margin
-    if b == 2:
-        floor = float(scene.environment.floor_z_m)
-        bottom = min(bottom, floor - 3 * margin)
-        axes.axhspan(bottom, floor, facecolor="#cdbf9b", zorder=0)
-    axes.set_ylim(bottom, top)
-
-
-def _rock(axes: Axes, grid: Grid, plane: tuple[int, int], norm: Normalize) -> None:
-    """Cells as squares, coloured by the height of the topmost or of the nearest one."""
-    occupied = np.asarray(grid.occupied)
-    origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
-    height = origin[2] + cell * (np.arange(occupied.shape[2]) + 1.0)
-    tops = np.where(occupied, height, np.nan)
-    depth = 2 if plane == _ABOVE else 1
-    covered = occupied.any(axis=depth)
-    first = occupied.argmax(axis=depth)
-    if plane == _ABOVE:
-        first = occupied.shape[2] - 1 - occupied[:, :, ::-1].argmax(axis=2)
-    shade = np.take_along_axis(tops, np.expand_dims(first, depth), axis=depth).squeeze(depth)
-    squares = [
-        Rectangle((origin[plane[0]] + cell * i, origin[plane[1]] + cell * j), cell, cell)
-        for i, j in np.argwhere(covered)
-    ]
-    if squares:
-        colors = style.ROCK(norm(shade[covered]))
-        axes.add_collection(
-            PatchCollection(
-                squares, facecolors=colors, edgecolors=style.PAPER, linewidths=0.6, zorder=1
-            )
-        )
 
 
 def _arrows(axes: Axes, scene: Scene) -> None:
