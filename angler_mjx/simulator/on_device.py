@@ -46,7 +46,12 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
 
         def by_current(worlds: World, problems: Problem) -> Path:
             return current.plan(
-                worlds.environment, problems.team, problems.current, problems.obstacles, chosen
+                worlds.environment,
+                problems.team,
+                problems.current,
+                problems.obstacles,
+                problems.seed,
+                chosen,
             )
 
         return by_current
@@ -94,17 +99,25 @@ def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
             "where the current can only help to predict obstacles; "
             'take planner.knows.obstacles = "predicted", or "nothing" here, or another planner'
         )
-    config = WayConfig(
-        horizon_s=scenario.time.horizon_s,
+    config = _ways(scenario)
+    if name == GRID:
+        return replace(config, **spec.settings)
+    chosen = priority.PrioritySettings(**spec.settings)
+    return replace(
+        config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or config.n_layer
+    )
+
+
+def _ways(scenario: Scenario) -> WayConfig:
+    """With as many layers as the fastest robot needs."""
+    horizon_s = scenario.time.horizon_s
+    fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
+    return WayConfig(
+        horizon_s=horizon_s,
         margin_m=scenario.planner.margin_m,
         n_point=scenario.planner.points,
+        n_layer=layers(horizon_s, fastest, resolve(scenario.world).cell_m),
     )
-    fastest = max(entry.cruise_speed_mps for entry in scenario.fleet)
-    needed = layers(config.horizon_s, fastest, resolve(scenario.world).cell_m)
-    if name == GRID:
-        return replace(config, n_layer=needed, **spec.settings)
-    chosen = priority.PrioritySettings(**spec.settings)
-    return replace(config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or needed)
 
 
 def priority_budget(spec: PlannerSpec) -> int:
@@ -128,6 +141,7 @@ def current_config(scenario: Scenario, spec: PlannerSpec) -> CurrentConfig:
         margin_m=scenario.planner.margin_m,
         n_point=scenario.planner.points,
         foresees=foresees(scenario),
+        ways=_ways(scenario),
     )
 
 

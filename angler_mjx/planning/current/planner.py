@@ -2,8 +2,9 @@
 
 For each robot alone: least costs from all cells (`search`), the way that leads down them, shortened
 and bent by what it costs (`shaping`). Then the team is put in time: who cannot go at once sets off
-later (`timetable`). Speeds are those through the water that cost least, so that a robot may be
-faster over ground than it cruises where the water carries it.
+later (`timetable`); for whom no time suits a way is sought in space and time, as the planner
+priority does, which knows no current. Speeds are those through the water that cost least, so that a
+robot may be faster over ground than it cruises where the water carries it.
 """
 
 from dataclasses import dataclass
@@ -18,9 +19,11 @@ from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import Objective, Swimmer, swimmer
 from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
 from angler_mjx.planning.current.timetable import scheduled
+from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Team
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import Terrain, terrain
+from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
 from angler_mjx.world.environment import Environment
 
@@ -42,6 +45,9 @@ class CurrentSettings:
     """Share of the terminal speeds that may be swum; the rest is left to the controllers."""
     start_hold_s: float = 30.0
     """The latest time at which a robot sets off."""
+    budget: int = 4
+    """Searches of single robots, for each robot of the team, for those for whom no such time
+    suits; 0: they get no path."""
 
     def __post_init__(self) -> None:
         """Refuse what is none."""
@@ -51,6 +57,8 @@ class CurrentSettings:
             raise ValueError(f"effort = {self.effort:g}: must be 0.1 to 1")
         if not 0.0 <= self.start_hold_s <= 600.0:
             raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 600 s")
+        if not 0 <= self.budget <= 10000:
+            raise ValueError(f"budget = {self.budget}: must be 0 to 10000")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +73,8 @@ class CurrentConfig:
     """Way-points of a path."""
     foresees: bool
     """Whether obstacles that move are known of."""
+    ways: WayConfig
+    """How ways are sought for those for whom no time suits."""
 
 
 class CurrentPlanner:
@@ -78,6 +88,7 @@ def plan(
     teams: Team,
     current: KnownCurrent,
     obstacles: KnownObstacles,
+    seeds: jax.Array,
     config: CurrentConfig,
 ) -> Trajectory:
     """Plan the fleets of a batch of worlds, [W] leading everywhere.
@@ -87,12 +98,35 @@ def plan(
         teams: with starts and goals.
         current: as far as it is known.
         obstacles: that may move.
+        seeds: uint32 [W] for what is drawn by lot.
         config: static.
 
     Returns:
         Trajectory [W, R] from the starts at time 0 to the goals; where ``found`` is False every row
         is the start. No two paths meet, nor does one meet a robot without a way.
     """
+    paths = _in_parts(environments, teams, current, obstacles, config)
+    if config.settings.budget == 0:
+        return paths
+    return priority.plan(
+        environments,
+        teams.radius_m,
+        teams.cruise_speed_mps,
+        seeds,
+        config.ways,
+        config.settings.budget,
+        obstacles if config.foresees else None,
+        first=paths,
+    )
+
+
+def _in_parts(
+    environments: Environment,
+    teams: Team,
+    current: KnownCurrent,
+    obstacles: KnownObstacles,
+    config: CurrentConfig,
+) -> Trajectory:
     worlds, robots = teams.radius_m.shape
     chunk = max(1, AT_ONCE // robots)
     if worlds <= chunk:

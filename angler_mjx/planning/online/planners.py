@@ -76,6 +76,7 @@ class CurrentAnew:
             _alone(problem.team),
             _alone(problem.current),
             _alone(problem.obstacles),
+            _alone(problem.seed),
             self.config,
         )
         plans: Trajectory = jax.tree.map(lambda leaf: leaf[0], found)

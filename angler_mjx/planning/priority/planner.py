@@ -57,6 +57,7 @@ def plan(
     budget: int,
     known: KnownObstacles | None = None,
     slots: int = SLOTS,
+    first: Trajectory | None = None,
 ) -> Trajectory:
     """Plan the fleets of a batch of worlds, [W] leading everywhere.
 
@@ -69,6 +70,8 @@ def plan(
         budget: searches of single robots, for each robot of the team.
         known: obstacles that may move; none do, if left out.
         slots: worlds that are searched side by side.
+        first: [W, R] paths that some robots have already, none of which meet; they may be driven
+            out for others.
 
     Returns:
         Trajectory [W, R], as `angler_mjx.planning.grid.plan` gives it for one world. No two paths
@@ -81,6 +84,7 @@ def plan(
         speed: jax.Array,
         seed: jax.Array,
         known: KnownObstacles | None,
+        first: Trajectory | None,
     ) -> Task:
         return Task(
             land=terrain(environment),
@@ -90,9 +94,10 @@ def plan(
             speed_mps=speed,
             bodies=None if known is None else bodies_traffic(known, config.horizon_s),
             seed=seed,
+            first=first,
         )
 
-    tasks = jax.vmap(task)(environments, radius_m, speed_mps, seeds, known)
+    tasks = jax.vmap(task)(environments, radius_m, speed_mps, seeds, known, first)
     best: Trajectory = work_off(
         tasks,
         radius_m.shape[0],

@@ -41,6 +41,8 @@ class Task:
     """Obstacles that move, as far as they are known."""
     seed: jax.Array
     """uint32 []."""
+    first: Trajectory | None = None
+    """[R] what is planned already: paths that do not meet; None for nothing."""
 
 
 @jax.tree_util.register_dataclass
@@ -63,15 +65,16 @@ class Search:
 
 
 def begin(task: Task, config: WayConfig) -> Search:
-    """Nobody is planned; who needs longest is first."""
+    """Who has no path yet and needs longest is first."""
     n_robot = task.radius_m.shape[0]
     held = hold(task.start_m, config.n_point)
+    first = held if task.first is None else only(task.first.found, task.first, held)
     gap = task.goal_m - task.start_m
     needs = jnp.sqrt(jnp.sum(gap * gap, axis=-1)) / task.speed_mps
     none = jnp.zeros((n_robot,), jnp.int32)
     return Search(
-        plans=held,
-        best=held,
+        plans=first,
+        best=first,
         tries=none,
         # Below all numbers of searches, which are the turns of those that are taken out.
         turn=jnp.argsort(jnp.argsort(-needs)).astype(jnp.int32) - n_robot,

@@ -16,6 +16,7 @@ from angler_mjx.planning import asking
 from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
 from angler_mjx.planning.online.planners import _environment
+from angler_mjx.planning.ways.robot import WayConfig, layers
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
@@ -62,6 +63,7 @@ CONFIG = CurrentConfig(
     margin_m=0.1,
     n_point=32,
     foresees=False,
+    ways=WayConfig(horizon_s=200.0, n_point=32, n_layer=layers(200.0, CRUISE, 1.0)),
 )
 
 
@@ -76,6 +78,7 @@ def planned():
             jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], asked.team),
             jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], current),
             jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], no_obstacles()),
+            jnp.zeros(1, jnp.uint32),
             CONFIG,
         )
 
@@ -168,12 +171,15 @@ def test_robots_whose_ways_cross_never_meet(planned):
     np.testing.assert_allclose(where[:, -1], goals, atol=1e-3)
 
 
-def test_robots_that_no_time_suits_stay_where_they_are(planned):
-    """Head on along one line: each has to pass where the other stands."""
+def test_robots_that_no_time_suits_make_way_for_each_other(planned):
+    """Head on along one line: each has to pass where the other stands, whenever it sets off."""
     starts, goals = [[2.5, 8.5, 8.5], [13.5, 8.5, 8.5]], [[13.5, 8.5, 8.5], [2.5, 8.5, 8.5]]
     paths = planned(starts, goals, flow())
-    assert not paths.found.any()
-    np.testing.assert_array_equal(np.ptp(paths.position_m, axis=1), 0.0)
+    assert paths.found.all()
+    where = places((paths.time_s, paths.position_m), np.linspace(0.0, 200.0, 20001))
+    assert np.linalg.norm(where[0] - where[1], axis=-1).min() > 2 * 0.3 + CONFIG.margin_m - 1e-3
+    np.testing.assert_allclose(where[:, 0], starts, atol=1e-3)
+    np.testing.assert_allclose(where[:, -1], goals, atol=1e-3)
 
 
 def one(least, hotel=0.0):
@@ -236,7 +242,11 @@ def test_too_few_points_are_refused():
 
 @pytest.mark.parametrize(
     ("settings", "said"),
-    [({"least": "money"}, 'must be "energy" or "time"'), ({"effort": 2.0}, "must be 0.1 to 1")],
+    [
+        ({"least": "money"}, 'must be "energy" or "time"'),
+        ({"effort": 2.0}, "must be 0.1 to 1"),
+        ({"budget": -1}, "0 to 10000"),
+    ],
 )
 def test_settings_that_are_none_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
