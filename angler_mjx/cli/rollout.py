@@ -181,8 +181,8 @@ def figures(
         _draw(Run(run))
         print(run / "figures")
         return
-    from angler_mjx.viewing import beside as pictures
     from angler_mjx.viewing import style
+    from angler_mjx.viewing.maps import beside as pictures
 
     what = pictures.choose([Run(run), Run(beside)], world, robot, at)
     name = f"beside_world_{what.scenes[0].world}_robot_{what.robot}.png"

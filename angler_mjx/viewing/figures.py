@@ -5,8 +5,9 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage.folder import FIGURES, Run
-from angler_mjx.viewing import maps, scene, statistics, style
+from angler_mjx.viewing import scene, statistics, style
 from angler_mjx.viewing.choose import good_world, worst_world
+from angler_mjx.viewing.maps import one_world
 
 
 def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
@@ -51,9 +52,9 @@ def world_map(run: Run, world: int, word: str = "") -> Path:
     one = scene.read(run, world)
     density = float(one.environment.density)
     rock = f"{100 * density:.1f} % of the cells are rock" if density > 0 else "no rock"
-    figure = maps.draw(
+    figure = one_world.draw(
         one,
-        title=f"World {world}{word}: {maps.describe(one)}",
+        title=f"World {world}{word}: {one_world.describe(one)}",
         subtitle=f"{run.scenario.name}, seed {run.scenario.seed}; {rock}",
     )
     return style.save(figure, run.path / FIGURES / f"map_world_{world}.png")

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from angler_mjx.errors import RunError, UnsupportedError
 from angler_mjx.storage.atomic import whole
 from angler_mjx.storage.folder import REPLAY, Run
-from angler_mjx.viewing import maps, scene, window
+from angler_mjx.viewing import scene, window
 from angler_mjx.viewing.choose import good_world, worst_world
+from angler_mjx.viewing.maps import one_world
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -143,5 +144,5 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
         rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
         row_shares=[3, 3, 2],
     )
-    arrived = maps.describe(one).split(",")[0]
+    arrived = one_world.describe(one).split(",")[0]
     return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")

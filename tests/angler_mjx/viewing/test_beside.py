@@ -7,7 +7,7 @@ import pytest
 from matplotlib.patches import Circle
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.viewing import beside
+from angler_mjx.viewing.maps import beside
 
 from .conftest import make_run, make_scene
 

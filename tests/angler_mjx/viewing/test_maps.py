@@ -7,7 +7,8 @@ import pytest
 from matplotlib.collections import PatchCollection
 from matplotlib.quiver import Quiver
 
-from angler_mjx.viewing import maps, style
+from angler_mjx.viewing import style
+from angler_mjx.viewing.maps import one_world as maps
 
 
 @pytest.fixture(scope="module")

@@ -133,7 +133,8 @@ def test_without_a_display_it_says_what_to_do(run, monkeypatch):
 
 
 def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):
-    from angler_mjx.viewing import legends, replay_world
+    from angler_mjx.viewing import replay_world
+    from angler_mjx.viewing.maps import legends
 
     def text(one):
         return replay_world._fleet_table(one).text.as_arrow_array().to_pylist()[0]

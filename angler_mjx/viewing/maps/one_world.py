@@ -8,7 +8,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from angler_mjx.viewing import ground, legends, style
+from angler_mjx.viewing import style
+from angler_mjx.viewing.maps import ground, legends
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.obstacles import STATIC

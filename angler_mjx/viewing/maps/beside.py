@@ -18,7 +18,8 @@ from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage.folder import Run
 from angler_mjx.vehicles import library
-from angler_mjx.viewing import ground, scene, style
+from angler_mjx.viewing import scene, style
+from angler_mjx.viewing.maps import ground
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.obstacles import SPHERE
