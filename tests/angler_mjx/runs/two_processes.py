@@ -22,10 +22,12 @@ def main(port, index, then):
         os._exit(3)
     if index == 1 and then == "fail":
         joined.fail("its disk is full")
+        joined.leave()
         sys.exit(4)
     try:
         print(joined.meet("two"))
     except RunError as error:
+        joined.leave()
         sys.exit(f"angler: {error}")
     joined.leave()
 
