@@ -261,6 +261,9 @@ def _ways(
     cell, start_m, goal_m = ends
     cells, reached = search.way(cost, value, cell, 2 * sum(land.layout.shape))
     centres = land.grid.origin_m + (cells + 0.5) * land.grid.cell_m
+    # From the middle of the goal's cell to the goal itself, and there for the rest.
+    there = jnp.cumsum(jnp.all(cells == cells[-1], axis=-1)) > 1
+    centres = jnp.where(there[:, None], goal_m, centres)
     rough = jnp.concatenate([start_m[None], centres, goal_m[None]])
     most = config.n_point - 1
     short, enough = shortened(land, robot, rough, clearance_m, known.velocity, most)

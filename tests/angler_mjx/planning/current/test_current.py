@@ -67,20 +67,19 @@ CONFIG = CurrentConfig(
 )
 
 
+def alone(asked, current):
+    """Paths [1, 2] of one problem."""
+    one = partial(jax.tree.map, lambda leaf: jnp.asarray(leaf)[None])
+    seeds = jnp.zeros(1, jnp.uint32)
+    around, obstacles = one(_environment(asked)), one(no_obstacles())
+    return plan(around, one(asked.team), one(current), obstacles, seeds, CONFIG)
+
+
 @pytest.fixture(scope="module")
 def planned():
     """A function of starts, goals [2, 3] and a current that gives the paths of two robots."""
 
-    @jax.jit
-    def run(asked, current):
-        return plan(
-            jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], _environment(asked)),
-            jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], asked.team),
-            jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], current),
-            jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], no_obstacles()),
-            jnp.zeros(1, jnp.uint32),
-            CONFIG,
-        )
+    run = jax.jit(alone)
 
     def of(starts, goals, current):
         asked = problem(starts, goals, cells=16)
@@ -90,8 +89,8 @@ def planned():
 
 
 def test_a_robot_in_a_uniform_current_takes_zermelos_time(planned):
-    """The first goes with the current, the second against and across it."""
-    starts, goals = [[2.5, 2.5, 4.5], [13.5, 9.5, 8.5]], [[13.5, 5.5, 4.5], [3.5, 12.5, 8.5]]
+    """The first goes with the current, the second against and across it, between cells' centres."""
+    starts, goals = [[2.5, 2.5, 4.5], [13.2, 9.8, 8.3]], [[13.5, 5.5, 4.5], [3.1, 12.2, 8.3]]
     paths = planned(starts, goals, flow(uniform=(0.25, 0.1, 0.0)))
     assert paths.found.all()
     for robot in range(2):
@@ -152,6 +151,49 @@ def test_a_robot_bends_its_way_to_the_least_time(planned, name):
         )
         assert ideal * 0.995 < paths.time_s[robot, -1] < 1.02 * ideal
         assert through(water, start, goal) > 1.02 * ideal
+
+
+@pytest.mark.nightly(
+    by="tests/angler_mjx/planning/current/test_current.py::"
+    "test_a_robot_bends_its_way_to_the_least_time"
+)
+def test_a_robot_that_knows_how_the_water_will_move_takes_the_least_time_in_it():
+    """Gyres that sway by a quarter of their size within a minute, between random places."""
+
+    def swaying(xy, t):
+        x, y = np.asarray(xy)[..., 0] / 8.0, np.asarray(xy)[..., 1] / 16.0
+        sway = 0.25 * np.sin(2.0 * np.pi * t / 60.0)
+        bent, slope = sway * x * x + (1.0 - 2.0 * sway) * x, 2.0 * sway * x + 1.0 - 2.0 * sway
+        along = -0.15 * np.sin(np.pi * bent) * np.cos(np.pi * y)
+        return np.stack([along, 0.3 * slope * np.cos(np.pi * bent) * np.sin(np.pi * y)], axis=-1)
+
+    gyre = DoubleGyre(
+        lo_m=jnp.zeros(2),
+        extent_m=jnp.full(2, SIDE_M),
+        stream_m2ps=jnp.float32(0.3 * SIDE_M / (2.0 * np.pi)),
+        epsilon=jnp.float32(0.25),
+        period_s=jnp.float32(60.0),
+    )
+    run = jax.jit(alone)
+    draw, ratios = np.random.default_rng(5), []
+    for _ in range(12):
+        a, b = draw.uniform(2.0, 14.0, (2, 2))
+        if np.linalg.norm(a - b) < 6.0:
+            continue
+        asked = problem([[*a, 4.5], [*b, 8.5]], [[*b, 4.5], [*a, 8.5]], cells=16)
+        paths = run(asked, KnownCurrent(components=(gyre,), stays=False))
+        assert np.asarray(paths.found).all()
+        for robot, (start, goal) in enumerate(((a, b), (b, a))):
+            bounds = ((0.0, 0.0), (SIDE_M, SIDE_M))
+            ideal = least_time_s(
+                swaying, start, goal, CRUISE, bounds, horizon_s=60.0, step_s=0.2, headings=180
+            )
+            ratios.append(float(paths.time_s[0, robot, -1]) / ideal)
+    assert len(ratios) > 10
+    # One in twenty goes round the other side of a gyre.
+    assert np.median(ratios) < 1.002
+    assert max(ratios) < 1.1
+    assert min(ratios) > 0.995
 
 
 def places(paths, times):
