@@ -183,8 +183,9 @@ def figures(
         return
     from angler_mjx.viewing import style
     from angler_mjx.viewing.maps import beside as pictures
+    from angler_mjx.viewing.maps import pairing
 
-    what = pictures.choose([Run(run), Run(beside)], world, robot, at)
+    what = pairing.choose([Run(run), Run(beside)], world, robot, at)
     name = f"beside_world_{what.scenes[0].world}_robot_{what.robot}.png"
     print(style.save(pictures.draw(what), run / FIGURES / name, palette=128))
 

@@ -5,8 +5,6 @@ at the robot's height, so that what it shows is what the robot can meet.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -15,17 +13,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
-from angler_mjx.errors import ConfigError
-from angler_mjx.storage.folder import Run
 from angler_mjx.vehicles import library
-from angler_mjx.viewing import scene, style
+from angler_mjx.viewing import style
 from angler_mjx.viewing.maps import ground
+from angler_mjx.viewing.maps.pairing import Beside
 from angler_mjx.viewing.outlines import outline
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.obstacles import SPHERE
 
-BEFORE_S = (8.0, 4.0, 0.0)
-"""Times that are shown if none are given: so long before the first failure."""
 _ASIDE_M = 5.0
 """Half of what is seen, if both robots fit into it."""
 _TRAIL_S = 6.0
@@ -33,66 +28,6 @@ _TRAIL_S = 6.0
 _LEVEL_M = 0.75
 """Other robots and ways are drawn faintly further above or below than this."""
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
-_SAME = ("start_m", "goal_m", "floor_z_m")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Beside:
-    """What is to be drawn."""
-
-    scenes: tuple[Scene, ...]
-    names: tuple[str, ...]
-    robot: int
-    at_s: tuple[float, ...]
-
-
-def choose(
-    runs: Sequence[Run], world: int | None, robot: int | None, at_s: Sequence[float]
-) -> Beside:
-    """Read one world of some runs, and decide what of it is shown.
-
-    Args:
-        runs: of the same worlds, with trajectories.
-        world: global index; the first in which a robot ends differently if left out.
-        robot: index; the first that ends differently there.
-        at_s: times, s; some before the first failure of that robot if empty.
-
-    Raises:
-        ConfigError: the runs are of other worlds, do not hold that one, or there is no such robot
-            or time.
-    """
-    for run in runs:
-        if run.scenario.time.record_hz == 0:
-            raise ConfigError(f"{run.path}: holds no trajectories (time.record_hz = 0)")
-    there, differs = _differing(runs, world)
-    scenes = tuple(scene.read(run, there) for run in runs)
-    _check_same(runs, scenes, there)
-    count = len(scenes[0].robots)
-    if robot is not None and not 0 <= robot < count:
-        raise ConfigError(
-            f"--robot {robot}: must be 0 to {count - 1}, the robots of {runs[0].path}"
-        )
-    index = differs if robot is None else robot
-    horizon = min(run.scenario.time.horizon_s for run in runs)
-    for t in at_s:
-        if not 0.0 <= t <= horizon:
-            raise ConfigError(f"--at {t:g}: must be 0 to {horizon:g} s, the runs' horizon")
-    return Beside(
-        scenes=scenes,
-        names=tuple(name(run) for run in runs),
-        robot=index,
-        at_s=tuple(at_s) or _times([one.robots[index] for one in scenes]),
-    )
-
-
-def name(run: Run) -> str:
-    """How the robots of a run were led, in words."""
-    planner, policy = run.scenario.planner, run.scenario.policy
-    if policy.name != "none":
-        return f"{policy.name}, all the way"
-    if planner.replan_hz:
-        return f"{planner.name}, planned anew at {planner.replan_hz:g} Hz"
-    return f"{planner.name}, planned before the start"
 
 
 def draw(what: Beside) -> Figure:
@@ -106,8 +41,9 @@ def draw(what: Beside) -> Figure:
             "Slices from above, at the height of the robot; ways lead through other heights, too",
         )
         panels = figure.subplots(rows, columns, squeeze=False)
-        for column, t in enumerate(what.at_s):
-            middle, aside = _window(what, t)
+        windows = [_window(what, t) for t in what.at_s]
+        aside = max(half for _, half in windows)
+        for column, (t, (middle, _)) in enumerate(zip(what.at_s, windows, strict=True)):
             for row, one in enumerate(what.scenes):
                 axes = panels[row, column]
                 _picture(axes, one, what.robot, t)
@@ -117,54 +53,16 @@ def draw(what: Beside) -> Figure:
                 axes.set_xticks([])
                 axes.set_yticks([])
                 deep = -float(_at(one, one.robots[what.robot], t)[2])
-                axes.set_title(f"t = {t:g} s, {deep:.1f} m deep", fontsize=9.5)
+                end = float(one.time_s[-1])
+                # Behind its last sample, a tenth of a second of rounding aside, nothing is known.
+                over = f", over since {end:g} s" if t > end + 0.1 else ""
+                axes.set_title(f"t = {t:g} s, {deep:.1f} m deep{over}", fontsize=9.5)
                 if column == 0:
                     ended = style.OUTCOME_TEXT[one.robots[what.robot].outcome]
                     axes.set_ylabel(f"{what.names[row]}:\n{ended}", fontsize=10.5, color=style.INK)
         _scale(panels[-1, 0])
         figure.legend(handles=_legend(), loc="outside lower left", ncols=4, handlelength=2.2)
     return figure
-
-
-def _differing(runs: Sequence[Run], world: int | None) -> tuple[int, int]:
-    """A world, and a robot in it, that end differently in the first two runs; else the first."""
-    ends = [
-        {(row["world"], row["robot"]): row["outcome"] for row in run.episodes.to_pylist()}
-        for run in runs
-    ]
-    for run, end in zip(runs, ends, strict=True):
-        if world is not None and world not in {key[0] for key in end}:
-            raise ConfigError(f"world {world} is not in {run.path}")
-    both = sorted(key for key in ends[0] if all(key in end for end in ends[1:]))
-    mine = [key for key in both if world is None or key[0] == world]
-    if not mine:
-        raise ConfigError(f"{runs[0].path} and {runs[1].path}: have no world in common")
-    differ = [key for key in mine if len({end[key] for end in ends}) > 1]
-    hit = [key for key in differ if any(end[key].startswith("collision") for end in ends)]
-    return (hit or differ or mine)[0]
-
-
-def _check_same(runs: Sequence[Run], scenes: Sequence[Scene], world: int) -> None:
-    first = scenes[0]
-    for run, other in zip(runs[1:], scenes[1:], strict=True):
-        pairs = {key: [getattr(one.environment, key) for one in (first, other)] for key in _SAME}
-        pairs["grid"] = [one.environment.grid.occupied for one in (first, other)]
-        pairs["obstacles"] = [one.environment.obstacles.size_m for one in (first, other)]
-        for key, (a, b) in pairs.items():
-            if not np.array_equal(np.asarray(a), np.asarray(b)):
-                raise ConfigError(
-                    f"{runs[0].path} and {run.path}: world {world} differs ({key}); give two runs "
-                    "of one scenario and seed"
-                )
-
-
-def _times(robots: Sequence[RobotTrack]) -> tuple[float, ...]:
-    """Before the first failure; of robots that all arrived, quarters of the way."""
-    failed = [one.end_time_s for one in robots if not one.arrived]
-    if failed:
-        return tuple(max(round(min(failed) - t, 1), 0.0) for t in BEFORE_S)
-    end = min(one.end_time_s for one in robots)
-    return tuple(round(0.25 * k * end, 1) for k in (1, 2, 3))
 
 
 def _index(one: Scene, t: float) -> int:
