@@ -135,8 +135,10 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
             "and teams of each [[planner]]"
         )
     for setting in made.settings:
-        check_reachable(setting.scenario, f"{named(source)} ({setting}): set.time.horizon_s")
-        for one in made.asked(setting):
+        asked = made.asked(setting)
+        if not (setting.scenario.world.currents and any(_may_be_carried(one) for one in asked)):
+            check_reachable(setting.scenario, f"{named(source)} ({setting}): set.time.horizon_s")
+        for one in asked:
             _require_able(one, setting, source)
     return made
 
@@ -157,6 +159,11 @@ def _require_able(one: Contestant, setting: Setting, source: str) -> None:
 def _absolute(name: str, folder: Path) -> str:
     path, colon, qualname = name.rpartition(":")
     return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name
+
+
+def _may_be_carried(one: Contestant) -> bool:
+    """Whether it may be faster over ground than the cruise speed."""
+    return one.flies_itself or one.name == "current"
 
 
 def _settings(

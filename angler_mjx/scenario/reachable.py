@@ -23,8 +23,8 @@ def least_time_s(scenario: Scenario) -> float:
 def check_reachable(scenario: Scenario, key: str = "time.horizon_s") -> None:
     """Refuse a horizon in which no robot can be at its goal.
 
-    Plans are never faster over ground than the cruise speed; a policy may be, in a current, and is
-    not judged there.
+    Plans are never faster over ground than the cruise speed, but for those of the planner current;
+    a policy may be, too: in a current neither is judged.
 
     Args:
         scenario: that is to be planned or flown.
@@ -33,7 +33,8 @@ def check_reachable(scenario: Scenario, key: str = "time.horizon_s") -> None:
     Raises:
         ConfigError: naming the horizon and the least that is possible.
     """
-    if scenario.policy.name != "none" and scenario.world.currents:
+    may_be_carried = scenario.policy.name != "none" or scenario.planner.name == "current"
+    if may_be_carried and scenario.world.currents:
         return
     least_s, horizon_s = least_time_s(scenario), scenario.time.horizon_s
     if horizon_s >= least_s:

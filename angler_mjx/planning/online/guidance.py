@@ -40,6 +40,11 @@ def moving(clock_s: jax.Array) -> Standing:
     return Standing(passed_s=clock_s, for_s=jnp.zeros_like(clock_s))
 
 
+def begun_anew(standing: Standing, before_s: jax.Array, after_s: jax.Array) -> Standing:
+    """The same when clocks [R] are set from one time to another, as for new plans."""
+    return replace(standing, passed_s=standing.passed_s + after_s - before_s)
+
+
 def begin(q: jax.Array) -> FollowCarry:
     """Clocks at 0 for robots [R] with attitudes q [R, 4]."""
     w, x, y, z = jnp.moveaxis(q, -1, 0)
@@ -91,11 +96,11 @@ def step(
     held = clock < after.clock_s
     target = replace(target, velocity_mps=jnp.where(held[:, None], 0.0, target.velocity_mps))
     if standing is not None:
-        standing = _seen(standing, passed, held & ~barred, dt)
+        standing = seen(standing, passed, held & ~barred, dt)
     return replace(after, clock_s=clock), target, standing
 
 
-def _seen(standing: Standing, passed_s: jax.Array, waits: jax.Array, dt: float) -> Standing:
+def seen(standing: Standing, passed_s: jax.Array, waits: jax.Array, dt: float) -> Standing:
     """Who stands one control step later; ``waits`` [R] for others who get on."""
     gets_on = waits | (passed_s > standing.passed_s + FURTHER_S)
     return Standing(

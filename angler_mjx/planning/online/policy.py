@@ -106,8 +106,10 @@ class Online(Policy):
 
         def take(carry: Memory) -> Memory:
             plans, clocks = replanning.take_up(_of(carry), carry.clocks, cruise)
-            order = self._order(plans.now, known)
-            return replace(carry, clocks=clocks, order=order, plans=plans)
+            order, standing = self._order(plans.now, known), carry.standing
+            if standing is not None:
+                standing = guidance.begun_anew(standing, carry.clocks.clock_s, clocks.clock_s)
+            return replace(carry, clocks=clocks, order=order, standing=standing, plans=plans)
 
         # Those that were a whole period on their way are taken up before others take their place.
         parts = [(makes, make), (takes, take)]

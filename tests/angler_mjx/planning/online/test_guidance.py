@@ -62,3 +62,17 @@ def test_who_is_held_or_has_arrived_does_not_stand(flown):
     """The second waits at its start for 5 s, and both stand at their goals in the end."""
     patient, other = (flown(1e9, 40.0, patient=x) for x in (True, False))
     np.testing.assert_array_equal(patient, other)
+
+
+def test_who_flies_new_plans_every_second_does_not_stand():
+    """Clocks begin anew with each plan; who gets on upon none of them stands."""
+    clocks = np.zeros(2, np.float32)
+    standing, waits = guidance.moving(jnp.asarray(clocks)), np.zeros(2, bool)
+    for _ in range(20):
+        for _ in range(5):
+            clocks = clocks + np.float32([0.2, 0.0])
+            standing = guidance.seen(standing, clocks, waits, 0.2)
+        standing = guidance.begun_anew(standing, clocks, np.zeros(2, np.float32))
+        clocks = np.zeros(2, np.float32)
+    assert standing.for_s[0] < 1.0
+    np.testing.assert_allclose(standing.for_s[1], 20.0, rtol=1e-4)
