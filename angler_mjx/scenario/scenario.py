@@ -18,6 +18,7 @@ from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
+from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
     FOLDER,
     ControllerConfig,
@@ -71,6 +72,7 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+    store: StoreConfig = StoreConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:

@@ -241,6 +241,7 @@ class SessionRecording:
             plan_points=plan["plan_time_s"].shape[-1],
             estimated=first.belief is not None,
             jointed="plan_degree" in plan,
+            finely=self._scenario.store,
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,

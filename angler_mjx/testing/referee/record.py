@@ -105,6 +105,10 @@ PLACE = (
 )
 
 
+_STEPS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
+"""Keys of the scenario's ``[store]`` by which states are rounded."""
+
+
 def open_run(path: Path) -> Run:
     """Open a run folder.
 
@@ -123,6 +127,13 @@ def open_run(path: Path) -> Run:
             raise ConfigError(
                 f"{path}: this run stored no trajectories (record_hz = 0), so there is nothing to "
                 f"judge it by; run it again with --record-hz {1.0 / dt:g}"
+            )
+        steps = {key: step for key, step in config.get("store", {}).items() if key in _STEPS}
+        if any(step is not None for step in steps.values()):
+            raise ConfigError(
+                f"{path}: its trajectories are stored in steps ([store] "
+                f"{', '.join(key for key, step in steps.items() if step is not None)}), too coarse "
+                "to judge it by; run it again without them"
             )
         copies = read_copies(path / "inputs")
         fleet = [(vehicles.read(entry, copies), entry["count"]) for entry in config["fleet"]]

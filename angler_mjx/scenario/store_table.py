@@ -1,0 +1,44 @@
+"""The table of a scenario file that says how finely trajectories are stored."""
+
+from pydantic import Field
+
+from angler_mjx.files import FileModel
+
+
+class StoreConfig(FileModel):
+    """How trajectories are stored: exactly, in float32, or in steps; see `docs/runs.md`.
+
+    Steps take a fifth of the room. Plans and the last states are always exact.
+    """
+
+    position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
+    """Step of places and distances; exact if left out, as with those that follow."""
+    velocity_mmps: float | None = Field(default=None, ge=0.01, le=1000.0)
+    """Of velocities, those of the water too, and in mrad/s of angular velocities."""
+    attitude_mrad: float | None = Field(default=None, ge=0.01, le=100.0)
+    """Of angles; of the components of quaternions half of it, in thousandths."""
+    force_mn: float | None = Field(default=None, ge=0.01, le=1e5)
+    """Of forces, and in mN m of moments."""
+    pwm_us: float | None = Field(default=None, ge=0.01, le=100.0)
+    """Of the pulse widths that thrusters are given."""
+
+    def step(self, unit: str, dims: tuple[str, ...]) -> float | None:
+        """Step of an array in its own unit; None where it is stored as it is.
+
+        Args:
+            unit: as arrays of a run say it.
+            dims: names of its dimensions.
+        """
+        if "wxyz" in dims:
+            return self.attitude_mrad and 0.5e-3 * self.attitude_mrad
+        given = {
+            "m": self.position_mm,
+            "m/s": self.velocity_mmps,
+            "m/s, rad/s": self.velocity_mmps,
+            "rad": self.attitude_mrad,
+            "N, N m": self.force_mn,
+        }
+        if unit == "us":
+            return self.pwm_us
+        found = given.get(unit)
+        return found and 1e-3 * found

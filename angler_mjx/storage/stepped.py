@@ -1,0 +1,87 @@
+"""Arrays of floats that are stored in whole steps: a millimetre, a thousandth of a m/s.
+
+On disk they are integers, time running along a robot's row, where neighbours differ little; codecs
+of Zarr's own extensions say so (``transpose``, ``scale_offset``, ``cast_value``), so whoever opens
+the array with Zarr reads float32. Episodes of ``reef_fleet`` at 10 Hz, bytes a world before and
+after with steps of 1 mm, 1 mm/s, 2 mrad and 1 us: 502 kB (floats, LZ4), 182 (integers, LZ4),
+132 (Zstandard), 99 (time last), 86 (and shuffled by bits). Differences from sample to sample would
+take 37, by a codec that only zarr-python knows.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numcodecs.blosc import BITSHUFFLE, Blosc
+from zarr.codecs import BloscCodec, CastValue, ScaleOffset, TransposeCodec
+
+_ENCODER = Blosc(cname="zstd", shuffle=BITSHUFFLE, clevel=1)
+"""As the arrays' metadata say."""
+
+_LARGEST = {"m/s": 30.0, "m/s, rad/s": 30.0, "rad": 7.0, "us": 4000.0, "1": 1.1}
+"""What an array of a unit holds at most, where 16 bits are to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stepped:
+    """How an array [world, time, ...] is stored in steps."""
+
+    per_unit: float
+    """Steps in one unit of the array, a number of float32."""
+    short: bool
+    """Whether 16 bits hold what may come; 32 otherwise."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """On disk."""
+        return np.dtype(np.int16 if self.short else np.int32)
+
+    @property
+    def missing(self) -> int:
+        """Stands for NaN: the least number there is."""
+        return int(np.iinfo(self.dtype).min)
+
+    def filters(self, ndim: int) -> list[Any]:
+        """Codecs between the array and its bytes."""
+        between: Any = {"encode": [["NaN", self.missing]], "decode": [[self.missing, "NaN"]]}
+        return [
+            TransposeCodec(order=(0, *range(2, ndim), 1)),
+            ScaleOffset(scale=self.per_unit),
+            CastValue(
+                data_type=str(self.dtype),
+                out_of_range="clamp",
+                scalar_map=between,
+            ),
+        ]
+
+    @staticmethod
+    def compressor() -> BloscCodec:
+        """Of what the filters leave."""
+        return BloscCodec(cname="zstd", shuffle="bitshuffle", clevel=1)
+
+    def encoded(self, values: np.ndarray) -> list[bytes]:
+        """Chunks of some worlds, [n, time, ...], a chunk each; what is out of range is clamped."""
+        steps = values.astype(np.float32) * np.float32(self.per_unit)
+        np.rint(steps, out=steps)
+        unknown = np.isnan(steps)
+        most = np.nextafter(np.float32(np.iinfo(self.dtype).max), np.float32(0.0))
+        np.clip(steps, -most, most, out=steps)
+        steps[unknown] = 0.0
+        whole = steps.astype(self.dtype)
+        whole[unknown] = self.missing
+        # A world's chunk: its own axes first, time last.
+        rows = np.ascontiguousarray(np.moveaxis(whole, 1, -1))
+        return [_ENCODER.encode(world) for world in rows]
+
+
+def stepped(step: float | None, unit: str) -> Stepped | None:
+    """How an array is stored in steps of a size; None for none, which leaves it exact.
+
+    Args:
+        step: in the array's unit.
+        unit: of the array.
+    """
+    if step is None:
+        return None
+    most = _LARGEST.get(unit, np.inf) / step
+    return Stepped(per_unit=float(np.float32(1.0 / step)), short=most < np.iinfo(np.int16).max)
