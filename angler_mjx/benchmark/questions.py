@@ -198,7 +198,7 @@ def _settings(
             called = " ".join(names) or PLAIN
             whole = parse(Scenario, table, source=f"{source} ({called})")
             for team in config.teams or (None,):
-                found = whole if team is None else _with_team(whole, table, team, source, called)
+                found = whole if team is None else with_team(whole, table, team, source, called)
                 made += [
                     Setting(
                         scene=called,
@@ -237,7 +237,7 @@ def _require_ours_left(table: Mapping[str, Any], source: str) -> None:
             raise ConfigError(f"{named(source)}: set.{key}: give {instead} instead")
 
 
-def _with_team(
+def with_team(
     whole: Scenario, table: Mapping[str, Any], robots: int, source: str, called: str
 ) -> Scenario:
     """A scenario with another number of robots."""

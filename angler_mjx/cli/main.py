@@ -16,6 +16,7 @@ from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
     control,
+    dataset,
     env,
     export,
     fly,
@@ -41,6 +42,7 @@ GARBAGE = (100_000, 20, 20)
 command computes, finds next to nothing, and takes a fifth of that time."""
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
+    "dataset": {"make": dataset.make, "show": dataset.show},
     "env": {"make": env.make, "show": env.show},
     "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
     "scenarios": {
@@ -72,6 +74,10 @@ def _vehicle() -> None:
     """List vehicles, show what one can do, export its MuJoCo model."""
 
 
+def _dataset() -> None:
+    """Make datasets of flights for planners that learn, judge and show them."""
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     "rollout": rollout.rollout,
     "plan": plan.plan,
@@ -85,6 +91,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "teleop": teleop.teleop,
     "fly": fly.fly,
     "env": _env,
+    "dataset": _dataset,
     "sitl": _sitl,
     "spotcheck": spotcheck.spotcheck,
     "vehicle": _vehicle,

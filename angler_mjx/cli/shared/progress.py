@@ -96,3 +96,16 @@ class Bar(Shown):
     def tell(self, text: str) -> None:
         """See `Progress`."""
         self._bar.console.print(text, highlight=False, markup=False)
+
+
+class DatasetBar(Bar):
+    """The same for a dataset, part by part; a `datasets.making.Told`."""
+
+    def __init__(self) -> None:
+        """A bar."""
+        super().__init__(quiet=False)
+
+    def part(self, number: int, of: int, name: str) -> None:
+        """See `Told`."""
+        self._bar.console.print(f"part {number + 1} of {of}: {name}", highlight=False)
+        self._bar.reset(self._task, description="drawing up", total=None, steps=0)

@@ -1,0 +1,1 @@
+"""Datasets: run folders of one kind under one manifest, made, judged and read."""

@@ -1,0 +1,175 @@
+"""What a person, and a machine, read of a dataset first: ``README.md`` and ``croissant.json``."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from angler_mjx.datasets import croissant
+from angler_mjx.datasets.manifest import Manifest
+from angler_mjx.errors import size
+from angler_mjx.storage import atomic, folder, results
+
+README, CROISSANT = "README.md", "croissant.json"
+
+
+def write(place: Path, manifest: Manifest, table: pa.Table) -> None:
+    """Write both, of what lies in a dataset's folder.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    outcomes = _outcomes(place, manifest)
+    atomic.write_text(place / README, text(manifest, table, outcomes, _bytes(place)))
+    folder.write_json(place / CROISSANT, croissant.table(place, manifest))
+
+
+def _outcomes(place: Path, manifest: Manifest) -> dict[str, Counter[str]]:
+    """How robots ended, by scene and expert."""
+    found: dict[str, Counter[str]] = {}
+    for part in manifest.parts:
+        ended = folder.Run(place / part.path).episodes["outcome"].to_pylist()
+        found.setdefault(f"{part.scene}, {part.expert}", Counter()).update(ended)
+    return found
+
+
+def _bytes(place: Path) -> int:
+    return sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+
+
+def text(
+    manifest: Manifest, table: pa.Table, outcomes: dict[str, Counter[str]], n_byte: int
+) -> str:
+    """The card.
+
+    Args:
+        manifest: of the dataset.
+        table: its index.
+        outcomes: of robots, by scene and expert.
+        n_byte: of the whole dataset.
+    """
+    robots = pc.sum(table["robots"]).as_py()
+    hours = pc.sum(pc.multiply(table["duration_s"], pc.cast(table["robots"], pa.float32())))
+    made = manifest.environment
+    lines = [
+        "---",
+        f"license: {manifest.licence}",
+        "tags: [robotics, motion-planning, underwater, multi-robot, simulation]",
+        "---",
+        "",
+        f"# {manifest.name}",
+        "",
+        *([manifest.description, ""] if manifest.description else []),
+        f"{manifest.episodes:,} flights of teams of underwater robots, {robots:,} robots and "
+        f"{hours.as_py() / 3600:,.0f} robot-hours at {manifest.time['record_hz']:g} Hz; "
+        f"{size(n_byte)}, {size(n_byte / manifest.episodes)} an episode. Made by "
+        f"`{manifest.command}` with angler-mjx {made['versions'].get('angler-mjx')} on "
+        f"{made['device']} ({manifest.created}).",
+        "",
+        "Simulated, not measured at sea. Robots that failed are in it, labelled: who learns from "
+        "this is to say whether from all, or from `success` alone.",
+        "",
+        "## Read it",
+        "",
+        "```python",
+        "from angler_mjx import datasets",
+        "",
+        'train = datasets.open("PATH", split="train")',
+        "episode = train.episode(0)",
+        "```",
+        "",
+        "Without this package: `index.parquet` has a row an episode; `runs/*/trajectories.zarr` are "
+        "Zarr v3 groups (xarray opens them), `runs/*/episodes.parquet` has a row a robot. "
+        "`sha256sum -c sha256sums.txt` and `angler dataset verify PATH` judge it.",
+        "",
+        "## Splits",
+        "",
+        "By environment: the hash of the rock decides, so no rock of one split is in another, here "
+        "or in any other dataset of the same shares. `test_...` are shifted: nothing like them is "
+        "in `train`.",
+        "",
+        *_split_table(table),
+        "",
+        "## Who flew, and how it ended",
+        "",
+        *_outcome_table(outcomes),
+        "",
+        "## How hard",
+        "",
+        "`trivial`: every straight line is free and none passes another within 1.5 m; `crossing`: "
+        "some do; `blocked`: rock alone is in the way.",
+        "",
+        *_counts(table, "difficulty"),
+        "",
+        "## Conventions",
+        "",
+        *[f"- {key.replace('_', ' ')}: {value}" for key, value in manifest.conventions.items()],
+        "",
+        "| array | of | unit | stored | what it is |",
+        "|---|---|---|---|---|",
+        *[
+            f"| `{name}` | {', '.join(entry.dims)} | {entry.unit} | "
+            f"{f'in steps of {entry.step:g}' if entry.step else entry.dtype} | "
+            f"{entry.description} |"
+            for name, entry in manifest.arrays.items()
+        ],
+        "",
+        "## Parts",
+        "",
+        "| run folder | split | seed | worlds |",
+        "|---|---|---|---|",
+        *[
+            f"| `{part.path}` | {part.split or 'by environment'} | {part.seed} | {part.worlds:,} |"
+            for part in manifest.parts
+        ],
+        "",
+        "## Limits",
+        "",
+        "- The same tile, kernels, kind of device and versions make the same bytes again; others "
+        "make flights that part from these as chaotic motion does.",
+        "- Contacts end a robot's episode; nothing is learned here about what comes after.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _split_table(table: pa.Table) -> list[str]:
+    split = np.array(table["split"].to_pylist())
+    rock = np.array(table["environment"].to_pylist())
+    success = table["success"].to_numpy(zero_copy_only=False)
+    lines = [
+        "| split | episodes | environments | whole teams that arrive, % |",
+        "|---|---|---|---|",
+    ]
+    for name in sorted(set(split.tolist())):
+        mine = split == name
+        lines.append(
+            f"| {name} | {mine.sum():,} | {len(set(rock[mine].tolist())):,} | "
+            f"{100 * success[mine].mean():.1f} |"
+        )
+    return lines
+
+
+def _outcome_table(outcomes: dict[str, Counter[str]]) -> list[str]:
+    names = [name for name in results.OUTCOMES if any(found[name] for found in outcomes.values())]
+    lines = [
+        "| scene, expert | robots | " + " | ".join(f"{name}, %" for name in names) + " |",
+        "|---" * (2 + len(names)) + "|",
+    ]
+    for key, found in outcomes.items():
+        total = found.total()
+        cells = " | ".join(f"{100 * found[name] / total:.1f}" for name in names)
+        lines.append(f"| {key} | {total:,} | {cells} |")
+    return lines
+
+
+def _counts(table: pa.Table, column: str) -> list[str]:
+    found = Counter(table[column].to_pylist())
+    share: Sequence[str] = [
+        f"| {name} | {count:,} | {100 * count / len(table):.1f} |"
+        for name, count in sorted(found.items())
+    ]
+    return [f"| {column} | episodes | % |", "|---|---|---|", *share]

@@ -1,0 +1,317 @@
+"""Making a dataset: its parts flown one after another into run folders, then what says what they are.
+
+It is built like a run, in a hidden folder beside its place; the manifest comes last. A part that
+was broken off is resumed as any run is, so nothing but tiles in flight is lost.
+"""
+
+import datetime
+import gc
+import shlex
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import jax
+import pyarrow as pa
+
+from angler_mjx.datasets import card, index, manifest, sums
+from angler_mjx.datasets import parts as flown
+from angler_mjx.datasets.config import DatasetConfig
+from angler_mjx.datasets.manifest import ArrayEntry, Manifest, PartEntry
+from angler_mjx.datasets.parts import Part
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import rollout
+from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.storage import claims, folder, inputs, layout
+from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.damage import read_table
+from angler_mjx.storage.recorder import Shape
+
+MAKING = "making.json"
+"""What is made, while it is: the resolved file and the episodes; a resume must ask for the same."""
+
+MEMORY_BYTES = 1 << 30
+"""Of finished worlds that wait for the disk."""
+
+
+class Told(Progress, Protocol):
+    """What a dataset in the making tells: as a run does, and which part it is at."""
+
+    def part(self, number: int, of: int, name: str) -> None:
+        """A part begins."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What a person asked for."""
+
+    config: DatasetConfig
+    table: Mapping[str, Any]
+    """Of the scenario that all is made of."""
+    episodes: int
+    source: str
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """To be flown; see `parts.parts`."""
+        return flown.parts(self.config, self.table, self.episodes, self.source)
+
+    def resolved(self) -> dict[str, Any]:
+        """All of it in plain values."""
+        return {
+            "dataset": self.config.model_dump(mode="json"),
+            "scenario": dict(self.table),
+            "episodes": self.episodes,
+        }
+
+
+def ask(path: Path, episodes: int) -> Asked:
+    """What is to be made of a dataset file.
+
+    Raises:
+        ConfigError: the file has faults, or episodes are none.
+    """
+    if episodes < 1:
+        raise ConfigError(f"--episodes {episodes}: must be at least 1")
+    config, table = flown.read(path)
+    return Asked(config=config, table=table, episodes=episodes, source=str(path))
+
+
+def make(
+    asked: Asked,
+    out: Path,
+    *,
+    told: Told,
+    resume: bool = False,
+    devices: int | None = None,
+    workers: int | None = None,
+) -> Path | None:
+    """Make a dataset, or go on with one.
+
+    Args:
+        asked: what is to be in it.
+        out: folder to make.
+        told: of how far it is.
+        resume: go on with an interrupted one.
+        devices: to fly on; all if left out. Changes no byte of the results.
+        workers: processes that plan, where a planner is one of the host.
+
+    Returns:
+        Its folder; None after an interruption (Ctrl-C): what was finished is kept, to go on with.
+
+    Raises:
+        ConfigError: the folder is taken, or what is asked for cannot be flown, or is not what was
+            begun there.
+        RunError: the disk or the device gave out.
+    """
+    parts = asked.parts
+    _require_one_recording(parts, asked.source)
+    claimed = _again(asked, out) if resume else _begin(asked, parts, out)
+    with _released(claimed):
+        for number, part in enumerate(parts):
+            told.part(number, len(parts), part.path)
+            if not _fly(part, claimed.building / part.path, told, devices, workers):
+                return None
+            # Programs of many parts together would use up the memory maps of a process.
+            jax.clear_caches()
+            gc.collect()
+        _close(asked, parts, claimed)
+    return out
+
+
+def _require_one_recording(parts: Sequence[Part], source: str) -> None:
+    """Refuse parts that are recorded at different rates, or in different steps."""
+    first = parts[0].scenario
+    if first.time.record_hz == 0.0:
+        raise ConfigError(f"{source}: set.time.record_hz = 0: there is nothing to learn from it")
+    for part in parts:
+        for name, a, b in (
+            ("set.time.record_hz", first.time.record_hz, part.scenario.time.record_hz),
+            ("set.store", first.store, part.scenario.store),
+        ):
+            if a != b:
+                raise ConfigError(
+                    f"{source}: scene {part.scene!r}, {name}: {b} is not {a} as in scene "
+                    f"{parts[0].scene!r}; a dataset is recorded in one way"
+                )
+
+
+def _begin(asked: Asked, parts: Sequence[Part], out: Path) -> Claim:
+    claimed = claims.claim(out, what="dataset")
+    try:
+        folder.write_json(claimed.building / MAKING, asked.resolved())
+        (claimed.building / flown.RUNS).mkdir()
+    except OSError as error:
+        claimed.withdraw()
+        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+    return claimed
+
+
+def _again(asked: Asked, out: Path) -> Claim:
+    """The folder of a dataset that was broken off.
+
+    Raises:
+        ConfigError: there is none, it is whole, or of another file or number of episodes.
+    """
+    if (out / manifest.MANIFEST).is_file():
+        raise ConfigError(f"--resume {out}: this dataset is complete; nothing is left to do")
+    building = claims.partial_path(out)
+    if not (building / MAKING).is_file():
+        raise ConfigError(f"--resume {out}: there is no interrupted dataset of that name")
+    before, now = read_table(building / MAKING), asked.resolved()
+    for key in ("episodes", "dataset", "scenario"):
+        if before.get(key) != now[key]:
+            was = f" ({before.get(key)}, now {now[key]})" if key == "episodes" else ""
+            raise ConfigError(
+                f"--resume {out}: was begun with other {key}{was}; give what it was begun with, or "
+                "begin a new one"
+            )
+    claimed = claims.reclaim(out, what="dataset")
+    if claimed is None:
+        raise ConfigError(f"--resume {out}: there is no interrupted dataset of that name")
+    return claimed
+
+
+@contextmanager
+def _released(claimed: Claim) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        claimed.release()
+
+
+def _fly(part: Part, place: Path, told: Told, devices: int | None, workers: int | None) -> bool:
+    """Fly a part, or what is left of it; whether it is whole now."""
+    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
+        return True
+    how: dict[str, Any] = {"progress": told, "devices": devices, "workers": workers}
+    how["chunk"] = _chunk(part)
+    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
+    if (begun / folder.CONFIG).is_file():
+        run = rollout.resume(place, **how)
+    else:
+        run = rollout.rollout(part.scenario, out=place, **how)
+    return bool(run.summary["complete"])
+
+
+def _chunk(part: Part) -> int:
+    """Finished worlds that may wait for the disk."""
+    scenario = part.scenario
+    samples = round(scenario.time.horizon_s * scenario.time.record_hz)
+    per_world = Shape(
+        worlds=1,
+        samples=samples,
+        robots=part.robots,
+        thrusters=8,
+        obstacles=64,
+        plan_points=scenario.planner.points,
+    ).bytes_per_world()
+    return max(1, MEMORY_BYTES // (2 * per_world))
+
+
+def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
+    """Index, sums, card and, last, the manifest; then the folder gets its name."""
+    place = claimed.building
+    try:
+        tables, first = [], 0
+        for number, part in enumerate(parts):
+            entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
+            rows = index.rows(place / part.path, number, entry, asked.config.split, first)
+            tables.append(rows)
+            first += len(rows)
+        table = pa.concat_tables(tables)
+        index.write(place, table)
+        made = describe(asked, parts, place, table)
+        card.write(place, made, table)
+        (place / MAKING).unlink()
+        manifest.write(place, made.model_copy(update={"sums": sums.write(place)}))
+    except OSError as error:
+        raise RunError(
+            f"--out {claimed.out}: cannot be written ({error.strerror or error}); its flights are "
+            f"whole in {place}: make room and go on with --resume"
+        ) from error
+    claimed.publish()
+
+
+def describe(asked: Asked, parts: Sequence[Part], place: Path, table: pa.Table) -> Manifest:
+    """The manifest of a dataset, but for the sums of its files."""
+    runs = [folder.Run(place / part.path) for part in parts]
+    splits = table["split"].to_pylist()
+    first = runs[0]
+    config = asked.config
+    return Manifest(
+        name=config.name,
+        description=config.description,
+        licence=config.licence,
+        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        command=shlex.join(["angler", *sys.argv[1:]]),
+        episodes=len(table),
+        splits={name: splits.count(name) for name in sorted(set(splits))},
+        split_shares=config.split.model_dump(),
+        parts=tuple(
+            PartEntry(
+                path=part.path,
+                scene=part.scene,
+                expert=part.expert,
+                robots=part.robots,
+                worlds=run.scenario.worlds,
+                seed=run.scenario.seed,
+                split=part.split,
+                digest=run.scenario.digest(),
+                tile=run.scenario.tile or run.scenario.worlds,
+                kernels=run.scenario.kernels,
+            )
+            for part, run in zip(parts, runs, strict=True)
+        ),
+        conventions={
+            key: str(value)
+            for key, value in dict(first.trajectories.attrs).items()
+            if isinstance(value, str)
+        },
+        arrays=_arrays(first),
+        time={
+            "record_hz": first.scenario.time.record_hz,
+            "control_dt_s": first.scenario.time.control_dt_s,
+            "physics_dt_s": first.scenario.time.physics_dt_s,
+        },
+        seeds={
+            "dataset": config.seed,
+            "keys": str(jax.config.jax_default_prng_impl),
+            "of_parts": "first 31 bits of SHA-256 of 'angler dataset SEED part NUMBER'",
+            "of_worlds": "the part's key folded with the world's index",
+        },
+        parameter_sets=_parameter_sets(runs),
+        environment=describe_environment(),
+        sums="0" * 64,
+    )
+
+
+def _arrays(run: folder.Run) -> dict[str, ArrayEntry]:
+    stored: Any = run.trajectories
+    found = {}
+    for name, kind in layout.ARRAYS.items():
+        if name in stored:
+            stepped = kind.dims[:1] == ("time",) and kind.dtype is not None
+            step = run.scenario.store.step(kind.unit, kind.dims) if stepped else None
+            found[name] = ArrayEntry(
+                dims=("world", *kind.dims),
+                unit=kind.unit,
+                description=kind.text,
+                dtype=str(stored[name].dtype),
+                step=step if str(stored[name].dtype) == "float32" else None,
+            )
+    return found
+
+
+def _parameter_sets(runs: Sequence[folder.Run]) -> dict[str, str]:
+    """Sums of the vehicle and thruster files of all parts."""
+    found: dict[str, str] = {}
+    for run in runs:
+        for one in inputs.read_inputs(run.path):
+            if one.role in (inputs.VEHICLE, inputs.THRUSTER):
+                found[one.named] = one.sha256
+    return dict(sorted(found.items()))

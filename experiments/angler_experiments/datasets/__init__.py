@@ -1,0 +1,1 @@
+"""Dataset files, and what is measured of datasets."""
