@@ -81,8 +81,8 @@ def text(
         "episode = train.episode(0)",
         "```",
         "",
-        "Without this package: `index.parquet` has a row an episode; `runs/*/trajectories.zarr` are "
-        "Zarr v3 groups (xarray opens them), `runs/*/episodes.parquet` has a row a robot. "
+        "Without this package: `index.parquet` has a row an episode; `runs/*/trajectories.zarr` "
+        "are Zarr v3 groups (xarray opens them), `runs/*/episodes.parquet` has a row a robot. "
         "`sha256sum -c sha256sums.txt` and `angler dataset verify PATH` judge it.",
         "",
         "## Splits",

@@ -32,7 +32,7 @@ _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
         "environment",
         pa.string(),
         "",
-        "hash of the rock; where there is none, of all that was drawn",
+        "hash of the rock; without any, of all that was drawn",
     ),
     ("samples", pa.int32(), "1", "samples until the last robot had ended"),
     ("duration_s", pa.float32(), "s", "until the last robot had ended"),
@@ -80,7 +80,8 @@ def rows(
     world = episodes["world"].to_numpy()[::robots]
 
     def by_world(name: str) -> np.ndarray:
-        return episodes[name].to_numpy(zero_copy_only=False).reshape(-1, robots)
+        values: np.ndarray = episodes[name].to_numpy(zero_copy_only=False)
+        return values.reshape(-1, robots)
 
     reached = (by_world("outcome") == "reached").sum(axis=1)
     ended = np.where(
@@ -97,7 +98,8 @@ def rows(
     knows = scenario.planner.knows
     if policy.name != "none" and policy.knows is not None:
         knows = policy.knows
-    most = run.trajectories["p_m"].shape[1]
+    stored: Any = run.trajectories
+    most = stored["p_m"].shape[1]
     split = entry["split"]
     count = len(world)
     columns: dict[str, Any] = {

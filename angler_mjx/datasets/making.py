@@ -1,4 +1,4 @@
-"""Making a dataset: its parts flown one after another into run folders, then what says what they are.
+"""Making a dataset: its parts flown into run folders one by one, then what says what they are.
 
 It is built like a run, in a hidden folder beside its place; the manifest comes last. A part that
 was broken off is resumed as any run is, so nothing but tiles in flight is lost.

@@ -59,7 +59,7 @@ class ArrayEntry(FileModel):
 class Manifest(FileModel):
     """``dataset.json``."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[1] = 1
     name: str
     description: str
     licence: str

@@ -79,7 +79,7 @@ def parts(
     total = sum(weight for *_, weight in cells)
     counts = _shares([weight / total for *_, weight in cells], episodes)
     if min(counts) < 1:
-        scene, team, expert, weight = cells[counts.index(min(counts))]
+        scene, _, expert, _ = cells[counts.index(min(counts))]
         raise ConfigError(
             f"--episodes {episodes}: scene {scene.name!r}, expert {expert.title!r} would get none "
             f"of them; give {_least([w / total for *_, w in cells])} or more, or fewer scenes, "
