@@ -1,5 +1,6 @@
 """`angler dataset`: make, show and judge datasets."""
 
+import json as text
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,9 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.datasets.manifest import Manifest
+
+
+SHOWN = 100
+"""Findings that are printed."""
 
 
 def make(
@@ -82,3 +88,51 @@ def _report(place: Path, found: "Manifest") -> None:
     console.print(shown)
     console.print(", ".join(f"{name}: {count:,}" for name, count in found.splits.items()))
     console.print(str(place), highlight=False, soft_wrap=True)
+
+
+def verify(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    again: int = 0,
+    device: Device | None = None,
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Judge a dataset: its files, its values, and some of its episodes by flying them again.
+
+    With the tile, kind of device and versions that made it every byte must come out the same;
+    elsewhere flights may part, and the report says how far they do. Exits with 0 when nothing is
+    wrong, with 1 when something is, with 2 when there is no dataset that could be judged.
+
+    Args:
+        dataset: Its folder.
+        again: How many episodes to fly again, spread over its parts.
+        device: Where to compute; JAX's choice if left out.
+        json: Print one JSON object instead of the table.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    if again < 0:
+        raise ConfigError(f"--again {again}: must be 0 or more")
+    choose(device, distributed=False)
+    keep_all_programs()
+    from angler_mjx.datasets.verifying import judging
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
+        task = bar.add_task("files", total=None)
+        report = judging.verify(
+            dataset,
+            again,
+            lambda what, done, of: bar.update(task, description=what, completed=done, total=of),
+        )
+    if json:
+        print(text.dumps(report.table()))
+    else:
+        for one in report.findings[:SHOWN]:
+            print(one.line())
+        if (more := len(report.findings) - SHOWN) > 0:
+            print(f"... and {more} more; --json holds all of them")
+        for check in report.checks:
+            print(f"{check.name}: {check.looked_at}: {len(check.findings) or 'nothing'} wrong")
+    if not report.agrees:
+        sys.exit(1)

@@ -42,7 +42,7 @@ GARBAGE = (100_000, 20, 20)
 command computes, finds next to nothing, and takes a fifth of that time."""
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
-    "dataset": {"make": dataset.make, "show": dataset.show},
+    "dataset": {"make": dataset.make, "show": dataset.show, "verify": dataset.verify},
     "env": {"make": env.make, "show": env.show},
     "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
     "scenarios": {

@@ -59,8 +59,24 @@ class Stepped:
         """Of what the filters leave."""
         return BloscCodec(cname="zstd", shuffle="bitshuffle", clevel=1)
 
+    def rounded(self, values: np.ndarray) -> np.ndarray:
+        """Values as they are read back."""
+        whole = self._whole(values)
+        found: np.ndarray = np.where(
+            whole == self.missing,
+            np.float32(np.nan),
+            whole.astype(np.float32) / np.float32(self.per_unit),
+        ).astype(np.float32)
+        return found
+
     def encoded(self, values: np.ndarray) -> list[bytes]:
         """Chunks of some worlds, [n, time, ...], a chunk each; what is out of range is clamped."""
+        # A world's chunk: its own axes first, time last.
+        rows = np.ascontiguousarray(np.moveaxis(self._whole(values), 1, -1))
+        return [_ENCODER.encode(world) for world in rows]
+
+    def _whole(self, values: np.ndarray) -> np.ndarray:
+        """Numbers of steps."""
         steps = values.astype(np.float32) * np.float32(self.per_unit)
         np.rint(steps, out=steps)
         unknown = np.isnan(steps)
@@ -69,9 +85,7 @@ class Stepped:
         steps[unknown] = 0.0
         whole = steps.astype(self.dtype)
         whole[unknown] = self.missing
-        # A world's chunk: its own axes first, time last.
-        rows = np.ascontiguousarray(np.moveaxis(whole, 1, -1))
-        return [_ENCODER.encode(world) for world in rows]
+        return whole
 
 
 def stepped(step: float | None, unit: str) -> Stepped | None:

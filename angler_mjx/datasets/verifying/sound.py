@@ -1,0 +1,177 @@
+"""Files against their sums, parts against the manifest, values against what they can be."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from angler_mjx.datasets import index, sums
+from angler_mjx.datasets.config import SplitConfig
+from angler_mjx.datasets.manifest import SPLITS, Manifest
+from angler_mjx.datasets.verifying.report import Check
+from angler_mjx.errors import ConfigError
+from angler_mjx.storage.damage import reading
+from angler_mjx.storage.folder import Run
+
+MOST_MPS, MOST_RADPS = 20.0, 50.0
+"""Of a vehicle: what is faster has diverged."""
+FARTHEST_M = 30_000.0
+PWM_US = (1100.0, 1900.0)
+WORLDS = 64
+"""Read at once."""
+
+
+def files(place: Path, manifest: Manifest) -> Check:
+    """Every file against its sum."""
+    check = Check(name="files")
+    said = sums.read(place, manifest.sums)
+    there = set(sums.files(place))
+    for name in sorted(said.keys() - there):
+        check.wrong(name, "is missing; copy it again, or mend it with angler dataset repair")
+    for name in sorted(there - said.keys()):
+        check.wrong(name, "is no file of the dataset; move it elsewhere")
+    names = sorted(there & said.keys())
+    for name, digest in sums.of_files(place, names):
+        if digest != said[name]:
+            check.wrong(
+                name,
+                "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
+                "dataset with angler dataset repair",
+            )
+    check.looked_at = f"{len(names):,} files"
+    return check
+
+
+def parts(place: Path, manifest: Manifest) -> Check:
+    """Every part against what the manifest says of it."""
+    check = Check(name="parts")
+    for part in manifest.parts:
+        try:
+            run = Run(place / part.path)
+            scenario = run.scenario
+            stored: Any = run.trajectories  # whose schema is checked there
+            summary = run.summary
+        except ConfigError as error:
+            check.wrong(part.path, str(error))
+            continue
+        said = {
+            "worlds": (part.worlds, scenario.worlds),
+            "seed": (part.seed, scenario.seed),
+            "robots": (part.robots, len(scenario.members())),
+            "digest": (part.digest, scenario.digest()),
+            "record_hz": (manifest.time["record_hz"], scenario.time.record_hz),
+            "complete": (True, summary.get("complete")),
+            "arrays": (set(), manifest.arrays.keys() - _names(stored)),
+        }
+        for key, (wanted, found) in said.items():
+            if wanted != found:
+                check.wrong(part.path, f"{key} is {found!r}, and the manifest says {wanted!r}")
+    check.looked_at = f"{len(manifest.parts)} run folders"
+    return check
+
+
+def _names(stored: Any) -> set[str]:
+    return {name for name, _ in stored.members(max_depth=None)}
+
+
+def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
+    """The index made again of the parts, and its splits."""
+    check = Check(name="index", looked_at=f"{len(table):,} episodes")
+    shares = SplitConfig(**manifest.split_shares)
+    first = 0
+    for number, part in enumerate(manifest.parts):
+        entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
+        try:
+            made = index.rows(place / part.path, number, entry, shares, first)
+        except ConfigError as error:
+            check.wrong(part.path, str(error))
+            return check
+        mine = table.slice(first, len(made))
+        for name in made.schema.names:
+            if made[name].to_pylist() != mine[name].to_pylist():
+                check.wrong(
+                    f"index.parquet, {name}", f"is not what {part.path} gives; copy it again"
+                )
+        first += len(made)
+    if first != len(table) or first != manifest.episodes:
+        check.wrong("index.parquet", f"has {len(table)} rows; the parts have {first} episodes")
+    _splits(check, table)
+    return check
+
+
+def _splits(check: Check, table: pa.Table) -> None:
+    """An environment in more than one split is learned by heart."""
+    seen: dict[str, str] = {}
+    told = set()
+    for rock, split in zip(
+        table["environment"].to_pylist(), table["split"].to_pylist(), strict=True
+    ):
+        before = seen.setdefault(rock, split)
+        if before != split and (pair := tuple(sorted((before, split)))) not in told:
+            told.add(pair)
+            check.wrong(
+                "index.parquet", f"splits {pair[0]} and {pair[1]} share the environment {rock}"
+            )
+    unknown = {s for s in table["split"].to_pylist() if s not in SPLITS and s[:5] != "test_"}
+    if unknown:
+        check.wrong("index.parquet", f"knows splits that are none: {', '.join(sorted(unknown))}")
+
+
+def values(place: Path, manifest: Manifest) -> Check:
+    """Every sample against what it can be."""
+    check = Check(name="values")
+    worlds = samples = 0
+    for part in manifest.parts:
+        try:
+            stored: Any = Run(place / part.path).trajectories
+            with reading(place / part.path):
+                for first in range(0, part.worlds, WORLDS):
+                    chosen = slice(first, min(first + WORLDS, part.worlds))
+                    names = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
+                    got = {name: np.asarray(stored[name][chosen]) for name in names}
+                    _values(check, part.path, first, got, manifest)
+                    worlds += chosen.stop - chosen.start
+                    samples += got["p_m"].size // 3
+        except ConfigError as error:
+            check.wrong(part.path, str(error))
+    check.looked_at = f"{samples:,} samples of robots in {worlds:,} worlds"
+    return check
+
+
+def _values(
+    check: Check, path: str, first: int, got: dict[str, np.ndarray], manifest: Manifest
+) -> None:
+    """Of some worlds: [w, t, r, ...]."""
+    outcome = got["outcome"].astype(int)
+    known = np.isfinite(got["p_m"]).all(-1)  # NaN after the tile had ended
+    running = known & (outcome == 0)
+    step = manifest.arrays["q"].step or 0.0
+    pwm = got["pwm_us"]
+    faults = {
+        "p_m": running & (np.abs(got["p_m"]) > FARTHEST_M).any(-1),
+        "q": known
+        & (outcome != 7)
+        & ~np.isclose(np.linalg.norm(got["q"], axis=-1), 1.0, atol=1e-4 + 2.0 * step),
+        "nu": running
+        & (
+            (np.abs(got["nu"][..., :3]) > MOST_MPS).any(-1)
+            | (np.abs(got["nu"][..., 3:]) > MOST_RADPS).any(-1)
+        ),
+        "pwm_us": known
+        & ((pwm != 0.0) & ((pwm < PWM_US[0] - 0.5) | (pwm > PWM_US[1] + 0.5))).any(-1),
+        "outcome": (outcome > 7),
+        "current_mps": running & ~(np.abs(got["current_mps"]) <= MOST_MPS).all(-1),
+        "target_m": running & ~np.isfinite(got["target_m"]).all(-1),
+    }
+    back = np.diff(outcome, axis=1)
+    faults["outcome"][:, 1:] |= (back != 0) & (outcome[:, :-1] != 0)
+    for name, fault in faults.items():
+        if fault.any():
+            world, time, robot = np.argwhere(fault)[0]
+            value = np.asarray(got[name][world, time, robot]).tolist()
+            check.wrong(
+                f"{path}/trajectories.zarr/{name}",
+                f"world {first + world}, sample {time}, robot {robot}: {value} cannot be "
+                f"({int(fault.sum())} such samples)",
+            )
