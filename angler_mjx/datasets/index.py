@@ -87,11 +87,13 @@ def rows(
     ended = np.where(
         by_world("outcome") == "reached", by_world("time_to_goal_s"), by_world("failure_time_s")
     ).max(axis=1)
-    around = _environments(run)
-    hashes = [environment_hash(*one) for one in _rocks(around, len(world))]
-    starts, goals = around["start_m"], around["goal_m"]
-    crossings = np.array([crossing_pairs(a, b) for a, b in zip(starts, goals, strict=True)])
-    free = around["line_free"].sum(axis=1)
+    around = [_drawn(one) for one in _environments(run, len(world))]
+    hashes = [digest for one in around for digest in one["environment"]]
+    drawn = {
+        name: np.concatenate([one[name] for one in around])
+        for name in ("density", "path_ratio", "free_lines", "crossings")
+    }
+    free, crossings = drawn["free_lines"], drawn["crossings"]
     trivial = (free == robots) & (crossings == 0)
     hz = scenario.time.record_hz
     policy = scenario.policy
@@ -121,8 +123,8 @@ def rows(
         "reached": reached.astype(np.int32),
         "success": reached == robots,
         "energy_j": by_world("energy_j").sum(axis=1).astype(np.float32),
-        "density": around["density"].astype(np.float32),
-        "path_ratio": around["path_ratio"].mean(axis=1).astype(np.float32),
+        "density": drawn["density"].astype(np.float32),
+        "path_ratio": drawn["path_ratio"].astype(np.float32),
         "free_lines": free.astype(np.int32),
         "crossings": crossings.astype(np.int32),
         "difficulty": np.where(trivial, "trivial", np.where(crossings > 0, "crossing", "blocked")),
@@ -130,20 +132,33 @@ def rows(
     return pa.table(columns, schema=SCHEMA)
 
 
-def _environments(run: Run) -> dict[str, np.ndarray]:
-    """What the index says of the worlds' environments."""
+def _environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
+    """What the index looks at of the worlds' environments, some worlds at a time."""
     group: Any = run.trajectories[layout.ENVIRONMENT]
     names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
     names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
-    with reading(run.path):
-        return {name: np.asarray(group[name][:]) for name in names}
+    arrays = {name: group[name] for name in names}
+    step = arrays["density"].chunks[0]
+    for first in range(0, worlds, step):
+        with reading(run.path):
+            here = slice(first, min(first + step, worlds))
+            yield {name: np.asarray(array[here]) for name, array in arrays.items()}
 
 
-def _rocks(around: Mapping[str, np.ndarray], worlds: int) -> Iterator[tuple[np.ndarray, bytes]]:
-    """Rock of each world, and all else that was drawn of it."""
+def _drawn(around: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What the index says of some worlds: hashes, and how hard they are."""
     rest = [around[name] for name in sorted(around) if name not in ("density", "path_ratio")]
-    for i in range(worlds):
-        yield around["grid/occupied"][i], b"".join(array[i].tobytes() for array in rest)
+    hashes = [
+        environment_hash(rock, b"".join(array[i].tobytes() for array in rest))
+        for i, rock in enumerate(around["grid/occupied"])
+    ]
+    return {
+        "environment": hashes,
+        "density": around["density"],
+        "path_ratio": around["path_ratio"].mean(axis=1),
+        "free_lines": around["line_free"].sum(axis=1),
+        "crossings": crossing_pairs(around["start_m"], around["goal_m"]),
+    }
 
 
 def environment_hash(occupied: np.ndarray, rest: bytes) -> str:
@@ -170,20 +185,21 @@ def split_of(digest: str, shares: SplitConfig) -> str:
     return SPLITS[-1]
 
 
-def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> int:
-    """Pairs of robots whose straight lines pass within `CROSSING_M` of each other.
+def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
+    """Pairs of robots [n] whose straight lines pass within `CROSSING_M` of each other.
 
     Args:
-        start_m: [r, 3].
-        goal_m: [r, 3].
+        start_m: [n, r, 3].
+        goal_m: [n, r, 3].
     """
-    a, b = np.triu_indices(len(start_m), 1)
-    gap = segment_gap_m(start_m[a], goal_m[a], start_m[b], goal_m[b])
-    return int((gap < CROSSING_M).sum())
+    a, b = np.triu_indices(start_m.shape[1], 1)
+    gap = segment_gap_m(start_m[:, a], goal_m[:, a], start_m[:, b], goal_m[:, b])
+    pairs: np.ndarray = (gap < CROSSING_M).sum(axis=-1)
+    return pairs
 
 
 def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Distances [n] between lines from p to q and from r to s, [n, 3] each, m.
+    """Distances [...] between lines from p to q and from r to s, [..., 3] each, m.
 
     C. Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
@@ -196,7 +212,7 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
         u = np.where(e > 0.0, (b * t + f) / e, 0.0)
         t = np.where(u < 0.0, -c / a, np.where(u > 1.0, (b - c) / a, t))
     t, u = np.nan_to_num(t).clip(0.0, 1.0), u.clip(0.0, 1.0)
-    between = p + t[:, None] * d1 - r - u[:, None] * d2
+    between = p + t[..., None] * d1 - r - u[..., None] * d2
     gap: np.ndarray = np.linalg.norm(between, axis=-1)
     return gap
 

@@ -26,16 +26,19 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout
 from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.storage import claims, folder, inputs, layout
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.damage import read_table
 from angler_mjx.storage.recorder import Shape
+from angler_mjx.world.config import resolve
 
 MAKING = "making.json"
 """What is made, while it is: the resolved file and the episodes; a resume must ask for the same."""
 
-MEMORY_BYTES = 1 << 30
-"""Of finished worlds that wait for the disk."""
+TILE_BYTES = 2 * 10**9
+"""Samples of a tile at most, where the file names no tile: one is flown while another is written,
+and a GPU is as fast with half its tile."""
 
 
 class Told(Progress, Protocol):
@@ -188,29 +191,33 @@ def _fly(part: Part, place: Path, told: Told, devices: int | None, workers: int 
     """Fly a part, or what is left of it; whether it is whole now."""
     if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
         return True
-    how: dict[str, Any] = {"progress": told, "devices": devices, "workers": workers}
-    how["chunk"] = _chunk(part)
+    how: dict[str, Any] = {"progress": told, "devices": devices, "workers": workers, "chunk": 1}
     begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
     if (begun / folder.CONFIG).is_file():
         run = rollout.resume(place, **how)
     else:
-        run = rollout.rollout(part.scenario, out=place, **how)
+        scenario = part.scenario.model_copy(update={"tile": tile_of(part)})
+        run = rollout.rollout(scenario, out=place, **how)
     return bool(run.summary["complete"])
 
 
-def _chunk(part: Part) -> int:
-    """Finished worlds that may wait for the disk."""
+def tile_of(part: Part) -> int:
+    """Worlds in one device call: the file's, or as many as memory is to hold of them."""
     scenario = part.scenario
-    samples = round(scenario.time.horizon_s * scenario.time.record_hz)
+    if scenario.tile is not None:
+        return scenario.tile
+    obstacles = resolve(scenario.world).obstacles
     per_world = Shape(
         worlds=1,
-        samples=samples,
+        samples=round(scenario.time.horizon_s * scenario.time.record_hz),
         robots=part.robots,
         thrusters=8,
-        obstacles=64,
+        obstacles=obstacles.dynamic.count + len(obstacles.explicit),
         plan_points=scenario.planner.points,
+        estimated=scenario.senses,
     ).bytes_per_world()
-    return max(1, MEMORY_BYTES // (2 * per_world))
+    fits = max(1, TILE_BYTES // per_world)
+    return min(default_tile(scenario.worlds), 1 << (fits.bit_length() - 1))
 
 
 def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:

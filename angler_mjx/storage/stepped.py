@@ -62,30 +62,25 @@ class Stepped:
     def rounded(self, values: np.ndarray) -> np.ndarray:
         """Values as they are read back."""
         whole = self._whole(values)
-        found: np.ndarray = np.where(
-            whole == self.missing,
-            np.float32(np.nan),
-            whole.astype(np.float32) / np.float32(self.per_unit),
-        ).astype(np.float32)
+        found: np.ndarray = whole.astype(np.float32) / np.float32(self.per_unit)
+        found[whole == self.missing] = np.nan
         return found
 
     def encoded(self, values: np.ndarray) -> list[bytes]:
         """Chunks of some worlds, [n, time, ...], a chunk each; what is out of range is clamped."""
         # A world's chunk: its own axes first, time last.
-        rows = np.ascontiguousarray(np.moveaxis(self._whole(values), 1, -1))
-        return [_ENCODER.encode(world) for world in rows]
+        return [_ENCODER.encode(world) for world in self._whole(np.moveaxis(values, 1, -1))]
 
     def _whole(self, values: np.ndarray) -> np.ndarray:
-        """Numbers of steps."""
-        steps = values.astype(np.float32) * np.float32(self.per_unit)
+        """Numbers of steps, in rows one after another whatever the order of the values."""
+        steps = np.empty(values.shape, np.float32)
+        np.multiply(values, np.float32(self.per_unit), out=steps)
         np.rint(steps, out=steps)
-        unknown = np.isnan(steps)
         most = np.nextafter(np.float32(np.iinfo(self.dtype).max), np.float32(0.0))
         np.clip(steps, -most, most, out=steps)
-        steps[unknown] = 0.0
-        whole = steps.astype(self.dtype)
-        whole[unknown] = self.missing
-        return whole
+        # What is no number yet takes the least one.
+        np.fmax(steps, np.float32(self.missing), out=steps)
+        return steps.astype(self.dtype)
 
 
 def stepped(step: float | None, unit: str) -> Stepped | None:
