@@ -210,7 +210,7 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
         across = a * e - b * b
         t = np.where(across > 1e-9, (b * f - c * e) / across, 0.0).clip(0.0, 1.0)
         u = np.where(e > 0.0, (b * t + f) / e, 0.0)
-        t = np.where(u < 0.0, -c / a, np.where(u > 1.0, (b - c) / a, t))
+        t = np.where(u <= 0.0, -c / a, np.where(u >= 1.0, (b - c) / a, t))
     t, u = np.nan_to_num(t).clip(0.0, 1.0), u.clip(0.0, 1.0)
     between = p + t[..., None] * d1 - r - u[..., None] * d2
     gap: np.ndarray = np.linalg.norm(between, axis=-1)

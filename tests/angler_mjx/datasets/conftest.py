@@ -1,0 +1,79 @@
+"""One small dataset, made once by the command itself, for all tests of datasets."""
+
+import shutil
+
+import pytest
+
+from angler_mjx.cli import main
+
+FILE = """
+schema_version = 1
+name = "small"
+description = "For tests."
+scenario = "scenario.toml"
+seed = 4
+
+[split]
+train = 0.5
+val = 0.25
+test = 0.25
+
+[[scene]]
+name = "here"
+weight = 2.0
+
+[[scene]]
+name = "there"
+shifted = true
+
+[[expert]]
+name = "grid"
+"""
+
+SCENARIO = """
+schema_version = 1
+name = "small"
+engine = "fused"
+tile = 2
+
+[time]
+horizon_s = 4.0
+record_hz = 5.0
+
+[store]
+position_mm = 1.0
+velocity_mmps = 1.0
+
+[world]
+preset = "angler2024"
+placement = "random"
+
+[[fleet]]
+vehicle = "bluerov2_heavy"
+count = 2
+
+[world.obstacles.dynamic]
+count = 2
+"""
+
+
+@pytest.fixture(scope="session")
+def file(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dataset")
+    (folder / "scenario.toml").write_text(SCENARIO)
+    (folder / "small.toml").write_text(FILE)
+    return folder / "small.toml"
+
+
+@pytest.fixture(scope="session")
+def made(file):
+    """Six worlds in two parts; not to be changed."""
+    out = file.parent / "made"
+    main.main(["dataset", "make", str(file), "--episodes", "6", "--out", str(out)])
+    return out
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    """One that may be damaged."""
+    return shutil.copytree(made, tmp_path / "copy")
