@@ -1,0 +1,1 @@
+"""Datasets read: arrays of one world at a time, episodes, windows of them."""

@@ -1,0 +1,250 @@
+"""A dataset that is read: which episodes, and each of them."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from angler_mjx.datasets import index, manifest
+from angler_mjx.datasets.config import SplitConfig
+from angler_mjx.datasets.reading.episode import Episode
+from angler_mjx.datasets.reading.stored import StoredArray
+from angler_mjx.datasets.reading.windows import Windows
+from angler_mjx.errors import ConfigError, UnsupportedError, shown
+from angler_mjx.storage import folder, layout
+from angler_mjx.storage.damage import reading
+
+FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
+"""Arrays that are read where none are named."""
+
+
+class Dataset:
+    """Episodes of a dataset, or of a run folder; may be sent to other processes."""
+
+    def __init__(
+        self,
+        place: Path,
+        table: pa.Table,
+        parts: Sequence[Path],
+        fields: Sequence[str],
+    ) -> None:
+        """See `open_dataset`."""
+        self.place = place
+        self.index = table
+        """A row an episode; see `angler_mjx.datasets.index`."""
+        self.fields = tuple(fields)
+        self._parts = tuple(parts)
+        self._stored: dict[tuple[int, str], StoredArray] = {}
+        self._names: dict[int, list[str]] = {}
+        self._rows: dict[str, np.ndarray] = {
+            name: table[name].to_numpy(zero_copy_only=False)
+            for name in ("part", "world", "samples", "robots")
+        }
+
+    def __len__(self) -> int:
+        """Episodes."""
+        return len(self.index)
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Int [episode] until the last robot had ended."""
+        return self._rows["samples"]
+
+    @property
+    def robots(self) -> np.ndarray:
+        """Int [episode] of the teams."""
+        return self._rows["robots"]
+
+    def stored(self, episode: int, name: str) -> StoredArray:
+        """An array of the run in which an episode lies.
+
+        Raises:
+            ConfigError: there is none of that name, or it is damaged.
+        """
+        part = int(self._rows["part"][episode])
+        found = self._stored.get((part, name))
+        if found is None:
+            path = self._parts[part] / folder.TRAJECTORIES / name
+            if not (path / "zarr.json").is_file():
+                raise ConfigError(
+                    f"{path}: is not there; arrays of a run are {', '.join(self.names(episode))}"
+                )
+            found = self._stored[part, name] = StoredArray(path)
+        return found
+
+    def names(self, episode: int) -> list[str]:
+        """Arrays [world, time, ...] of the run in which an episode lies."""
+        part = int(self._rows["part"][episode])
+        found = self._names.get(part)
+        if found is None:
+            place = self._parts[part] / folder.TRAJECTORIES
+            timed = (name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",))
+            found = [name for name in timed if (place / name / "zarr.json").is_file()]
+            self._names[part] = found
+        return found
+
+    def values(self, episode: int, name: str, times: slice | None = None) -> np.ndarray:
+        """Values of one array: [time, robot, ...] or [time, obstacle, ...].
+
+        Args:
+            episode: its place in the index.
+            name: of the array.
+            times: of its samples; until its end if None.
+
+        Raises:
+            ConfigError: there is none of that name, or it is damaged.
+        """
+        whole = slice(0, int(self.samples[episode])) if times is None else times
+        return self.stored(episode, name).read(int(self._rows["world"][episode]), whole)
+
+    def episode(self, episode: int) -> Episode:
+        """A flight with all that is known of it.
+
+        Raises:
+            ConfigError: a file of it is damaged.
+            IndexError: there is no such episode.
+        """
+        if not 0 <= episode < len(self):
+            raise IndexError(f"episode {episode} of {len(self)}")
+        about = self.index.slice(episode, 1).to_pylist()[0]
+        part, world = about["part"], about["world"]
+        run = self.run(part)
+        group: Any = run.trajectories
+        robots = about["robots"]
+        with reading(run.path):
+            around = {
+                name.removeprefix(f"{layout.ENVIRONMENT}/"): np.asarray(node[world])
+                for name, node in group.members(max_depth=None)
+                if name.startswith(f"{layout.ENVIRONMENT}/") and hasattr(node, "ndim") and node.ndim
+            }
+            plan = {name: np.asarray(group[name][world]) for name in ("plan_time_s", "plan_m")}
+        rows = run.episodes.slice(world * robots, robots)
+        present = self.names(episode)
+        return Episode(
+            about=about,
+            time_s=np.asarray(group[layout.TIME][: about["samples"]]),
+            arrays={n: self.values(episode, n) for n in self.fields if n in present},
+            running=self.values(episode, "outcome") == 0,
+            start_m=around["start_m"],
+            goal_m=around["goal_m"],
+            environment=around,
+            outcomes=tuple(rows["outcome"].to_pylist()),
+            **plan,
+        )
+
+    def run(self, part: int) -> folder.Run:
+        """The run folder of a part."""
+        return folder.Run(self._parts[part])
+
+    def goals_m(self, episode: int) -> np.ndarray:
+        """[robot, 3] in W."""
+        part = int(self._rows["part"][episode])
+        goals: np.ndarray = self._goals[part][int(self._rows["world"][episode])]
+        return goals
+
+    @cached_property
+    def _goals(self) -> Mapping[int, np.ndarray]:
+        found = {}
+        for part in sorted(set(self._rows["part"].tolist())):
+            group: Any = self.run(part).trajectories
+            with reading(self._parts[part]):
+                found[part] = np.asarray(group[f"{layout.ENVIRONMENT}/goal_m"][:])
+        return found
+
+    def windows(
+        self,
+        length: int,
+        *,
+        stride: int = 1,
+        every: int = 1,
+        of: str = "team",
+        neighbours: int = 0,
+    ) -> Windows:
+        """Windows of a fixed length, of all episodes; see `Windows`."""
+        return Windows(self, length, stride=stride, every=every, of=of, neighbours=neighbours)
+
+    def statistics(self, most: int = 1000) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Mean and standard deviation of each field's components while robots are on their way.
+
+        Args:
+            most: episodes that are looked at, evenly spread.
+        """
+        sums: dict[str, list[np.ndarray | float]] = {}
+        for i in np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int)):
+            running = self.values(int(i), "outcome") == 0
+            for name in (name for name in self.fields if name in self.names(int(i))):
+                values = self.values(int(i), name).astype(float)
+                of_robots = "robot" in layout.ARRAYS[name].dims
+                chosen = values[running] if of_robots else values.reshape(-1, values.shape[-1])
+                chosen = chosen[np.isfinite(chosen).all(-1)]
+                total = sums.setdefault(name, [0.0, 0.0, 0.0])
+                total[0] += len(chosen)
+                total[1] += chosen.sum(axis=0)
+                total[2] += (chosen**2).sum(axis=0)
+        found = {}
+        for name, (count, first, second) in sums.items():
+            if count:
+                mean = np.asarray(first) / count
+                spread = np.sqrt(np.maximum(np.asarray(second) / count - mean**2, 0.0))
+                found[name] = (mean.astype(np.float32), spread.astype(np.float32))
+        return found
+
+    def xarray(self, part: int = 0) -> Any:
+        """Trajectories of a part as an `xarray.Dataset`, read when looked at.
+
+        Raises:
+            UnsupportedError: xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise UnsupportedError("xarray is not installed: pip install xarray") from error
+        return xarray.open_zarr(self._parts[part] / folder.TRAJECTORIES, consolidated=False)
+
+
+def open_dataset(
+    place: Path | str,
+    *,
+    split: str | Sequence[str] | None = None,
+    fields: Sequence[str] = FIELDS,
+    success: bool | None = None,
+) -> Dataset:
+    """Open a dataset, or a run folder as one.
+
+    Args:
+        place: its folder.
+        split: train, val, test, test_NAME, or several; all if None.
+        fields: arrays of episodes and windows, by their names in the runs.
+        success: only episodes in which the whole team arrived, or only the others; all if None.
+
+    Raises:
+        ConfigError: there is no such dataset, split or array, or it is damaged.
+    """
+    place = Path(place)
+    if not (place / manifest.MANIFEST).is_file() and (place / folder.SUMMARY).is_file():
+        entry = {"scene": "run", "expert": folder.Run(place).scenario.planner.name, "split": None}
+        every = SplitConfig(train=1.0, val=0.0, test=0.0)
+        table, parts = index.rows(place, 0, entry, every, 0), [place]
+    else:
+        found = manifest.read(place)
+        table, parts = index.read(place), [place / part.path for part in found.parts]
+    unknown = [name for name in fields if name not in layout.ARRAYS]
+    if unknown:
+        known = [name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",)]
+        raise ConfigError(f"fields: {shown(unknown[0])} is none of {', '.join(known)}")
+    if split is not None:
+        wanted = [split] if isinstance(split, str) else list(split)
+        there = sorted(set(table["split"].to_pylist()))
+        for name in wanted:
+            if name not in there:
+                raise ConfigError(f"split: {shown(name)} is none of {', '.join(there)} of {place}")
+        table = table.filter(pc.is_in(table["split"], pa.array(wanted)))
+    if success is not None:
+        table = table.filter(pc.equal(table["success"], success))
+    if not len(table):
+        raise ConfigError(f"{place}: no episode is left of that split and success")
+    return Dataset(place, table, parts, fields)

@@ -1,0 +1,110 @@
+"""How fast a dataset is read: random windows, windows in order, whole episodes; PyTorch, Grain.
+
+    python -m angler_experiments.datasets.reading_speed datasets/reef
+
+Files that were read before lie in memory: it is the reader that is measured, not the disk.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from angler_mjx import datasets
+from angler_mjx.datasets.reading.windows import Windows
+
+BATCH = 64
+"""Windows that PyTorch's workers hand over at once."""
+
+
+def rate(work: Iterable[Any], seconds: float) -> tuple[float, float]:
+    """Items and bytes a second of what is iterated for so long, the first ones left out."""
+    items = iter(work)
+    for _ in range(20):
+        next(items)
+    begun, count, n_byte = time.perf_counter(), 0, 0
+    for item in items:
+        count += 1
+        n_byte += sum(np.asarray(value).nbytes for value in item.values())
+        if time.perf_counter() - begun > seconds:
+            break
+    took = time.perf_counter() - begun
+    return count / took, n_byte / took
+
+
+def report(what: str, work: Callable[[], Iterable[Any]], seconds: float, each: int = 1) -> None:
+    """Print a row: the best of three, of items that hold so many."""
+    best = max(rate(work(), seconds) for _ in range(3))
+    print(f"| {what} | {each * best[0]:,.0f} | {best[1] / 1e9:.2f} |", flush=True)
+
+
+def by_torch(windows: Windows, workers: int) -> Iterable[Any]:
+    """A pass by PyTorch's workers, in batches: each costs as much to hand over as one window."""
+    from torch.utils.data import DataLoader
+
+    from angler_mjx.datasets.loaders.torch import WindowStream
+
+    context = "forkserver" if workers else None
+    return DataLoader(
+        WindowStream(windows),
+        batch_size=BATCH,
+        num_workers=workers,
+        multiprocessing_context=context,
+    )
+
+
+def main(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    length: int = 64,
+    seconds: float = 5.0,
+    torch: bool = False,
+    grain: bool = False,
+) -> None:
+    """Print a table of rates.
+
+    Args:
+        dataset: Its folder, or a run folder.
+        length: Samples in a window.
+        seconds: Of each measurement.
+        torch: Measure PyTorch's loaders too.
+        grain: Measure Grain's too.
+    """
+    data = datasets.open(dataset)
+    team, one = data.windows(length), data.windows(length, of="robot")
+    rng = np.random.default_rng(0)
+    print(f"{len(data)} episodes, windows of {length} samples\n")
+    print("| what | items/s | GB/s |\n|---|---|---|")
+    for name, windows in (("team", team), ("robot", one)):
+        numbers = rng.integers(0, len(windows), 200_000)
+        report(
+            f"random windows of a {name}",
+            lambda w=windows, n=numbers: (w[int(i)] for i in n),  # type: ignore[misc]
+            seconds,
+        )
+    strides = data.windows(length, stride=length)
+    report("windows in order", lambda: iter(strides), seconds)
+    fields = data.fields
+    report(
+        "whole episodes",
+        lambda: ({name: data.values(i, name) for name in fields} for i in range(len(data))),
+        seconds,
+    )
+    if torch:
+        for workers in (0, 2):
+            report(
+                f"PyTorch, {workers} workers",
+                lambda k=workers: by_torch(team, k),  # type: ignore[misc]
+                seconds,
+                BATCH,
+            )
+    if grain:
+        from angler_mjx.datasets.loaders.grain import source
+
+        report("Grain, shuffled", lambda: source(team).shuffle(seed=0).to_iter_dataset(), seconds)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
