@@ -24,6 +24,7 @@ weight = 2.0
 
 [[scene]]
 name = "there"
+teams = [1]
 shifted = true
 
 [[expert]]

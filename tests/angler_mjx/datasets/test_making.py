@@ -42,7 +42,7 @@ def test_what_is_made_is_whole(made):
         run = Run(made / part.path)
         assert run.summary["complete"]
         assert run.scenario.seed == part.seed
-        assert run.episodes.num_rows == 2 * part.worlds
+        assert run.episodes.num_rows == part.robots * part.worlds
     checked = subprocess.run(
         ["sha256sum", "--check", "--strict", "--quiet", manifest.SUMS],
         cwd=made,

@@ -66,7 +66,7 @@ def test_the_list_of_sums_is_guarded_too(copy):
 
 
 def test_values_that_cannot_be_are_found_with_their_place(copy):
-    part = manifest.read(copy).parts[1].path
+    part = manifest.read(copy).parts[0].path
     for name, at, value in (
         ("pwm_us", (1, 3, 0, 2), 2500.0),
         ("q", (0, 2, 1), 0.3),
