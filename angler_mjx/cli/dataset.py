@@ -136,3 +136,94 @@ def verify(
             print(f"{check.name}: {check.looked_at}: {len(check.findings) or 'nothing'} wrong")
     if not report.agrees:
         sys.exit(1)
+
+
+def repair(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    accept: bool = False,
+    device: Device | None = None,
+) -> None:
+    """Fly again what of a dataset was damaged or lost; what is whole is kept.
+
+    Args:
+        dataset: Its folder.
+        accept: Keep flights that come out otherwise than before, on another device or version.
+        device: Where to compute; JAX's choice if left out.
+    """
+    choose(device, distributed=False)
+    keep_all_programs()
+    from angler_mjx.cli.shared.progress import DatasetBar
+    from angler_mjx.datasets.keeping import repair as keeping
+
+    with DatasetBar() as bar:
+        done = keeping.repair(dataset, bar, accept=accept)
+    if not done.damaged:
+        print("nothing is damaged")
+        return
+    print(f"{len(done.damaged)} files were damaged or lost, {done.damaged[0]} first")
+    print(f"flown again: {', '.join(done.parts) or 'nothing'}")
+    if done.other:
+        print(f"{len(done.other)} files have other bytes than before, {done.other[0]} first")
+
+
+def merge(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) -> None:
+    """Make one dataset of several that were recorded in one way.
+
+    Args:
+        datasets: Their folders.
+        out: Folder to make; files are linked into it where the disk can.
+    """
+    from angler_mjx.datasets import manifest
+    from angler_mjx.datasets.keeping import merge as keeping
+
+    made = keeping.merge(datasets, out)
+    _report(made, manifest.read(made))
+
+
+def stats(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Count what is in a dataset: splits, experts, outcomes, and means and deviations of fields.
+
+    Args:
+        dataset: Its folder.
+        json: Print one JSON object instead of tables.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.datasets.keeping import counting
+    from angler_mjx.errors import size
+
+    found = counting.stats(dataset)
+    if json:
+        print(text.dumps(found))
+        return
+    console = Console()
+    console.print(
+        f"{found['name']}: {found['episodes']:,} episodes, {found['robots']:,} robots, "
+        f"{size(found['bytes'])}"
+    )
+    for column, values in found["by"].items():
+        table = Table(column, "episodes", "whole teams that arrive")
+        for name, value in values.items():
+            table.add_row(name, f"{value['episodes']:,}", f"{100 * value['success']:.1f} %")
+        console.print(table)
+    table = Table("robots that ended by", "number", "share")
+    total = sum(found["outcomes"].values())
+    for name, count in sorted(found["outcomes"].items(), key=lambda one: -one[1]):
+        table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
+    console.print(table)
+    table = Table("of episodes", "10 %", "median", "90 %")
+    for name, value in found["quantiles"].items():
+        table.add_row(name, *(f"{value[key]:.3g}" for key in ("p10", "p50", "p90")))
+    console.print(table)
+    table = Table("field", "mean", "standard deviation")
+    for name, value in found["fields"].items():
+        table.add_row(name, *(_numbers(value[key]) for key in ("mean", "std")))
+    console.print(table)
+
+
+def _numbers(values: list[float]) -> str:
+    return " ".join(f"{value:.3g}" for value in values)

@@ -42,7 +42,14 @@ GARBAGE = (100_000, 20, 20)
 command computes, finds next to nothing, and takes a fifth of that time."""
 
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
-    "dataset": {"make": dataset.make, "show": dataset.show, "verify": dataset.verify},
+    "dataset": {
+        "make": dataset.make,
+        "show": dataset.show,
+        "verify": dataset.verify,
+        "repair": dataset.repair,
+        "merge": dataset.merge,
+        "stats": dataset.stats,
+    },
     "env": {"make": env.make, "show": env.show},
     "sitl": {"install": sitl.install, "doctor": sitl.doctor, "run": sitl_run.run},
     "scenarios": {

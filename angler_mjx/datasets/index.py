@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from angler_mjx.datasets.config import SplitConfig
-from angler_mjx.datasets.manifest import INDEX, SPLITS
+from angler_mjx.datasets.manifest import INDEX, SPLITS, Manifest
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage import atomic, layout
 from angler_mjx.storage.damage import reading
@@ -215,6 +215,36 @@ def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) ->
     between = p + t[..., None] * d1 - r - u[..., None] * d2
     gap: np.ndarray = np.linalg.norm(between, axis=-1)
     return gap
+
+
+def of_manifest(place: Path, manifest: Manifest) -> pa.Table:
+    """The index of all parts of a dataset.
+
+    Raises:
+        ConfigError: a run is damaged.
+    """
+    shares = SplitConfig(**manifest.split_shares)
+    tables: list[pa.Table] = []
+    first = 0
+    for number, part in enumerate(manifest.parts):
+        entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
+        tables.append(rows(place / part.path, number, entry, shares, first))
+        first += len(tables[-1])
+    return pa.concat_tables(tables)
+
+
+def shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
+    """Two splits that share an environment, and that; None where none do.
+
+    What is in two splits is learned by heart.
+    """
+    seen: dict[str, str] = {}
+    rocks, splits = table["environment"].to_pylist(), table["split"].to_pylist()
+    for rock, split in zip(rocks, splits, strict=True):
+        before = seen.setdefault(rock, split)
+        if before != split:
+            return min(before, split), max(before, split), rock
+    return None
 
 
 def write(place: Path, table: pa.Table) -> None:

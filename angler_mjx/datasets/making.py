@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import jax
-import pyarrow as pa
 
 from angler_mjx.datasets import card, index, manifest, sums
 from angler_mjx.datasets import parts as flown
@@ -224,15 +223,12 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
     """Index, sums, card and, last, the manifest; then the folder gets its name."""
     place = claimed.building
     try:
-        tables, first = [], 0
-        for number, part in enumerate(parts):
-            entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
-            rows = index.rows(place / part.path, number, entry, asked.config.split, first)
-            tables.append(rows)
-            first += len(rows)
-        table = pa.concat_tables(tables)
+        made = describe(asked, parts, place)
+        table = index.of_manifest(place, made)
+        splits = table["split"].to_pylist()
+        counts = {name: splits.count(name) for name in sorted(set(splits))}
+        made = made.model_copy(update={"episodes": len(table), "splits": counts})
         index.write(place, table)
-        made = describe(asked, parts, place, table)
         card.write(place, made, table)
         (place / MAKING).unlink()
         manifest.write(place, made.model_copy(update={"sums": sums.write(place)}))
@@ -244,10 +240,9 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
     claimed.publish()
 
 
-def describe(asked: Asked, parts: Sequence[Part], place: Path, table: pa.Table) -> Manifest:
-    """The manifest of a dataset, but for the sums of its files."""
+def describe(asked: Asked, parts: Sequence[Part], place: Path) -> Manifest:
+    """The manifest of a dataset, but for its splits and the sums of its files."""
     runs = [folder.Run(place / part.path) for part in parts]
-    splits = table["split"].to_pylist()
     first = runs[0]
     config = asked.config
     return Manifest(
@@ -256,8 +251,8 @@ def describe(asked: Asked, parts: Sequence[Part], place: Path, table: pa.Table) 
         licence=config.licence,
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         command=shlex.join(["angler", *sys.argv[1:]]),
-        episodes=len(table),
-        splits={name: splits.count(name) for name in sorted(set(splits))},
+        episodes=asked.episodes,
+        splits={},
         split_shares=config.split.model_dump(),
         parts=tuple(
             PartEntry(

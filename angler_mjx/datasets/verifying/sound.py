@@ -7,7 +7,6 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.datasets import index, sums
-from angler_mjx.datasets.config import SplitConfig
 from angler_mjx.datasets.manifest import SPLITS, Manifest
 from angler_mjx.datasets.verifying.report import Check
 from angler_mjx.errors import ConfigError
@@ -78,44 +77,23 @@ def _names(stored: Any) -> set[str]:
 def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
     """The index made again of the parts, and its splits."""
     check = Check(name="index", looked_at=f"{len(table):,} episodes")
-    shares = SplitConfig(**manifest.split_shares)
-    first = 0
-    for number, part in enumerate(manifest.parts):
-        entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
-        try:
-            made = index.rows(place / part.path, number, entry, shares, first)
-        except ConfigError as error:
-            check.wrong(part.path, str(error))
-            return check
-        mine = table.slice(first, len(made))
-        for name in made.schema.names:
-            if made[name].to_pylist() != mine[name].to_pylist():
-                check.wrong(
-                    f"index.parquet, {name}", f"is not what {part.path} gives; copy it again"
-                )
-        first += len(made)
-    if first != len(table) or first != manifest.episodes:
-        check.wrong("index.parquet", f"has {len(table)} rows; the parts have {first} episodes")
-    _splits(check, table)
-    return check
-
-
-def _splits(check: Check, table: pa.Table) -> None:
-    """An environment in more than one split is learned by heart."""
-    seen: dict[str, str] = {}
-    told = set()
-    for rock, split in zip(
-        table["environment"].to_pylist(), table["split"].to_pylist(), strict=True
-    ):
-        before = seen.setdefault(rock, split)
-        if before != split and (pair := tuple(sorted((before, split)))) not in told:
-            told.add(pair)
-            check.wrong(
-                "index.parquet", f"splits {pair[0]} and {pair[1]} share the environment {rock}"
-            )
+    try:
+        made = index.of_manifest(place, manifest)
+    except ConfigError as error:
+        check.wrong("runs", str(error))
+        return check
+    if len(made) != len(table) or len(made) != manifest.episodes:
+        check.wrong("index.parquet", f"has {len(table)} rows; the parts have {len(made)} episodes")
+        return check
+    for name in made.schema.names:
+        if made[name].to_pylist() != table[name].to_pylist():
+            check.wrong(f"index.parquet, {name}", "is not what the parts give; copy it again")
+    if (pair := index.shared_environment(table)) is not None:
+        check.wrong("index.parquet", f"splits {pair[0]} and {pair[1]} share environment {pair[2]}")
     unknown = {s for s in table["split"].to_pylist() if s not in SPLITS and s[:5] != "test_"}
     if unknown:
         check.wrong("index.parquet", f"knows splits that are none: {', '.join(sorted(unknown))}")
+    return check
 
 
 def values(place: Path, manifest: Manifest) -> Check:

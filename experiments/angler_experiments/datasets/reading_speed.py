@@ -48,12 +48,13 @@ def by_torch(windows: Windows, workers: int) -> Iterable[Any]:
     from angler_mjx.datasets.loaders.torch import WindowStream
 
     context = "forkserver" if workers else None
-    return DataLoader(
+    loader: Iterable[Any] = DataLoader(
         WindowStream(windows),
         batch_size=BATCH,
         num_workers=workers,
         multiprocessing_context=context,
     )
+    return loader
 
 
 def main(

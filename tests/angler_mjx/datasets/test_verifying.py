@@ -10,9 +10,8 @@ import pytest
 import zarr
 
 from angler_mjx.cli import main
-from angler_mjx.datasets import manifest, sums
-from angler_mjx.datasets.verifying import again, judging, sound
-from angler_mjx.datasets.verifying.report import Check
+from angler_mjx.datasets import index, manifest, sums
+from angler_mjx.datasets.verifying import again, judging
 
 
 def silent(*_):
@@ -93,13 +92,10 @@ def test_an_index_that_was_edited_is_found(copy):
 
 
 def test_an_environment_in_two_splits_is_found():
-    check = Check(name="index")
-    table = pa.table(
-        {"environment": ["a", "b", "a", "b"], "split": ["train", "val", "test", "val"]}
-    )
-    sound._splits(check, table)
-    (one,) = check.findings
-    assert "splits test and train share the environment a" in one.text
+    splits = ["train", "val", "test", "val"]
+    table = pa.table({"environment": ["a", "b", "a", "b"], "split": splits})
+    assert index.shared_environment(table) == ("test", "train", "a")
+    assert index.shared_environment(table.slice(1)) is None
 
 
 def test_flights_that_come_out_otherwise_are_found(copy):

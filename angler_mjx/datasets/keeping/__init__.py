@@ -1,0 +1,1 @@
+"""Datasets that were made before: mended, joined, counted."""

@@ -1,0 +1,66 @@
+"""What is in a dataset, in numbers."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from angler_mjx.datasets import index, manifest
+from angler_mjx.datasets.reading.dataset import Dataset, open_dataset
+from angler_mjx.storage import folder
+
+MEASURES = ("duration_s", "energy_j", "density", "path_ratio", "samples")
+"""Columns of the index of which quantiles are told."""
+
+
+def stats(place: Path, most: int = 1000) -> dict[str, Any]:
+    """Counts by split, scene, expert and outcome, quantiles, and what normalises fields.
+
+    Args:
+        place: of the dataset.
+        most: episodes of train that are read for means and deviations.
+
+    Raises:
+        ConfigError: it is none, or damaged.
+    """
+    found, table = manifest.read(place), index.read(place)
+    n_byte = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+    outcomes: dict[str, int] = {}
+    for part in found.parts:
+        for name in folder.Run(place / part.path).episodes["outcome"].to_pylist():
+            outcomes[name] = outcomes.get(name, 0) + 1
+    learned = "train" if "train" in found.splits else None
+    data: Dataset = open_dataset(place, split=learned)
+    return {
+        "name": found.name,
+        "episodes": found.episodes,
+        "robots": int(np.sum(table["robots"].to_numpy())),
+        "bytes": n_byte,
+        "outcomes": outcomes,
+        "by": {column: _by(table, column) for column in ("split", "scene", "expert", "difficulty")},
+        "quantiles": {name: _quantiles(table[name].to_numpy()) for name in MEASURES},
+        "fields": {
+            name: {"mean": mean.tolist(), "std": std.tolist()}
+            for name, (mean, std) in data.statistics(most).items()
+        },
+    }
+
+
+def _by(table: pa.Table, column: str) -> dict[str, dict[str, float]]:
+    """Episodes, and the share of teams that arrive, by the values of a column."""
+    names = np.array(table[column].to_pylist())
+    success = table["success"].to_numpy(zero_copy_only=False)
+    return {
+        name: {
+            "episodes": int((names == name).sum()),
+            "success": float(success[names == name].mean()),
+        }
+        for name in sorted(set(names.tolist()))
+    }
+
+
+def _quantiles(values: np.ndarray) -> Mapping[str, float]:
+    ten, half, ninety = np.quantile(values, [0.1, 0.5, 0.9])
+    return {"p10": float(ten), "p50": float(half), "p90": float(ninety)}
