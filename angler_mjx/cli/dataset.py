@@ -3,7 +3,7 @@
 import json as text
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -227,3 +227,41 @@ def stats(
 
 def _numbers(values: list[float]) -> str:
     return " ".join(f"{value:.3g}" for value in values)
+
+
+def export(
+    dataset: Annotated[Path, tyro.conf.Positional],
+    to: Literal["lerobot", "minari", "mpinets", "parquet"],
+    out: Path,
+    action: Literal["target", "pwm"] = "target",
+    split: str | None = None,
+    success: bool | None = None,
+) -> None:
+    """Write a dataset in the format of another library, a robot's flight an episode.
+
+    Args:
+        dataset: Its folder, or a run folder.
+        to: LeRobot 3.0, Minari, the HDF5 of motion policy networks, or plain Parquet.
+        out: Folder to make.
+        action: What robots did: where their controllers aimed, or pulse widths.
+        split: Only this split.
+        success: Only episodes in which the whole team arrived (--success), or only the others.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    from angler_mjx.datasets.exports import writing
+
+    columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("flights", total=None)
+        made = writing.export(
+            dataset,
+            out,
+            to=to,
+            action=action,
+            split=split,
+            success=success,
+            tell=lambda done, of: bar.update(task, completed=done, total=of),
+        )
+    print(made)

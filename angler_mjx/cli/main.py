@@ -48,6 +48,7 @@ GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
         "verify": dataset.verify,
         "repair": dataset.repair,
         "merge": dataset.merge,
+        "export": dataset.export,
         "stats": dataset.stats,
     },
     "env": {"make": env.make, "show": env.show},

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import zarr
 
 from angler_mjx.datasets import index, manifest
 from angler_mjx.datasets.config import SplitConfig
@@ -37,13 +38,20 @@ class Dataset:
         self.index = table
         """A row an episode; see `angler_mjx.datasets.index`."""
         self.fields = tuple(fields)
-        self._parts = tuple(parts)
+        self.parts = tuple(parts)
+        """Run folders, by the index's ``part``."""
         self._stored: dict[tuple[int, str], StoredArray] = {}
         self._names: dict[int, list[str]] = {}
+        self._runs: dict[int, folder.Run] = {}
+        self._around: tuple[tuple[int, int], dict[str, np.ndarray]] = ((-1, -1), {})
         self._rows: dict[str, np.ndarray] = {
             name: table[name].to_numpy(zero_copy_only=False)
             for name in ("part", "world", "samples", "robots")
         }
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it opens runs anew."""
+        return {**self.__dict__, "_runs": {}, "_around": ((-1, -1), {})}
 
     def __len__(self) -> int:
         """Episodes."""
@@ -68,7 +76,7 @@ class Dataset:
         part = int(self._rows["part"][episode])
         found = self._stored.get((part, name))
         if found is None:
-            path = self._parts[part] / folder.TRAJECTORIES / name
+            path = self.parts[part] / folder.TRAJECTORIES / name
             if not (path / "zarr.json").is_file():
                 raise ConfigError(
                     f"{path}: is not there; arrays of a run are {', '.join(self.names(episode))}"
@@ -81,7 +89,7 @@ class Dataset:
         part = int(self._rows["part"][episode])
         found = self._names.get(part)
         if found is None:
-            place = self._parts[part] / folder.TRAJECTORIES
+            place = self.parts[part] / folder.TRAJECTORIES
             timed = (name for name, kind in layout.ARRAYS.items() if kind.dims[:1] == ("time",))
             found = [name for name in timed if (place / name / "zarr.json").is_file()]
             self._names[part] = found
@@ -112,21 +120,14 @@ class Dataset:
             raise IndexError(f"episode {episode} of {len(self)}")
         about = self.index.slice(episode, 1).to_pylist()[0]
         part, world = about["part"], about["world"]
-        run = self.run(part)
-        group: Any = run.trajectories
-        robots = about["robots"]
-        with reading(run.path):
-            around = {
-                name.removeprefix(f"{layout.ENVIRONMENT}/"): np.asarray(node[world])
-                for name, node in group.members(max_depth=None)
-                if name.startswith(f"{layout.ENVIRONMENT}/") and hasattr(node, "ndim") and node.ndim
-            }
-            plan = {name: np.asarray(group[name][world]) for name in ("plan_time_s", "plan_m")}
+        run, robots = self.run(part), about["robots"]
+        around = self._environment(part, world)
+        plan = {name: self.stored(episode, name).read(world) for name in ("plan_time_s", "plan_m")}
         rows = run.episodes.slice(world * robots, robots)
         present = self.names(episode)
         return Episode(
             about=about,
-            time_s=np.asarray(group[layout.TIME][: about["samples"]]),
+            time_s=np.arange(about["samples"]) / run.scenario.time.record_hz,
             arrays={n: self.values(episode, n) for n in self.fields if n in present},
             running=self.values(episode, "outcome") == 0,
             start_m=around["start_m"],
@@ -138,7 +139,26 @@ class Dataset:
 
     def run(self, part: int) -> folder.Run:
         """The run folder of a part."""
-        return folder.Run(self._parts[part])
+        found = self._runs.get(part)
+        if found is None:
+            found = self._runs[part] = folder.Run(self.parts[part])
+        return found
+
+    def _environment(self, part: int, world: int) -> dict[str, np.ndarray]:
+        """Of a world; those of a tile are stored together, and the last ones are kept."""
+        tile = max(self.run(part).scenario.tile or 1, 1)
+        first = world - world % tile
+        if self._around[0] != (part, first):
+            run = self.run(part)
+            group: Any = run.trajectories[layout.ENVIRONMENT]
+            with reading(run.path):
+                here = {
+                    name: np.asarray(node[first : first + tile])
+                    for name, node in group.members(max_depth=None)
+                    if isinstance(node, zarr.Array) and node.ndim
+                }
+            self._around = (part, first), here
+        return {name: values[world - first] for name, values in self._around[1].items()}
 
     def goals_m(self, episode: int) -> np.ndarray:
         """[robot, 3] in W."""
@@ -151,7 +171,7 @@ class Dataset:
         found = {}
         for part in sorted(set(self._rows["part"].tolist())):
             group: Any = self.run(part).trajectories
-            with reading(self._parts[part]):
+            with reading(self.parts[part]):
                 found[part] = np.asarray(group[f"{layout.ENVIRONMENT}/goal_m"][:])
         return found
 
@@ -203,7 +223,7 @@ class Dataset:
             import xarray
         except ImportError as error:
             raise UnsupportedError("xarray is not installed: pip install xarray") from error
-        return xarray.open_zarr(self._parts[part] / folder.TRAJECTORIES, consolidated=False)
+        return xarray.open_zarr(self.parts[part] / folder.TRAJECTORIES, consolidated=False)
 
 
 def open_dataset(

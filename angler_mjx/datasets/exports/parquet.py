@@ -1,0 +1,79 @@
+"""Flights in Parquet: a row a sample, files of some hundred flights each."""
+
+import json
+from collections.abc import Callable, Iterator
+from itertools import batched
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.datasets.exports import flights
+from angler_mjx.datasets.exports.flights import Flight
+from angler_mjx.datasets.reading.dataset import Dataset
+
+FLIGHTS = 500
+"""Of a file."""
+
+
+def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+    """Write all flights into a folder.
+
+    Args:
+        data: the dataset.
+        out: the folder, empty.
+        action: see `flights.ACTIONS`.
+        tell: told how many are written.
+
+    Raises:
+        ConfigError: there is no such action, or a file is damaged.
+        OSError: the disk gave out.
+    """
+    names = flights.action_names(data, action)
+    schema = _schema(data, names, flights.about(data, action))
+    done = 0
+    for number, group in enumerate(batched(flights.flights(data, action), FLIGHTS)):
+        with pq.ParquetWriter(out / f"part-{number:05d}.parquet", schema) as writer:
+            for flight in group:
+                writer.write_batch(_rows(flight, schema))
+        done += len(group)
+        tell(done)
+
+
+def _schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -> pa.Schema:
+    fields: list[tuple[str, pa.DataType]] = [
+        ("episode", pa.int64()),
+        ("robot", pa.int32()),
+        ("split", pa.dictionary(pa.int32(), pa.string())),
+        ("outcome", pa.dictionary(pa.int32(), pa.string())),
+        ("time_s", pa.float32()),
+        *((name, pa.float32()) for name in flights.STATE),
+        *((f"action_{name}", pa.float32()) for name in actions),
+    ]
+    most = int(data.robots.max()) - 1
+    fields += [(f"other_{i}_{name}", pa.float32()) for i in range(most) for name in flights.OTHER]
+    return pa.schema(fields, metadata={"angler": json.dumps(about)})
+
+
+def _rows(flight: Flight, schema: pa.Schema) -> pa.RecordBatch:
+    steps = len(flight.time_s)
+    columns = list(_columns(flight, steps))
+    return pa.record_batch(
+        [
+            pa.array(x, schema.field(i).type) if not isinstance(x, pa.Array) else x
+            for i, x in enumerate(columns)
+        ],
+        schema=schema,
+    )
+
+
+def _columns(flight: Flight, steps: int) -> Iterator[object]:
+    yield np.full(steps, flight.episode, np.int64)
+    yield np.full(steps, flight.robot, np.int32)
+    for text in (flight.split, flight.outcome):
+        yield pa.DictionaryArray.from_arrays(pa.array(np.zeros(steps, np.int32)), [text])
+    yield flight.time_s
+    yield from flight.state.T
+    yield from flight.action.T
+    yield from flight.others.reshape(steps, -1).T
