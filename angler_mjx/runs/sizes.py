@@ -22,6 +22,7 @@ def shape_of(simulator: Simulator) -> Shape:
         plan_points=world.path.time_s.shape[-1],
         jointed=isinstance(world.path, JointTrajectory),
         estimated=scenario.senses,
+        also=scenario.store.also,
     )
 
 

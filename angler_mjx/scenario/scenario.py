@@ -23,6 +23,7 @@ from angler_mjx.scenario.tables import (
     ControllerConfig,
     ExecutionConfig,
     PlannerConfig,
+    StoreConfig,
     TimeConfig,
     WaterConfig,
     check_online,
@@ -63,6 +64,7 @@ class Scenario(FileModel):
     goal_tolerance_m: float = Field(default=0.3, gt=0.0, le=FARTHEST_M)
     """A robot has reached its goal within this distance."""
     time: TimeConfig = TimeConfig()
+    store: StoreConfig = StoreConfig()
     water: WaterConfig = WaterConfig()
     world: WorldConfig
     # Each entry's vehicle is looked through: 395 of them took a second to read.
@@ -220,6 +222,7 @@ class Scenario(FileModel):
             stages=controllers,
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
+            also=self.store.also,
         )
 
 

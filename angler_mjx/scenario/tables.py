@@ -25,6 +25,7 @@ from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.sim.knowledge import Knows, Level
+from angler_mjx.sim.record import Also
 
 FOLDER = "folder"
 """Context of a check: where paths in a scenario begin; the working directory if it is not there."""
@@ -35,6 +36,22 @@ class WaterConfig(FileModel):
 
     density_kgpm3: float = Field(default=1000.0, ge=900.0, le=1100.0)
     """Fresh water by default: the published parameter sets were measured in it."""
+
+
+class StoreConfig(FileModel):
+    """What is stored."""
+
+    also: tuple[Also, ...] = ()
+    """Recorded beside what all runs have: the thrusters' `wrench`; `clearance`, distances to what
+    is near."""
+
+    @field_validator("also")
+    @classmethod
+    def _once_each(cls, also: tuple[Also, ...]) -> tuple[Also, ...]:
+        twice = sorted({word for word in also if also.count(word) > 1})
+        if twice:
+            raise ValueError(f"{twice[0]} is named twice; name it once")
+        return also
 
 
 class TimeConfig(FileModel):

@@ -55,6 +55,8 @@ class Shape:
     """Whether any robot's controllers were told something other than the truth."""
     jointed: bool = False
     """Whether the plans are trajectories of joints, with headings and velocities."""
+    also: tuple[str, ...] = ()
+    """What the run asked for beside what all have."""
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -69,7 +71,9 @@ class Shape:
 
     def names(self) -> list[str]:
         """Arrays of the run; see `layout`."""
-        return layout.names(self.sizes, estimated=self.estimated, jointed=self.jointed)
+        return layout.names(
+            self.sizes, estimated=self.estimated, jointed=self.jointed, also=self.also
+        )
 
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
