@@ -220,8 +220,8 @@ class SessionRecording:
             # As many as are needed for this index; the others are not in the run.
             "worlds": self._world + 1,
             "tile": 1,
-            # Flights on real autopilots have no wrench.
-            "store": StoreConfig(also=asked_in(self._samples[0])),
+            # Of flights on real autopilots nothing is recorded beside what all have.
+            "store": self._scenario.store.model_copy(update={"also": asked_in(self._samples[0])}),
             "engine": inside.simulator.scenario.engine,
             "kernels": inside.simulator.kernels,
         }

@@ -40,10 +40,8 @@ def _places(sample: Sample) -> tuple[jax.Array, ...]:
 def _clearances(worlds: World, places: tuple[jax.Array, ...]) -> Clearance:
     def one(world: World, p: Any, q: Any, body_p: Any, body_q: Any) -> Clearance:
         still = jnp.zeros((*body_p.shape[:-1], 6), body_p.dtype)
-        bodies = ObstacleState(p=body_p, q=body_q, nu=still)
-        rock, obstacle, robot = distances(
-            world.environment, world.control.vehicle, p, q, bodies
-        )
+        bodies = ObstacleState(p=body_p, q=body_q, nu=still, nu_dot=still)
+        rock, obstacle, robot = distances(world.environment, world.control.vehicle, p, q, bodies)
         return Clearance(rock_m=rock, obstacle_m=obstacle, robot_m=robot)
 
     found: Clearance = jax.vmap(one)(worlds, *places)
