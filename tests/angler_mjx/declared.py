@@ -20,9 +20,8 @@ def check(sample, lead, sizes, *, told=False, also=(), dtype=jnp.float64):
     assert record.sizes_of(sample, lead=len(lead)) == sizes
     for one in record.FIELDS:
         value = one.of(sample)
-        assert (value is None) == (
-            not one.wanted(also) if one.about.asked else one.optional and not told
-        ), one.path
+        there = one.wanted(also) if one.about.asked else told or not one.optional
+        assert (value is not None) == there, one.path
         if value is not None:
             assert value.shape == (*lead, *one.shape(sizes)), one.path
             assert value.dtype == (jnp.int32 if one.about.whole else dtype), one.path

@@ -6,12 +6,13 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
-from tests.quick import quickly
 
 from angler_mjx.engines.base import by_name
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim.state import Outcome
-from tests.angler_mjx import declared
+
+from .. import declared
+from ..compiling import quickly
 
 ALSO = ("wrench", "clearance")
 COUNT = {"n_sample": 3, "steps_per_sample": 2}
@@ -26,7 +27,7 @@ def scene(scenes):
 
 @pytest.fixture(scope="module")
 def fly(scene):
-    """A function (engine, what is asked for) -> samples of three, from robots that diverged or not."""
+    """A function (engine, what is asked for) -> samples; robot 1 of world 1 had diverged."""
     start = quickly(partial(by_name("fused", "xla").reset, scene.spec))(scene.fleet, scene.worlds)
     outcome = start.tally.outcome.at[1, 1].set(Outcome.DIVERGED)
     start = jax.device_get(replace(start, tally=replace(start.tally, outcome=outcome)))
@@ -75,7 +76,7 @@ def test_engines_agree(fly, seen, engine):
 
 
 def test_wrench_is_of_thrusts_behind_their_lag(scene, fly, seen):
-    """Zero at rest, then what each thruster gives along its axis, with its moment about the centre."""
+    """Zero at rest, then the sum over thrusters of what each gives; NaN where a robot diverged."""
     assert np.isnan(seen.wrench[1, 1]).all()
     sound = seen.wrench[[0, 0, 1], :, :][:, :, 0]
     np.testing.assert_array_equal(sound[:, 0], 0.0)
