@@ -16,7 +16,6 @@ from angler_mjx import __version__
 from angler_mjx.cli import (
     bench,
     control,
-    dataset,
     env,
     export,
     fly,
@@ -29,6 +28,7 @@ from angler_mjx.cli import (
     verify,
     warm,
 )
+from angler_mjx.cli.datasets import commands as dataset
 from angler_mjx.cli.planners import benchmark, plan
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run

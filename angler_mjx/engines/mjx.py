@@ -14,7 +14,7 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody, VehicleState
-from angler_mjx.sim import aboard, start
+from angler_mjx.sim import aboard, nearness, start
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.detection import Contact, detect
 from angler_mjx.sim.fleet import Fleet
@@ -251,10 +251,11 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         one = partial(control_step, spec, policy=policy, number=_number(state, policy))
-        after: tuple[WorldState, Sample] = jax.vmap(one, (None, 0, 0, 0))(
+        after: WorldState
+        after, sample = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
         )
-        return after
+        return after, nearness.completed(spec, worlds, sample)
 
     def segment(
         self,
@@ -275,8 +276,9 @@ class MjxEngine:
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return fly(_multibody(spec, fleet, worlds), world, state, command=command)
 
-        after: tuple[WorldState, Sample] = jax.vmap(one)(worlds, state, command)
-        return after
+        after: WorldState
+        after, samples = jax.vmap(one)(worlds, state, command)
+        return after, nearness.all_completed(spec, worlds, samples)
 
 
 def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:

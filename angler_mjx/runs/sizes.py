@@ -23,6 +23,7 @@ def shape_of(simulator: Simulator) -> Shape:
         jointed=isinstance(world.path, JointTrajectory),
         estimated=scenario.senses,
         finely=scenario.store,
+        also=scenario.store.also,
     )
 
 

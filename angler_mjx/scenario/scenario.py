@@ -222,6 +222,7 @@ class Scenario(FileModel):
             stages=controllers,
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
+            also=self.store.also,
         )
 
 

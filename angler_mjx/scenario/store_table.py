@@ -1,16 +1,21 @@
 """The table of a scenario file that says how finely trajectories are stored."""
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from angler_mjx.files import FileModel
+from angler_mjx.sim.record import Also
 
 
 class StoreConfig(FileModel):
-    """How trajectories are stored: exactly, in float32, or in steps; see `docs/runs.md`.
+    """What of trajectories is stored, and how finely: exactly, in float32, or in steps.
 
-    Steps take a fifth of the room. Plans and the last states are always exact.
+    Steps take a sixth of the room; see `docs/datasets.md`. Plans and the last states are always
+    exact.
     """
 
+    also: tuple[Also, ...] = ()
+    """Recorded beside what all runs have: the thrusters' `wrench`; `clearance`, distances to what
+    is near."""
     position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
     """Step of places and distances; exact if left out, as with those that follow."""
     velocity_mmps: float | None = Field(default=None, ge=0.01, le=1000.0)
@@ -21,6 +26,14 @@ class StoreConfig(FileModel):
     """Of forces, and in mN m of moments."""
     pwm_us: float | None = Field(default=None, ge=0.01, le=100.0)
     """Of the pulse widths that thrusters are given."""
+
+    @field_validator("also")
+    @classmethod
+    def _once_each(cls, also: tuple[Also, ...]) -> tuple[Also, ...]:
+        twice = sorted({word for word in also if also.count(word) > 1})
+        if twice:
+            raise ValueError(f"{twice[0]} is named twice; name it once")
+        return also
 
     def step(self, unit: str, dims: tuple[str, ...]) -> float | None:
         """Step of an array in its own unit; None where it is stored as it is.

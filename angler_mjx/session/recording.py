@@ -19,7 +19,7 @@ from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.session.batch import Inside
 from angler_mjx.session.interface import Floats, Observation
-from angler_mjx.sim.record import Sample, sizes_of
+from angler_mjx.sim.record import Sample, asked_in, sizes_of
 from angler_mjx.storage import folder, harvest, results
 from angler_mjx.storage import inputs as copies
 from angler_mjx.storage.claims import Claim
@@ -220,6 +220,8 @@ class SessionRecording:
             # As many as are needed for this index; the others are not in the run.
             "worlds": self._world + 1,
             "tile": 1,
+            # Of flights on real autopilots nothing is recorded beside what all have.
+            "store": self._scenario.store.model_copy(update={"also": asked_in(self._samples[0])}),
             "engine": inside.simulator.scenario.engine,
             "kernels": inside.simulator.kernels,
         }
@@ -242,6 +244,7 @@ class SessionRecording:
             estimated=first.belief is not None,
             jointed="plan_degree" in plan,
             finely=self._scenario.store,
+            also=asked_in(first),
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,

@@ -7,7 +7,7 @@ record follow from that. Its value is one expression in its phase.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import Any, Literal
@@ -15,13 +15,20 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-SIZES = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
+SIZES = {"xyz": 3, "wxyz": 4, "uvwpqr": 6, "xyzkmn": 6}
 """Axes that are as long in every run; those of robots, obstacles and thrusters are the run's."""
+
+CLEARANCE = "clearance"
+"""Group of the distances to what is near."""
 
 ESTIMATE = "estimate"
 """Group of what the controllers were told, where that was not the truth."""
 
-type Phase = Literal["sense", "policy", "decide", "move", "obstacles", "judge"]
+type Phase = Literal["sense", "policy", "decide", "move", "obstacles", "judge", "sample"]
+"""``sample`` gives what is worked out from the rest of a sample (`angler_mjx.sim.nearness`)."""
+
+type Also = Literal["wrench", "clearance"]
+"""What is recorded only where it is asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +53,8 @@ class About:
     """Least value, which stands on disk where there is none; NaN does if this is not given."""
     state: bool = False
     """Whether it is of the state, so that it is kept once more after the last sample."""
+    asked: Also | None = None
+    """By which word it has to be asked for; None for what all runs have."""
 
 
 def _given(phase: Phase, array: str, axes: str, unit: str, text: str, **more: Any) -> Any:
@@ -124,6 +133,49 @@ class Belief:
         )
     )
     """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Clearance:
+    """Distances of the hulls at the sample, negative where they overlap; [R] leads."""
+
+    rock_m: jax.Array = field(
+        metadata=_given(
+            "sample",
+            f"{CLEARANCE}/rock_m",
+            "robot",
+            "m",
+            "distance of the hull to rock and sea floor; at most the edge of a cell less the "
+            "radius of the hull, negative where it overlaps",
+            asked="clearance",
+        )
+    )
+    """[R]"""
+    obstacle_m: jax.Array = field(
+        metadata=_given(
+            "sample",
+            f"{CLEARANCE}/obstacle_m",
+            "robot",
+            "m",
+            "distance of the hull to the nearest obstacle, negative where it overlaps; inf where "
+            "there is none",
+            asked="clearance",
+        )
+    )
+    """[R]"""
+    robot_m: jax.Array = field(
+        metadata=_given(
+            "sample",
+            f"{CLEARANCE}/robot_m",
+            "robot",
+            "m",
+            "distance of the hull to the nearest other hull, at most 1, negative where they "
+            "overlap; inf in a fleet of one",
+            asked="clearance",
+        )
+    )
+    """[R]"""
 
 
 @jax.tree_util.register_dataclass
@@ -226,6 +278,22 @@ class Sample:
     """[n_obstacle, 4]."""
     belief: Belief | None = field(default=None, metadata={"parts": Belief})
     """What the controllers were told; None where all are told the truth."""
+    wrench: jax.Array | None = field(
+        default=None,
+        metadata=_given(
+            "move",
+            "wrench",
+            "robot xyzkmn",
+            "N, N m",
+            "force and moment [X Y Z K M N] of the thrusters about the centre of mass, body frame, "
+            "at the sample: behind the lag of the rotors, before the new signals act; NaN of a "
+            "robot that diverged",
+            asked="wrench",
+        ),
+    )
+    """[R, 6] in F, where it is asked for."""
+    clearance: Clearance | None = field(default=None, metadata={"parts": Clearance})
+    """Distances to what is near, where they are asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,8 +303,15 @@ class Field:
     path: tuple[str, ...]
     """Names of attributes, from the sample down."""
     about: About
-    optional: bool
-    """Whether samples of some runs do not have it."""
+
+    @property
+    def optional(self) -> bool:
+        """Whether samples of some runs do not have it."""
+        return len(self.path) > 1 or self.about.asked is not None
+
+    def wanted(self, also: Sequence[str]) -> bool:
+        """Whether it needs no asking, or is asked for by one of these words."""
+        return self.about.asked is None or self.about.asked in also
 
     @property
     def stored(self) -> np.dtype[Any]:
@@ -262,7 +337,7 @@ def _declared(kind: type, above: tuple[str, ...] = ()) -> tuple[Field, ...]:
     for one in dataclasses.fields(kind):
         path = (*above, one.name)
         if "about" in one.metadata:
-            found.append(Field(path=path, about=one.metadata["about"], optional=len(path) > 1))
+            found.append(Field(path=path, about=one.metadata["about"]))
         elif "parts" in one.metadata:
             found += _declared(one.metadata["parts"], path)
     return tuple(found)
@@ -275,9 +350,19 @@ STATES: tuple[Field, ...] = tuple(one for one in FIELDS if one.about.state)
 """Those of the state."""
 
 
-def of_phase(phase: str) -> tuple[Field, ...]:
-    """Those of the sample itself that a phase gives by their names."""
-    return tuple(one for one in FIELDS if one.about.phase == phase and len(one.path) == 1)
+def of_phase(phase: str, also: Sequence[str] = ()) -> tuple[Field, ...]:
+    """Those of the sample itself that a phase gives by their names, ``also`` being asked for."""
+    return tuple(
+        one
+        for one in FIELDS
+        if one.about.phase == phase and len(one.path) == 1 and one.wanted(also)
+    )
+
+
+def asked_in(sample: Sample) -> tuple[Also, ...]:
+    """What was asked for of a sample that has it."""
+    words = (one.about.asked for one in FIELDS if one.of(sample) is not None)
+    return tuple(dict.fromkeys(word for word in words if word is not None))
 
 
 def sizes_of(sample: Sample, lead: int) -> dict[str, int]:

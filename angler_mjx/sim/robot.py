@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import thruster
+from angler_kernels import rigid_body, thruster
 from angler_mjx.control import mixed, stack
 from angler_mjx.control.commands import Estimate, ThrusterPwm
 from angler_mjx.control.mixed import Mixed
@@ -71,6 +71,19 @@ def thrust_and_power(vehicle: VehicleParams, pwm: ThrusterPwm) -> tuple[jax.Arra
     thrust = pick(vehicle.thrust_n, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US) * vehicle.thruster_health
     power = pick(vehicle.power_w, pwm.pwm_us, PWM_LOW_US, PWM_STEP_US)
     return thrust, jnp.sum(jnp.where(vehicle.thruster_exists, power, 0.0))
+
+
+def wrench(vehicle: VehicleParams, outcome: jax.Array, thrust: jax.Array) -> jax.Array:
+    """Force and moment [6] of the thrusters, N and N m, in F; NaN once the robot has diverged.
+
+    Args:
+        vehicle: of the robot.
+        outcome: int32 [].
+        thrust: of its `VehicleState`.
+    """
+    thrust_n = thrust if thrust.ndim == 1 else thrust[0]
+    given = rigid_body.matrix_times(vehicle.B, thrust_n)
+    return jnp.where(outcome == Outcome.DIVERGED, jnp.nan, given)
 
 
 def hold_if_ended(

@@ -74,6 +74,8 @@ class SimSpec:
     (`angler_mjx.engines.gradients`)."""
     instrumented: tuple[InstrumentedRobots, ...] = ()
     """All other robots' controllers are told the truth."""
+    also: tuple[str, ...] = ()
+    """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
 
     @property
     def control_dt_s(self) -> float:

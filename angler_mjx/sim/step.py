@@ -66,7 +66,13 @@ def move(here: Here, now: Slots) -> Done:
         after, broken = here.each(robot.hold_if_ended, outcome, before, moved)
         return {"vehicle": after, "before_m": before.p, "broken": broken}
 
-    return Done(slots=slots, record=lambda: record_motion(before, outcome, here.flow(before)))
+    def record() -> dict[str, Any]:
+        seen = record_motion(before, outcome, here.flow(before))
+        if "wrench" in here.spec.also:
+            seen["wrench"] = here.each(robot.wrench, params.vehicle, outcome, before.thrust)
+        return seen
+
+    return Done(slots=slots, record=record)
 
 
 def record_motion(vehicle: VehicleState, outcome: Any, flow: Any) -> dict[str, Any]:

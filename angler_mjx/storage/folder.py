@@ -92,6 +92,7 @@ class Run:
                 worlds=scenario.worlds,
                 robots=len(scenario.members()),
                 estimated=scenario.senses,
+                also=scenario.store.also,
             )
             inside = f"{layout.ENVIRONMENT}/"
             environments.check(

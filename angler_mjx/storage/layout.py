@@ -3,7 +3,7 @@
 What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,19 +100,31 @@ EARLIER = {"pwm_us": np.uint16}
 """Types that runs of version 0.1.0 have; they have no end either."""
 
 
-def names(sizes: Mapping[str, int], *, estimated: bool, jointed: bool = False) -> list[str]:
+ASKED = {field.about.array: field.about.asked for field in FIELDS if field.about.asked}
+"""By which word arrays are asked for that only some runs have."""
+
+
+def names(
+    sizes: Mapping[str, int],
+    *,
+    estimated: bool,
+    jointed: bool = False,
+    also: Sequence[str] = (),
+) -> list[str]:
     """Arrays of a run; those in which nothing could lie are left out.
 
     Args:
         sizes: of the dimensions that differ from run to run.
         estimated: whether any robot's controllers were told something other than the truth.
         jointed: whether the plans are trajectories of joints.
+        also: what the run asked for beside what all have.
     """
     return [
         name
         for name, kind in ARRAYS.items()
         if (estimated or not name.startswith(f"{ESTIMATE}/"))
         and (jointed or name not in MOTION)
+        and (name not in ASKED or ASKED[name] in also)
         and 0 not in tail(kind, sizes)
     ]
 
@@ -123,7 +135,13 @@ def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
 
 
 def check(
-    nodes: Mapping[str, Any], where: str, *, worlds: int, robots: int, estimated: bool
+    nodes: Mapping[str, Any],
+    where: str,
+    *,
+    worlds: int,
+    robots: int,
+    estimated: bool,
+    also: Sequence[str] = (),
 ) -> None:
     """Refuse trajectories that are not those of a run, before anything of them is read.
 
@@ -133,6 +151,7 @@ def check(
         worlds: of the run.
         robots: of its fleet.
         estimated: as in `names`.
+        also: likewise.
 
     Raises:
         ConfigError: an array is missing, or has another shape or type.
@@ -146,7 +165,7 @@ def check(
     sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
     ended = any(name.startswith(f"{END}/") for name in nodes)
     jointed = not MOTION.keys().isdisjoint(nodes)
-    for name in names(sizes, estimated=estimated, jointed=jointed):
+    for name in names(sizes, estimated=estimated, jointed=jointed, also=also):
         if name.startswith(f"{END}/") and not ended:
             continue
         if name not in nodes:

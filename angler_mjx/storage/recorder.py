@@ -1,7 +1,7 @@
 """Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile.
 
 Chunks are compressed by LZ4 after a shuffle of bytes, where they are not stored in steps
-(`angler_mjx.storage.stepped`). Samples of ``reef_fleet`` at 10 Hz, two busy
+(`angler_mjx.storage.chunks.stepped`). Samples of ``reef_fleet`` at 10 Hz, two busy
 cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4 with
 byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
 Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So LZ4 costs nothing
@@ -23,11 +23,12 @@ from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
 from angler_mjx.scenario.store_table import StoreConfig
-from angler_mjx.storage import atomic, layout, shards
+from angler_mjx.storage import atomic, layout
 from angler_mjx.storage import environments as store
+from angler_mjx.storage.chunks import shards
+from angler_mjx.storage.chunks.stepped import Stepped, stepped
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.harvest import Arrays
-from angler_mjx.storage.stepped import Stepped, stepped
 from angler_mjx.world.environment import Environment
 
 SCHEMA_VERSION = 1
@@ -60,6 +61,8 @@ class Shape:
     """Whether the plans are trajectories of joints, with headings and velocities."""
     finely: StoreConfig = field(default_factory=StoreConfig)
     """How finely samples are stored."""
+    also: tuple[str, ...] = ()
+    """What the run asked for beside what all have."""
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -74,7 +77,9 @@ class Shape:
 
     def names(self) -> list[str]:
         """Arrays of the run; see `layout`."""
-        return layout.names(self.sizes, estimated=self.estimated, jointed=self.jointed)
+        return layout.names(
+            self.sizes, estimated=self.estimated, jointed=self.jointed, also=self.also
+        )
 
     def stepped(self, name: str) -> Stepped | None:
         """How an array is stored in steps; None where it is stored exactly."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from angler_mjx.sim import record
 
 
-def check(sample, lead, sizes, *, told=False, dtype=jnp.float64):
+def check(sample, lead, sizes, *, told=False, also=(), dtype=jnp.float64):
     """Assert it for all declared fields.
 
     Args:
@@ -14,12 +14,14 @@ def check(sample, lead, sizes, *, told=False, dtype=jnp.float64):
         lead: sizes of the axes before those of a world.
         sizes: how many robots, thrusters and obstacles there are.
         told: whether robots were told of themselves otherwise than by the truth.
+        also: what was asked for.
         dtype: of the simulation.
     """
     assert record.sizes_of(sample, lead=len(lead)) == sizes
     for one in record.FIELDS:
         value = one.of(sample)
-        assert (value is None) == (one.optional and not told), one.path
+        there = one.wanted(also) if one.about.asked else told or not one.optional
+        assert (value is not None) == there, one.path
         if value is not None:
             assert value.shape == (*lead, *one.shape(sizes)), one.path
             assert value.dtype == (jnp.int32 if one.about.whole else dtype), one.path

@@ -36,7 +36,7 @@ from angler_mjx.engines.lanes.layout import (
 from angler_mjx.engines.lanes.steps import Cells, OnLanes, Shape
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import aboard, start
+from angler_mjx.sim import aboard, nearness, start
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Fleet
@@ -81,6 +81,7 @@ class FusedEngine:
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
         sample = Sample(**told.record, **to_arrays(seen, 2))
+        sample = nearness.completed(spec, worlds, sample)
         return world_state(after, state.step + 1, minds), sample
 
     def segment(
@@ -135,7 +136,8 @@ class FusedEngine:
         )
         after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, minds)
         record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
-        return after, Sample(**record, **to_arrays(rebuilds[0](kept), 3))
+        samples = Sample(**record, **to_arrays(rebuilds[0](kept), 3))
+        return after, nearness.all_completed(spec, worlds, samples)
 
 
 @dataclass(frozen=True, kw_only=True)

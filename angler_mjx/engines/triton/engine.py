@@ -23,7 +23,7 @@ from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.kernels import Kernels, Launch
 from angler_mjx.engines.triton.segment import AHEAD, Arrays, Segment
 from angler_mjx.engines.triton.tile import Tile
-from angler_mjx.sim import aboard
+from angler_mjx.sim import aboard, nearness
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
@@ -114,6 +114,7 @@ class TritonEngine:
         def fill(leaf: jax.Array) -> jax.Array:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
 
+        given = worlds
         worlds, state, command = jax.tree.map(fill, (worlds, state, command))
         policy = aboard.asked(policy, command)
         watched = aboard.watches(policy)
@@ -123,7 +124,9 @@ class TritonEngine:
             _, told = jax.eval_shape(tell, Minds.of(state), state.step[0], state.vehicles, bodies)
         tile = Tile(fleet, worlds)
         ahead = 1 if watched else AHEAD
-        part = Segment(tile, state, n_sample, steps_per_sample, command, told, ahead=ahead)
+        part = Segment(
+            tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
+        )
         kernels = Kernels(self._program, spec, part)
         if told is not None:
             end = _fly_looped(kernels, part, partial(_tell, tell, part, watched))
@@ -131,8 +134,8 @@ class TritonEngine:
             end = _fly_looped(kernels, part, None)
         else:
             end = _fly(kernels, part)
-        cut: tuple[WorldState, Sample] = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
-        return cut
+        after, samples = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
+        return after, nearness.all_completed(spec, given, samples)
 
 
 def _tell(

@@ -76,6 +76,7 @@ class Segment:
         told: Told | None,
         *,
         ahead: int = AHEAD,
+        also: tuple[str, ...] = (),
     ) -> None:
         """Lay everything out.
 
@@ -87,7 +88,9 @@ class Segment:
             command: what drives the controllers instead of the paths; if anything does.
             told: shapes of what the phases of worlds give; if they give anything.
             ahead: control steps that obstacles are moved ahead of the robots.
+            also: what is recorded because it is asked for.
         """
+        self._also = also
         self.ahead = ahead
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
@@ -173,7 +176,7 @@ class Segment:
 
     def _shelf(self, phase: Phase) -> Shelf | None:
         """Room for what a phase records, if it records anything."""
-        tile, fields = self.tile, record.of_phase(phase.name)
+        tile, fields = self.tile, record.of_phase(phase.name, self._also)
         if not fields or (phase.of == "obstacle" and not tile.some_obstacle):
             return None
         rows = tile.obstacles if phase.of == "obstacle" else tile.robots

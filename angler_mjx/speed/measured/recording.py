@@ -27,7 +27,8 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.speed.measured import simulation
 from angler_mjx.speed.measured.simulation import Timed
 from angler_mjx.speed.rows import Row, check_repeats, spread
-from angler_mjx.storage import atomic, harvest, shards
+from angler_mjx.storage import atomic, harvest
+from angler_mjx.storage.chunks import shards
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.recorder import Recorder, Shape
 

@@ -189,3 +189,15 @@ def test_what_is_kept_of_a_scenario_is_the_same_scenario_whatever_its_preset_say
     kept = long.model_dump(mode="json")
     assert kept["time"]["horizon_s"] == 240.0
     assert Scenario.model_validate(kept).digest() == long.digest()
+
+
+def test_what_is_stored_beside_is_asked_for_by_name(scenario_file):
+    asked = load_scenario(scenario_file, store={"also": ["wrench", "clearance"]})
+    assert asked.sim_spec().also == ("wrench", "clearance")
+    plain = load_scenario(scenario_file)
+    assert plain.sim_spec().also == ()
+    assert plain.digest() == asked.digest()
+    for also, word in ((["speed"], "'wrench' or 'clearance'"), (["wrench"] * 2, "name it once")):
+        with pytest.raises(ConfigError, match=word) as caught:
+            load_scenario(scenario_file, store={"also": also})
+        assert str(caught.value).count("also") == 1

@@ -7,7 +7,8 @@ import zarr
 
 from angler_mjx.sim.record import FIELDS, Sample
 from angler_mjx.storage import environments as store
-from angler_mjx.storage import recorder, shards
+from angler_mjx.storage import recorder
+from angler_mjx.storage.chunks import shards
 from angler_mjx.storage.harvest import Constants, End, FinishedTile, Last, arrays
 from angler_mjx.storage.recorder import Recorder, Shape
 

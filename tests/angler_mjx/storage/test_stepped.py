@@ -5,9 +5,10 @@ import pytest
 import zarr
 
 from angler_mjx.scenario.store_table import StoreConfig
-from angler_mjx.storage import layout, shards
+from angler_mjx.storage import layout
+from angler_mjx.storage.chunks import shards
+from angler_mjx.storage.chunks.stepped import stepped
 from angler_mjx.storage.recorder import Shape
-from angler_mjx.storage.stepped import stepped
 
 STORE = StoreConfig(
     position_mm=1.0, velocity_mmps=2.0, attitude_mrad=2.0, force_mn=10.0, pwm_us=1.0
