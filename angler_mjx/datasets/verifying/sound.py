@@ -1,5 +1,8 @@
 """Files against their sums, parts against the manifest, values against what they can be."""
 
+import os
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +11,10 @@ import pyarrow as pa
 
 from angler_mjx.datasets import index, sums
 from angler_mjx.datasets.manifest import SPLITS, Manifest
+from angler_mjx.datasets.reading.stored import StoredArray
 from angler_mjx.datasets.verifying.report import Check
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.damage import reading
+from angler_mjx.storage import folder
 from angler_mjx.storage.folder import Run
 
 MOST_MPS, MOST_RADPS = 20.0, 50.0
@@ -102,19 +106,38 @@ def values(place: Path, manifest: Manifest) -> Check:
     worlds = samples = 0
     for part in manifest.parts:
         try:
-            stored: Any = Run(place / part.path).trajectories
-            with reading(place / part.path):
-                for first in range(0, part.worlds, WORLDS):
-                    chosen = slice(first, min(first + WORLDS, part.worlds))
-                    names = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
-                    got = {name: np.asarray(stored[name][chosen]) for name in names}
-                    _values(check, part.path, first, got, manifest)
-                    worlds += chosen.stop - chosen.start
-                    samples += got["p_m"].size // 3
+            stored = {
+                name: StoredArray(place / part.path / folder.TRAJECTORIES / name)
+                for name in _LOOKED
+            }
+            for first, got in _some(stored, part.worlds):
+                _values(check, part.path, first, got, manifest)
+                worlds += len(got["p_m"])
+                samples += got["p_m"].size // 3
         except ConfigError as error:
             check.wrong(part.path, str(error))
     check.looked_at = f"{samples:,} samples of robots in {worlds:,} worlds"
     return check
+
+
+_LOOKED = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
+"""Arrays whose values are looked at."""
+
+
+def _some(
+    stored: Mapping[str, StoredArray], worlds: int
+) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Values of some worlds at a time, with the first one's index; threads read them."""
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
+        for first in range(0, worlds, WORLDS):
+            here = range(first, min(first + WORLDS, worlds))
+            yield (
+                first,
+                {
+                    name: np.stack(list(pool.map(array.read, here)))
+                    for name, array in stored.items()
+                },
+            )
 
 
 def _values(
