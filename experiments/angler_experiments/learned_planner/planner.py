@@ -35,7 +35,7 @@ class LearnedSettings:
     """False: the first way that is drawn is flown, whatever it meets."""
     draw: Literal["learned", "noise"] = "learned"
     """What ways are drawn from: the network; or, for comparison, smooth noise."""
-    pushes: int = 24
+    pushes: int = 60
     """How often way-points are moved out of rock."""
     rounds: int = 4
     """How often the team is chosen anew, with those who found nothing first."""

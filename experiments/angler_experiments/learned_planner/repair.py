@@ -24,12 +24,13 @@ from angler_mjx.planning.ways.traffic import Traffic, beside, clear_of, met_by
 from angler_mjx.sim.knowledge import KnownObstacles
 
 _ROUNDING_M = 1e-3
-_STEP = 0.6
+_STEP = 0.5
 """Share of what is missing that a push gives."""
-_SMOOTH = 0.15
+_SMOOTH = 0.02
 """Share by which a push draws a way-point to the middle of its neighbours."""
-_BEYOND_M = 0.15
-"""Pushes aim at so much more than must be kept: rock is met at corners first."""
+_BEYOND_M = 0.8
+"""Pushes aim at so much more than must be kept: distances are read between cells' centres, and the
+check asks for more at the edges of rock."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,8 +109,10 @@ def candidates(
 
         def of_way(way: jax.Array) -> Trajectory:
             place = ways.points(way, frame, goal)
-            place = pushed(problem, field, place, need, config.pushes)
-            clear = _stands_clear(problem, columns, place, need)
+            drawn_clear = _stands_clear(problem, columns, place, need)
+            moved = pushed(problem, field, place, need, config.pushes)
+            clear = drawn_clear | _stands_clear(problem, columns, moved, need)
+            place = jnp.where(drawn_clear, place, moved)
             added = ways.delays_s(way)
             time, place = jax.vmap(ways.timed, in_axes=(None, None, 0, None))(
                 place, added, holds, speed
