@@ -136,7 +136,7 @@ def call(config: TrainConfig) -> Callable[[State, Examples], tuple[State, jax.Ar
         )
         return after, jnp.mean(losses)
 
-    return jax.jit(run, donate_argnums=0)
+    return jax.jit(run)
 
 
 def mirrored(batch: Examples, which: jax.Array) -> Examples:
