@@ -3,10 +3,10 @@
     python -m angler_experiments.learned_planner.evaluate arrivals --worlds 128
     python -m angler_experiments.learned_planner.evaluate curve --out runs/curve
 
-Rows: ``straight`` flies the straight line; ``drawn`` the first way that the network draws, unchecked;
-``learned`` is the planner as it comes; ``noise`` is the same repair of smooth noise instead of the
-network's ways, so that what is learned can be told from what is repaired; ``grid`` and ``priority``
-search.
+Rows: ``straight`` flies the straight line; ``drawn`` the first way that the network draws, not
+checked; ``learned`` is the planner as it comes; ``noise`` is the same repair of smooth noise instead
+of the network's ways, so that what is learned can be told from what is repaired; ``grid`` and
+``priority`` search.
 """
 
 import tempfile
@@ -192,7 +192,9 @@ def curve(
                 f"({100 * arrived.low:.1f} to {100 * arrived.high:.1f}) |"
             )
             print(lines[-1], flush=True)
-    print("\n".join(["| worlds learned from | planner | arrive, % (95 %) |", "|---|---|---|", *lines]))
+    print(
+        "\n".join(["| worlds learned from | planner | arrive, % (95 %) |", "|---|---|---|", *lines])
+    )
 
 
 def _first(count: int, leaf: jax.Array) -> jax.Array:

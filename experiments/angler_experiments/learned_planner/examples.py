@@ -197,7 +197,9 @@ def of_run(path: Path, tile: int = 64) -> Iterator[Examples]:
     if "plan_yaw_rad" in group:
         raise ConfigError(f"{path}: its plans have headings; examples are taken of lines only")
     kinds = fleet.build(chosen.members(), multibody=False)
-    variants = {(v.vehicle, v.parameter_set): i for i, v in enumerate(fleet.variants(chosen.members()))}
+    variants = {
+        (v.vehicle, v.parameter_set): i for i, v in enumerate(fleet.variants(chosen.members()))
+    }
     labels = run.episodes.select(["vehicle", "parameter_set", "planned"]).to_pydict()
     robots = len(chosen.members())
     names = zip(labels["vehicle"], labels["parameter_set"], strict=True)
@@ -242,9 +244,7 @@ def of_run(path: Path, tile: int = 64) -> Iterator[Examples]:
     for low in range(0, len(variant), tile):
         part = slice(low, low + tile)
         environment = environments.read(group["environment"], part)
-        plans = Trajectory(
-            time_s=plan_time[part], position_m=plan_m[part], found=planned[part]
-        )
+        plans = Trajectory(time_s=plan_time[part], position_m=plan_m[part], found=planned[part])
         yield make(environment, variant[part], plans)
 
 

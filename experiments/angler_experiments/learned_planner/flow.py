@@ -35,9 +35,7 @@ def loss(
     return jnp.sum(jnp.where(counts, each, 0.0)) / jnp.maximum(jnp.sum(counts), 1)
 
 
-def draw(
-    params: Params, context: Context, key: jax.Array, samples: int, steps: int
-) -> jax.Array:
+def draw(params: Params, context: Context, key: jax.Array, samples: int, steps: int) -> jax.Array:
     """Ways [samples, R, inner, 4] of one team.
 
     Each robot's noise is drawn by its place in the batch of ``key``'s numbers; see `noise`.
@@ -54,7 +52,7 @@ def draw(
 
 
 def noise(key: jax.Array, samples: int, robots: int) -> jax.Array:
-    """Where ways begin, [samples, R, inner, 4]: of a robot by its number, however many there are."""
+    """Where ways begin, [samples, R, inner, 4]: of a robot by its number, in a team of any size."""
 
     def of(robot: jax.Array) -> jax.Array:
         return jax.random.normal(jax.random.fold_in(key, robot), (samples, INNER, CHANNELS))

@@ -95,7 +95,7 @@ def lines_clear(
 
 
 def within(grid: Grid, floor_z_m: jax.Array, place: jax.Array, clearance_m: jax.Array) -> jax.Array:
-    """Whether places [n, 3] all keep ``clearance_m`` from the cube's faces and the floor; bool []."""
+    """Whether places [n, 3] all keep ``clearance_m`` from faces and floor; bool []."""
     top = grid.origin_m + grid.cell_m * jnp.array(grid.occupied.shape)
     keep = clearance_m - _ROUNDING_M
     low = grid.origin_m.at[2].max(floor_z_m) + keep

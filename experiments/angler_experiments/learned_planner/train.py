@@ -131,9 +131,7 @@ def call(config: TrainConfig) -> Callable[[State, Examples], tuple[State, jax.Ar
         return State(params=params, optimiser=inner, mean=mean, step=state.step + 1), value
 
     def run(state: State, examples: Examples) -> tuple[State, jax.Array]:
-        after, losses = jax.lax.scan(
-            lambda s, _: one(examples, s), state, None, length=config.call
-        )
+        after, losses = jax.lax.scan(lambda s, _: one(examples, s), state, None, length=config.call)
         return after, jnp.mean(losses)
 
     return jax.jit(run)
@@ -188,10 +186,10 @@ def train(
     out.mkdir(parents=True, exist_ok=True)
     _same(config, examples, out / _ABOUT)
     held = np.arange(examples.count) % 20 == 19
-    learned, kept = (
-        jax.tree.map(lambda leaf: leaf[np.flatnonzero(rows)], examples) for rows in (~held, held)
+    learned, some = (
+        _rows(examples, np.flatnonzero(~held)),
+        _rows(examples, np.flatnonzero(held)[:512]),
     )
-    some = jax.tree.map(lambda leaf: leaf[:512], kept)
     judge = jax.jit(flow.loss)
     run, state = call(config), begin(config)
     options = ocp.CheckpointManagerOptions(max_to_keep=2)
@@ -217,6 +215,11 @@ def train(
         checkpoint.save(out / WEIGHTS, made)
         tell(f"{out / WEIGHTS}: {(out / WEIGHTS).stat().st_size / 1e6:.2f} MB")
     return state
+
+
+def _rows(examples: Examples, rows: np.ndarray) -> Examples:
+    chosen: Examples = jax.tree.map(lambda leaf: leaf[rows], examples)
+    return chosen
 
 
 def _same(config: TrainConfig, examples: Examples, file: Path) -> None:

@@ -19,7 +19,7 @@ def simulator():
         seed=3,
         engine="fused",
         world={
-            "preset": "reef",
+            "preset": "dense",
             "shape": [8, 8, 8],
             "currents": [],
             "obstacles": {"dynamic": {"count": 3}},
@@ -44,7 +44,7 @@ def made(planned):
 
 @pytest.fixture(scope="session")
 def answered(planned):
-    """Paths of the planner, in NumPy; drawn from noise, as an untrained network would."""
+    """Paths of the planner, in NumPy; of the shipped network."""
     planner = LearnedPlanner(LearnedSettings(samples=4, rounds=2))
     path = jax.jit(planner.plan_batch)(planned[1])
     return jax.tree.map(np.asarray, path)

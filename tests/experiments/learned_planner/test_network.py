@@ -103,9 +103,7 @@ def _moved(problem, turn, shift, cells):
             start_m=place(problem.team.start_m),
             goal_m=place(problem.team.goal_m),
         ),
-        obstacles=replace(
-            known, p_m=place(known.p_m), velocity_mps=known.velocity_mps @ turn.T
-        ),
+        obstacles=replace(known, p_m=place(known.p_m), velocity_mps=known.velocity_mps @ turn.T),
     )
 
 
@@ -123,7 +121,8 @@ def test_where_w_is_changes_nothing(planned, turn, shift):
     rock = np.asarray(problem.grid.occupied)
     cells = np.rot90(rock, axes=(0, 1)) if turn is QUARTER else rock
     other = _moved(problem, turn, np.array(shift, np.float32), jnp.asarray(cells))
-    here, there = scene(problem), scene(other)
+    told = jax.jit(scene)
+    here, there = told(problem), told(other)
     for name in ("gap", "own", "others", "bodies"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), atol=3e-4)
     assert np.ptp(np.asarray(here.gap)) > 0.3
@@ -139,14 +138,11 @@ def test_mirrored_examples_are_those_of_the_mirrored_world(planned):
     )
     path = jax.tree.map(lambda leaf: leaf[1], worlds.path)
     path = replace(path, position_m=path.position_m @ MIRROR.T)
-    there = examples.as_examples(
-        jax.tree.map(lambda leaf: leaf[None], flat), jax.tree.map(lambda leaf: leaf[None], path)
-    )
-    here = examples.as_examples(
-        *jax.tree.map(lambda leaf: leaf[1:2], (problems, worlds.path))
-    )
+    make = jax.jit(examples.as_examples)
+    there = make(*jax.tree.map(lambda leaf: leaf[None], (flat, path)))
+    here = make(*jax.tree.map(lambda leaf: leaf[1:2], (problems, worlds.path)))
     for a, b in zip(
         jax.tree.leaves(mirrored(here, jnp.array([True]))), jax.tree.leaves(there), strict=True
     ):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=2e-3)
-    assert np.abs(np.asarray(here.ways[..., 1])).max() > 0.1
+    assert np.abs(np.asarray(here.ways[..., 1])).max() > 0.05

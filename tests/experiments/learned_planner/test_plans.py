@@ -60,6 +60,7 @@ def test_no_path_touches_rock_faces_or_floor(planned, answered):
     problems = planned[1]
     grid = jax.tree.map(np.asarray, problems.grid)
     radius, floor = np.asarray(problems.team.radius_m), np.asarray(problems.floor_z_m)
+    assert grid.occupied.any(axis=(1, 2, 3)).all()
     for world, robot in np.argwhere(answered.found):
         end = answered.time_s[world, robot, -1]
         place = _places(answered, world, robot, np.arange(0.0, end, STEP_S)).astype(float)
