@@ -4,9 +4,9 @@
     python -m angler_experiments.learned_planner.evaluate curve --out runs/curve
 
 Rows: ``straight`` flies the straight line; ``drawn`` the first way that the network draws, not
-checked; ``learned`` is the planner as it comes; ``noise`` is the same repair of smooth noise instead
-of the network's ways, so that what is learned can be told from what is repaired; ``grid`` and
-``priority`` search.
+checked; ``learned`` is the planner as it comes; ``noise`` is the same repair of smooth noise
+instead of the network's ways, so that what is learned can be told from what is repaired; ``grid``
+and ``priority`` search.
 """
 
 import tempfile

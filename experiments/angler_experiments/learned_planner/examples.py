@@ -1,12 +1,11 @@
 """Examples to learn from: worlds as the network sees them, and an expert's ways through them.
 
-From a simulator, worlds are drawn and planned on the device and never leave it; from run folders
-they are read as they were flown.
+Worlds that a simulator draws and plans never leave the device; folders of runs are read in
+`sources`.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -18,13 +17,9 @@ from angler_experiments.learned_planner import ways
 from angler_experiments.learned_planner.scene import Scene
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.asking import team
 from angler_mjx.planning.problem import Problem
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.sim import fleet, knowledge
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import environments
-from angler_mjx.storage.folder import Run
 
 BODIES = 12
 """Rows of obstacles in an example; of more than that the first are learned from."""
@@ -159,6 +154,33 @@ def of_team_of(examples: Examples, robots: int) -> Examples:
     )
 
 
+def mirrored(batch: Examples, which: jax.Array) -> Examples:
+    """Some worlds [W] of a batch seen in a mirror that stands along each robot's line."""
+
+    def turn(leaf: jax.Array, flipped: jax.Array) -> jax.Array:
+        return jnp.where(which.reshape((-1,) + (1,) * (leaf.ndim - 1)), flipped, leaf)
+
+    def left(leaf: jax.Array, *columns: int) -> jax.Array:
+        sign = np.ones(leaf.shape[-1], np.float32)
+        sign[list(columns)] = -1.0
+        return turn(leaf, leaf * sign.astype(leaf.dtype))
+
+    s = batch.scenes
+    return Examples(
+        scenes=type(s)(
+            gap=turn(s.gap, s.gap[..., ::-1, :]),
+            own=s.own,
+            others=left(s.others, 1, 4, 7),
+            bodies=left(s.bodies, 1, 4),
+            water=left(s.water, 1),
+            exists=s.exists,
+            body_exists=s.body_exists,
+        ),
+        ways=left(batch.ways, 1),
+        counts=batch.counts,
+    )
+
+
 def joined(parts: Sequence[Examples]) -> Examples:
     """Parts as one, padded to the largest team."""
     robots = max(part.counts.shape[1] for part in parts)
@@ -180,81 +202,3 @@ def drawn(simulator: Simulator, worlds: int, first: int = 0) -> Iterator[Example
     for index in range(first, first + worlds, simulator.tile):
         planned, problems = simulator.asked(index)
         yield make(problems, planned.path)
-
-
-def of_run(path: Path, tile: int = 64) -> Iterator[Examples]:
-    """Examples of a run folder, from its files alone.
-
-    Args:
-        path: of the folder, with trajectories (``--record-hz 1`` is enough).
-        tile: worlds at a time.
-
-    Raises:
-        ConfigError: the folder is damaged, stored no trajectories, or its plans are no lines.
-    """
-    run = Run(path)
-    group, chosen = run.trajectories, run.scenario
-    if "plan_yaw_rad" in group:
-        raise ConfigError(f"{path}: its plans have headings; examples are taken of lines only")
-    kinds = fleet.build(chosen.members(), multibody=False)
-    variants = {
-        (v.vehicle, v.parameter_set): i for i, v in enumerate(fleet.variants(chosen.members()))
-    }
-    labels = run.episodes.select(["vehicle", "parameter_set", "planned"]).to_pydict()
-    robots = len(chosen.members())
-    names = zip(labels["vehicle"], labels["parameter_set"], strict=True)
-    of_row = np.array([_variant(variants, vehicle, chosen_set) for vehicle, chosen_set in names])
-    planned = np.array(labels["planned"], bool).reshape(-1, robots)
-    variant = of_row.reshape(-1, robots)
-    spec, knows = chosen.sim_spec(), chosen.planner.knows.knows()
-
-    @jax.jit
-    def make(environment: Any, variant: jax.Array, path: Trajectory) -> Examples:
-        def ask(environment: Any, variant: jax.Array) -> Problem:
-            control, _ = fleet.parameters(kinds, variant)
-            speed = kinds.cruise_mps[jnp.arange(robots), variant]
-            begun = team(
-                control, environment.start_m, environment.start_yaw_rad, environment.goal_m
-            )
-            horizon = chosen.time.horizon_s
-            water = spec.water
-            return Problem(
-                grid=environment.grid,
-                floor_z_m=environment.floor_z_m,
-                team=_with_speed(begun, speed),
-                obstacles=knowledge.obstacles(
-                    environment,
-                    knows,
-                    horizon,
-                    spec.control_dt_s,
-                    water.density_kgpm3,
-                    water.gravity_mps2,
-                ),
-                current=knowledge.current(environment, knows.current),
-                seed=jnp.uint32(0),
-                horizon_s=horizon,
-                goal_tolerance_m=spec.goal_tolerance_m,
-                knows=knows,
-                deadline_s=chosen.planner.deadline_s,
-            )
-
-        return as_examples(jax.vmap(ask)(environment, variant), path)
-
-    plan_time, plan_m = (np.asarray(group[name]) for name in ("plan_time_s", "plan_m"))
-    for low in range(0, len(variant), tile):
-        part = slice(low, low + tile)
-        environment = environments.read(group["environment"], part)
-        plans = Trajectory(time_s=plan_time[part], position_m=plan_m[part], found=planned[part])
-        yield make(environment, variant[part], plans)
-
-
-def _variant(variants: dict[tuple[str, str], int], vehicle: str, chosen: str) -> int:
-    """Number of a variant; the vehicle is named by its file or as tables name it."""
-    for (name, parameter_set), number in variants.items():
-        if parameter_set == chosen and vehicle in (name, Path(name).stem):
-            return number
-    raise ConfigError(f"vehicle {vehicle}, {chosen}: is not in the scenario of the run")
-
-
-def _with_speed(begun: Any, speed: jax.Array) -> Any:
-    return type(begun)(**{**vars(begun), "cruise_speed_mps": speed})

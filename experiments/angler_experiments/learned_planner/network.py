@@ -140,7 +140,8 @@ def _softmax(score: jax.Array, which: jax.Array) -> jax.Array:
 
 
 def _dense(layer: Params, x: jax.Array) -> jax.Array:
-    return x @ layer["w"] + layer["b"]
+    given: jax.Array = x @ layer["w"] + layer["b"]
+    return given
 
 
 def _norm(h: jax.Array) -> jax.Array:

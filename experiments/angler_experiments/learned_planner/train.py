@@ -23,7 +23,7 @@ import tyro
 
 from angler_experiments.learned_planner import checkpoint, flow, network, sources
 from angler_experiments.learned_planner.checkpoint import Checkpoint
-from angler_experiments.learned_planner.examples import Examples
+from angler_experiments.learned_planner.examples import Examples, mirrored
 from angler_experiments.learned_planner.shapes import Width
 from angler_experiments.learned_planner.sources import Source
 from angler_mjx.errors import ConfigError
@@ -135,33 +135,6 @@ def call(config: TrainConfig) -> Callable[[State, Examples], tuple[State, jax.Ar
         return after, jnp.mean(losses)
 
     return jax.jit(run)
-
-
-def mirrored(batch: Examples, which: jax.Array) -> Examples:
-    """Some worlds [W] of a batch seen in a mirror that stands along each robot's line."""
-
-    def turn(leaf: jax.Array, flipped: jax.Array) -> jax.Array:
-        return jnp.where(which.reshape((-1,) + (1,) * (leaf.ndim - 1)), flipped, leaf)
-
-    def left(leaf: jax.Array, *columns: int) -> jax.Array:
-        sign = np.ones(leaf.shape[-1], np.float32)
-        sign[list(columns)] = -1.0
-        return turn(leaf, leaf * sign.astype(leaf.dtype))
-
-    s = batch.scenes
-    return Examples(
-        scenes=type(s)(
-            gap=turn(s.gap, s.gap[..., ::-1, :]),
-            own=s.own,
-            others=left(s.others, 1, 4, 7),
-            bodies=left(s.bodies, 1, 4),
-            water=left(s.water, 1),
-            exists=s.exists,
-            body_exists=s.body_exists,
-        ),
-        ways=left(batch.ways, 1),
-        counts=batch.counts,
-    )
 
 
 def train(

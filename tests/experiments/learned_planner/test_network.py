@@ -10,7 +10,6 @@ import pytest
 from angler_experiments.learned_planner import examples, flow, network
 from angler_experiments.learned_planner.scene import Scene, scene
 from angler_experiments.learned_planner.shapes import Width
-from angler_experiments.learned_planner.train import mirrored
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +141,9 @@ def test_mirrored_examples_are_those_of_the_mirrored_world(planned):
     there = make(*jax.tree.map(lambda leaf: leaf[None], (flat, path)))
     here = make(*jax.tree.map(lambda leaf: leaf[1:2], (problems, worlds.path)))
     for a, b in zip(
-        jax.tree.leaves(mirrored(here, jnp.array([True]))), jax.tree.leaves(there), strict=True
+        jax.tree.leaves(examples.mirrored(here, jnp.array([True]))),
+        jax.tree.leaves(there),
+        strict=True,
     ):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=2e-3)
     assert np.abs(np.asarray(here.ways[..., 1])).max() > 0.05
