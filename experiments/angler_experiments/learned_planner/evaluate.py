@@ -9,7 +9,6 @@ instead of the network's ways, so that what is learned can be told from what is 
 and ``priority`` search.
 """
 
-import tempfile
 import time
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,10 +22,11 @@ import tyro
 
 from angler_experiments.learned_planner import examples, sources, train
 from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
-from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import Outcome
+from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage.intervals import Rate, clustered
 
@@ -106,28 +106,57 @@ def scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
     )
 
 
-def flown(chosen: Scenario) -> tuple[Rate, Rate]:
-    """Share of the robots that have a path, and of those that arrive, with 95 % intervals."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = rollout(chosen, out=Path(folder) / "run")
-        table = run.episodes
-    world = np.asarray(table["world"])
-    ended = np.asarray(table["outcome"])
-    planned = np.asarray(table["planned"])
-    rates = [
-        clustered({"yes": yes, "no": ~yes}, world)["yes"]
-        for yes in (planned.astype(bool), ended == Outcome.REACHED.name.lower())
-    ]
-    return rates[0], rates[1]
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What a planner comes to in a sea."""
+
+    found: Rate
+    """Robots that have a path."""
+    arrived: Rate
+    """Robots that arrive."""
+    planning_s: float
+    """Of all worlds, once compiled."""
 
 
-def planning(chosen: Scenario, tile: int = 64) -> float:
-    """Worlds a second that are drawn and planned, after compiling."""
-    simulator = Simulator(chosen, tile=tile)
-    jax.block_until_ready(simulator.worlds())
-    begun = time.perf_counter()
-    jax.block_until_ready(simulator.worlds(tile))
-    return tile / (time.perf_counter() - begun)
+class Course:
+    """The worlds of a sea, drawn once, in which planners are flown one after the other."""
+
+    def __init__(self, sea: Sea, worlds: int) -> None:
+        """Draw the worlds; they are one tile."""
+        self.sea, self.worlds = sea, worlds
+        chosen = scenario(sea, {"name": "grid"}, worlds)
+        self.simulator = Simulator(chosen, tile=worlds, paths=PathShape(points=POINTS))
+        self.drawn, self.problems = self.simulator.asked(0)
+
+    def fly(self, planner: dict[str, Any]) -> Row:
+        """One planner's row.
+
+        Args:
+            planner: its table.
+        """
+        chosen = scenario(self.sea, planner, self.worlds)
+        spec = chosen.planner.chosen()
+        plan = jax.jit(device_planner(chosen, spec))
+        path = jax.block_until_ready(plan(self.drawn, self.problems))
+        begun = time.perf_counter()
+        path = jax.block_until_ready(plan(self.drawn, self.problems))
+        planning_s = time.perf_counter() - begun
+        there = self.simulator.with_paths(self.drawn, path)
+        state = self.simulator.reset(there)
+        for _ in range(self.simulator.segments):
+            state, _, running = self.simulator.advance(there, state)
+            if not np.asarray(running).any():
+                break
+        ended = np.asarray(state.tally.outcome) == Outcome.REACHED
+        found, arrived = (_rate(np.asarray(yes)) for yes in (path.found, ended))
+        return Row(found=found, arrived=arrived, planning_s=planning_s)
+
+
+def _rate(yes: np.ndarray) -> Rate:
+    """Share [worlds, robots] with an interval that knows which robots share a world."""
+    world = np.repeat(np.arange(yes.shape[0]), yes.shape[1])
+    flat = yes.reshape(-1)
+    return clustered({"yes": flat, "no": ~flat}, world)["yes"]
 
 
 def arrivals(
@@ -137,7 +166,7 @@ def arrivals(
     checkpoint: str = "",
     samples: int = 16,
 ) -> None:
-    """Print a row for each planner in each sea.
+    """Print a row for each planner in each sea; all of a sea fly in the same worlds.
 
     Args:
         seas: by their labels.
@@ -147,15 +176,21 @@ def arrivals(
         samples: ways drawn for each robot.
     """
     tables = planners(checkpoint, samples)
-    print("| sea | planner | have a path, % | arrive, % (95 %) |\n|---|---|---|---|")
+    print("| sea | planner | have a path, % | arrive, % (95 %) | worlds/s |")
+    print("|---|---|---|---|---|")
     for sea in seas:
-        for row in rows:
-            found, arrived = flown(scenario(SEAS[sea], tables[row], worlds))
+        course = Course(SEAS[sea], worlds)
+        for name in rows:
+            row = course.fly(tables[name])
             print(
-                f"| {sea} | {row} | {100 * found.rate:.1f} | {100 * arrived.rate:.1f} "
-                f"({100 * arrived.low:.1f} to {100 * arrived.high:.1f}) |",
+                f"| {sea} | {name} | {100 * row.found.rate:.1f} | {_shown(row.arrived)} | "
+                f"{worlds / row.planning_s:.3g} |",
                 flush=True,
             )
+
+
+def _shown(rate: Rate) -> str:
+    return f"{100 * rate.rate:.1f} ({100 * rate.low:.1f} to {100 * rate.high:.1f})"
 
 
 def curve(
@@ -180,17 +215,13 @@ def curve(
     chosen = replace(chosen, steps=steps or chosen.steps)
     parts = sources.of_sources(chosen.sources, max(sizes))
     whole = sources.gathered(parts, max(sizes), partial(print, flush=True))
-    lines = []
+    course, lines = Course(SEAS["reef"], worlds), []
     for size in sizes:
         some = jax.tree.map(partial(_first, size), whole)
         train.train(chosen, some, out / str(size))
         tables = planners(str((out / str(size) / train.WEIGHTS).absolute()))
         for row in rows:
-            _, arrived = flown(scenario(SEAS["reef"], tables[row], worlds))
-            lines.append(
-                f"| {size} | {row} | {100 * arrived.rate:.1f} "
-                f"({100 * arrived.low:.1f} to {100 * arrived.high:.1f}) |"
-            )
+            lines.append(f"| {size} | {row} | {_shown(course.fly(tables[row]).arrived)} |")
             print(lines[-1], flush=True)
     print(
         "\n".join(["| worlds learned from | planner | arrive, % (95 %) |", "|---|---|---|", *lines])
