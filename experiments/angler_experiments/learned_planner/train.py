@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -111,6 +111,7 @@ def begin(config: TrainConfig) -> State:
     )
 
 
+@cache
 def call(config: TrainConfig) -> Callable[[State, Examples], tuple[State, jax.Array]]:
     """``config.call`` steps as one program; it gives the state after them and their mean loss."""
     optimiser = schedule(config)

@@ -45,6 +45,6 @@ def made(planned):
 @pytest.fixture(scope="session")
 def answered(planned):
     """Paths of the planner, in NumPy; of the shipped network."""
-    planner = LearnedPlanner(LearnedSettings(samples=4, rounds=2))
+    planner = LearnedPlanner(LearnedSettings(samples=4, steps=2, rounds=2))
     path = jax.jit(planner.plan_batch)(planned[1])
     return jax.tree.map(np.asarray, path)
