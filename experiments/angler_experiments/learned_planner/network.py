@@ -133,8 +133,10 @@ def _of_bodies(params: Params, scene: Scene) -> jax.Array:
 
 def _softmax(score: jax.Array, which: jax.Array) -> jax.Array:
     """Shares of those that count along the last axis; zeros where none does."""
-    top = jnp.max(jnp.where(which, score, -jnp.inf), axis=-1, keepdims=True, initial=-1e9)
-    weight = jnp.where(which, jnp.exp(score - top), 0.0)
+    held = jnp.where(which, score, -jnp.inf)
+    top = jax.lax.stop_gradient(jnp.max(held, axis=-1, keepdims=True, initial=-1e9))
+    # Nothing that is left out may be infinite: its slope would be none.
+    weight = jnp.where(which, jnp.exp(jnp.where(which, score - top, 0.0)), 0.0)
     total = jnp.sum(weight, axis=-1, keepdims=True)
     return weight / jnp.where(total > 0.0, total, 1.0)
 
