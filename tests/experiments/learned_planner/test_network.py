@@ -83,6 +83,14 @@ def test_other_robots_are_seen(told, carried):
     assert gap.max() > 1e-3
 
 
+def test_the_loss_has_a_slope_where_there_are_no_obstacles(params, made):
+    scenes = replace(made.scenes, body_exists=jnp.zeros_like(made.scenes.body_exists))
+    slope = jax.jit(jax.grad(flow.loss))(params, scenes, made.ways, made.counts, jax.random.key(0))
+    numbers = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(slope)])
+    assert np.isfinite(numbers).all()
+    assert np.abs(numbers).max() > 1e-3
+
+
 def _moved(problem, turn, shift, cells):
     """A problem in a W that is turned by ``turn`` [3, 3] and then shifted."""
 

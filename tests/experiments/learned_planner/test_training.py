@@ -31,6 +31,7 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     assert "goes on after step 2" in told
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_array_equal(a, b)
+        assert np.isfinite(np.asarray(a, float)).all()
     begun = train.begin(config)
     assert np.abs(np.asarray(whole.params["gap"]["w"] - begun.params["gap"]["w"])).max() > 1e-3
     found = checkpoint.load(tmp_path / "whole" / "weights.npz")
