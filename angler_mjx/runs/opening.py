@@ -34,7 +34,7 @@ def begin(simulator: Simulator, place: Path, plans: Plans | None = None) -> Clai
     scenario, shape = simulator.scenario, sizes.shape_of(simulator)
     chosen = scenario.model_copy(update=resolved(simulator))
     if scenario.time.record_hz > 0:
-        folder.require_space(place, scenario.worlds * shape.bytes_per_world())
+        folder.require_space(place, scenario.worlds * shape.disk_bytes_per_world())
     claimed = folder.create(place)
     try:
         others = [("planner", file)] if (file := planner_file(simulator)) else []

@@ -88,6 +88,15 @@ class Shape:
             return None
         return stepped(self.finely.step(kind.unit, kind.dims), kind.unit)
 
+    def disk_bytes_per_world(self) -> int:
+        """What a world takes on the disk at most; in steps a byte a value, twice what is usual."""
+        found = 0
+        for name in self.names():
+            kind, steps = layout.ARRAYS[name], self.stepped(name)
+            each = 1 if steps else np.dtype(kind.dtype).itemsize
+            found += math.prod(layout.tail(kind, self.sizes)) * each
+        return found
+
     def bytes_per_world(self) -> int:
         """Uncompressed size of one world's samples and plan."""
         kinds = [layout.ARRAYS[name] for name in self.names()]

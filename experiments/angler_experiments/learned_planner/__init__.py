@@ -1,0 +1,1 @@
+"""A planner that learned from plans: flow matching draws ways, closed forms choose among them."""

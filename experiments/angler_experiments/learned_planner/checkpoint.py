@@ -1,0 +1,99 @@
+"""Trained networks in one file: arrays by names in an ``.npz``, with what they were made for."""
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_experiments.learned_planner import network
+from angler_experiments.learned_planner.network import Params
+from angler_experiments.learned_planner.shapes import SCHEMA, Width
+from angler_mjx.errors import ConfigError, shown
+
+SHIPPED = "weights.npz"
+"""Beside this module."""
+_ABOUT, _KIND = "about", "angler_mjx learned planner"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """A network that can plan."""
+
+    params: Params
+    width: Width
+    about: dict[str, Any]
+    """How it was made: examples, steps, loss, seed."""
+
+
+def save(path: Path, made: Checkpoint) -> None:
+    """Write a checkpoint, numbers as float16."""
+    about = {
+        "kind": _KIND,
+        "schema": SCHEMA,
+        "width": made.width.table(),
+        "made": made.about,
+    }
+    arrays = {name: np.asarray(leaf, np.float16) for name, leaf in _named(made.params).items()}
+    text = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **{_ABOUT: text}, **arrays)
+
+
+def load(path: Path | None = None) -> Checkpoint:
+    """Read a checkpoint; the shipped one if no path is given.
+
+    Raises:
+        ConfigError: it is none, it is damaged, or it was made for another version of this planner.
+    """
+    if path is None:
+        with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
+            return _read(shipped)
+    return _read(path)
+
+
+def _read(path: Path) -> Checkpoint:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        about = json.loads(arrays.pop(_ABOUT).tobytes())
+        if not isinstance(about, dict) or about.get("kind") != _KIND:
+            raise KeyError(_KIND)
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ConfigError(
+            f"{path}: no checkpoint of the learned planner can be read from it ({error}); make one "
+            "with python -m angler_experiments.learned_planner.train, or leave "
+            "planner.learned.checkpoint out for the shipped one"
+        ) from error
+    if about.get("schema") != SCHEMA:
+        raise ConfigError(
+            f"{path}: a checkpoint of schema {shown(about.get('schema'))}, and this planner reads "
+            f"schema {SCHEMA}; train it again, or leave planner.learned.checkpoint out"
+        )
+    width = Width(**about["width"])
+    shapes = jax.eval_shape(lambda: network.init(jax.random.key(0), width))
+    for name, leaf in _named(shapes).items():
+        found = arrays[name].shape if name in arrays else None
+        if found != leaf.shape:
+            there = "is missing" if found is None else f"has the shape {list(found)}"
+            raise ConfigError(
+                f"{path}: {name} {there}, not {list(leaf.shape)}: it is damaged; "
+                "copy it again, or train it again"
+            )
+    paths, tree = jax.tree_util.tree_flatten_with_path(shapes)
+    leaves = [jnp.asarray(arrays[_name(path)], jnp.float32) for path, _ in paths]
+    return Checkpoint(
+        params=jax.tree.unflatten(tree, leaves), width=width, about=about.get("made", {})
+    )
+
+
+def _named(params: Any) -> dict[str, Any]:
+    return {_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
+
+
+def _name(path: Any) -> str:
+    return "/".join(str(getattr(step, "key", getattr(step, "idx", step))) for step in path)

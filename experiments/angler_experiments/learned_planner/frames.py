@@ -1,0 +1,56 @@
+"""The straight frame of one robot: its start, and axes along its way to the goal, aside and up."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+_SHORT_M = 1e-6
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Straight:
+    """Frame of one robot; ``vmap`` it for a team."""
+
+    start_m: jax.Array
+    """[3] in W."""
+    length_m: jax.Array
+    """[] from start to goal."""
+    axes: jax.Array
+    """[3, 3] rows: along the straight line, level to the left of it, and up across both; in W."""
+
+    def inward(self, vector: jax.Array) -> jax.Array:
+        """Vectors [..., 3] of W in this frame."""
+        return jnp.einsum("...i,ki->...k", vector, self.axes, precision="highest")
+
+    def outward(self, vector: jax.Array) -> jax.Array:
+        """Vectors [..., 3] of this frame in W."""
+        return jnp.einsum("...k,ki->...i", vector, self.axes, precision="highest")
+
+    def line(self, share: jax.Array) -> jax.Array:
+        """Points [n, 3] of the straight line in W at shares [n] of its length."""
+        return self.start_m + share[:, None] * self.length_m * self.axes[0]
+
+
+def straight(start_m: jax.Array, goal_m: jax.Array) -> Straight:
+    """The frame of a robot from ``start_m`` [3] to ``goal_m`` [3].
+
+    A way straight up or down takes x for its left; one of no length runs along x.
+    """
+    gap = goal_m - start_m
+    length = jnp.sqrt(jnp.sum(gap * gap))
+    east = jnp.array([1.0, 0.0, 0.0], gap.dtype)
+    along = jnp.where(length > _SHORT_M, gap / jnp.where(length > _SHORT_M, length, 1.0), east)
+    level = jnp.sqrt(along[0] ** 2 + along[1] ** 2)
+    safe = jnp.where(level > _SHORT_M, level, 1.0)
+    left = jnp.where(
+        level > _SHORT_M,
+        jnp.stack([-along[1] / safe, along[0] / safe, jnp.zeros_like(safe)]),
+        east,
+    )
+    return Straight(
+        start_m=start_m,
+        length_m=length,
+        axes=jnp.stack([along, left, jnp.cross(along, left)]),
+    )

@@ -1,0 +1,102 @@
+"""Distances to what stands for certain: rock, the faces of the cube, the sea floor."""
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.planning.ways.lattice import span_bits
+from angler_mjx.world.grid import Grid
+
+_REACH = 4
+"""Cells that distances look away."""
+_ROUNDING_M = 1e-3
+
+
+def depth_field(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
+    """Signed distance [nx, ny, nz] of cells' centres to what stands, m; negative within it.
+
+    Exact outside to cells, up to `_REACH` of them; inside rock it is that to the nearest free
+    cell. It leads ways out of rock; whether one is clear is asked of `lines_clear`.
+    """
+    solid = jnp.pad(grid.occupied, _REACH, constant_values=True)
+    outside = _away(solid, grid.cell_m)
+    inside = _away(jnp.pad(~grid.occupied, _REACH), grid.cell_m)
+    height = (jnp.arange(grid.occupied.shape[2]) + 0.5) * grid.cell_m + grid.origin_m[2]
+    return jnp.minimum(jnp.where(grid.occupied, -inside, outside), height - floor_z_m)
+
+
+def _away(there: jax.Array, cell_m: jax.Array) -> jax.Array:
+    far = (_REACH + 0.5) ** 2
+    square = jnp.where(there, 0.0, far).astype(cell_m.dtype)
+    for axis in range(3):
+        inner = square.shape[axis] - 2 * _REACH
+        rows = [
+            jax.lax.slice_in_dim(square, _REACH + k, _REACH + k + inner, axis=axis)
+            + max(abs(k) - 0.5, 0.0) ** 2
+            for k in range(-_REACH, _REACH + 1)
+        ]
+        square = jnp.stack(rows).min(axis=0)
+    return jnp.sqrt(jnp.minimum(square, far)) * cell_m
+
+
+def read_field(grid: Grid, field: jax.Array, place: jax.Array) -> jax.Array:
+    """A field [nx, ny, nz] of cells' centres between them, at places [..., 3]: values [...].
+
+    Beside the grid it falls by a metre a metre, so that its slope leads back.
+    """
+    top = jnp.array(field.shape) - 1
+    at = (place - grid.origin_m) / grid.cell_m - 0.5
+    held = jnp.clip(at, 0.0, top)
+    low = jnp.minimum(jnp.floor(held), jnp.maximum(top - 1, 0)).astype(jnp.int32)
+    share = held - low
+    value = jnp.zeros(place.shape[:-1], field.dtype)
+    for corner in range(8):
+        step = jnp.array([corner >> 2 & 1, corner >> 1 & 1, corner & 1])
+        i, j, k = jnp.moveaxis(jnp.minimum(low + step, top), -1, 0)
+        weight = jnp.prod(jnp.where(step == 1, share, 1.0 - share), axis=-1)
+        value += weight * field[i, j, k]
+    beside = jnp.sum(jnp.abs(at - held), axis=-1) * grid.cell_m
+    return value - beside
+
+
+def lines_clear(
+    grid: Grid, columns: jax.Array, a: jax.Array, b: jax.Array, clearance_m: jax.Array
+) -> jax.Array:
+    """Whether the segment from a [3] to b [3] keeps ``clearance_m`` [] from every rock; bool [].
+
+    Rock is grown by the clearance along each axis, which asks for up to sqrt(3) times more at its
+    edges and corners. The segment is clipped to each grown column, and the bits of the column that
+    its heights there cover must be free.
+
+    Args:
+        grid: the cells.
+        columns: uint32 [nx, ny] of them (`lattice.column_words`).
+        a: begin.
+        b: end.
+        clearance_m: to keep.
+    """
+    cell, origin = grid.cell_m, grid.origin_m
+    d = jnp.where(jnp.abs(b - a) < 1e-6, 1e-6, b - a)
+    enter, leave = [], []
+    for axis in (0, 1):
+        low = origin[axis] + cell * jnp.arange(columns.shape[axis]) - a[axis]
+        ends = jnp.stack([low - clearance_m, low + cell + clearance_m]) / d[axis]
+        enter.append(jnp.min(ends, axis=0))
+        leave.append(jnp.max(ends, axis=0))
+    first = jnp.maximum(jnp.maximum(enter[0][:, None], enter[1][None]), 0.0)
+    last = jnp.minimum(jnp.minimum(leave[0][:, None], leave[1][None]), 1.0)
+    z_first, z_last = a[2] + first * d[2], a[2] + last * d[2]
+    low_z = (jnp.minimum(z_first, z_last) - clearance_m - origin[2]) / cell
+    high_z = (jnp.maximum(z_first, z_last) + clearance_m - origin[2]) / cell
+    covered = span_bits(
+        jnp.floor(jnp.clip(low_z, -1.0, 32.0)).astype(jnp.int32),
+        jnp.floor(jnp.clip(high_z, -1.0, 32.0)).astype(jnp.int32),
+    )
+    return ~jnp.any((first <= last) & ((covered & columns) != 0))
+
+
+def within(grid: Grid, floor_z_m: jax.Array, place: jax.Array, clearance_m: jax.Array) -> jax.Array:
+    """Whether places [n, 3] all keep ``clearance_m`` from faces and floor; bool []."""
+    top = grid.origin_m + grid.cell_m * jnp.array(grid.occupied.shape)
+    keep = clearance_m - _ROUNDING_M
+    low = grid.origin_m.at[2].max(floor_z_m) + keep
+    return jnp.all((place >= low) & (place <= top - keep))

@@ -1,0 +1,111 @@
+"""What the planner hands out, judged by an independent reading in NumPy."""
+
+import itertools
+
+import jax
+import numpy as np
+import pytest
+
+from angler_experiments.learned_planner import ways
+from angler_experiments.learned_planner.scene import lines
+
+STEP_S = 0.05
+
+
+def _places(path, world, robot, time):
+    when, where = path.time_s[world, robot], path.position_m[world, robot]
+    return np.stack([np.interp(time, when, where[:, k]) for k in range(3)], axis=-1)
+
+
+def test_most_robots_have_a_path(answered):
+    assert answered.found.mean() > 0.5
+
+
+def test_paths_go_from_start_to_goal_and_keep_the_cruise_speed(planned, answered):
+    problems = planned[1]
+    team = jax.tree.map(np.asarray, problems.team)
+    assert answered.time_s.shape == (4, 4, 32)
+    for world, robot in np.argwhere(answered.found):
+        time, place = answered.time_s[world, robot], answered.position_m[world, robot]
+        np.testing.assert_allclose(place[0], team.start_m[world, robot], atol=1e-4)
+        np.testing.assert_allclose(place[-1], team.goal_m[world, robot], atol=1e-4)
+        assert time[0] == 0.0
+        assert time[-1] <= problems.horizon_s
+        span, leg = np.diff(time), np.linalg.norm(np.diff(place, axis=0), axis=1)
+        assert (span >= 0.0).all()
+        assert (leg <= team.cruise_speed_mps[world, robot] * span * (1 + 1e-4) + 1e-5).all()
+        assert time[-1] > 1.0
+
+
+def test_who_has_none_holds_its_start(planned, answered):
+    start = np.asarray(planned[1].team.start_m)
+    for world, robot in np.argwhere(~answered.found):
+        np.testing.assert_array_equal(
+            answered.position_m[world, robot], np.tile(start[world, robot], (32, 1))
+        )
+
+
+def test_no_two_paths_meet_whoever_stands(planned, answered):
+    radius = np.asarray(planned[1].team.radius_m)
+    time = np.arange(0.0, 60.0, STEP_S)
+    for world in range(4):
+        place = [_places(answered, world, robot, time) for robot in range(4)]
+        for a, b in itertools.combinations(range(4), 2):
+            if answered.found[world, a] or answered.found[world, b]:
+                gap = np.linalg.norm(place[a] - place[b], axis=1).min()
+                assert gap > radius[world, a] + radius[world, b] + 0.1 - 2e-3
+
+
+def test_no_path_touches_rock_faces_or_floor(planned, answered):
+    problems = planned[1]
+    grid = jax.tree.map(np.asarray, problems.grid)
+    radius, floor = np.asarray(problems.team.radius_m), np.asarray(problems.floor_z_m)
+    assert grid.occupied.any(axis=(1, 2, 3)).all()
+    for world, robot in np.argwhere(answered.found):
+        end = answered.time_s[world, robot, -1]
+        place = _places(answered, world, robot, np.arange(0.0, end, STEP_S)).astype(float)
+        need = radius[world, robot] + 0.1 - 2e-3
+        origin, cell = grid.origin_m[world], grid.cell_m[world]
+        low = origin + cell * np.argwhere(grid.occupied[world])
+        nearest = np.clip(place[:, None], low, low + cell)
+        gap = np.linalg.norm(place[:, None] - nearest, axis=-1)
+        assert gap.min() > need
+        top = origin + cell * np.array(grid.occupied.shape[1:])
+        assert (place - origin).min() > need
+        assert (top - place).min() > need
+        assert place[:, 2].min() - floor[world] > need
+
+
+def test_no_path_meets_obstacles_that_go_on_as_observed(planned, answered):
+    problems = planned[1]
+    known = jax.tree.map(np.asarray, problems.obstacles)
+    radius = np.asarray(problems.team.radius_m)
+    assert known.exists.any()
+    for world, robot in np.argwhere(answered.found):
+        time = np.arange(0.0, answered.time_s[world, robot, -1], STEP_S)
+        place = _places(answered, world, robot, time)
+        for body in np.flatnonzero(known.exists[world]):
+            there = known.p_m[world, body, 0] + time[:, None] * known.velocity_mps[world, body]
+            gap = np.linalg.norm(place - there, axis=1).min()
+            assert gap > known.radius_m[world, body] + radius[world, robot] + 0.1 - 2e-3
+
+
+@pytest.mark.parametrize("robot", [0, 3])
+def test_a_way_of_a_path_leads_back_near_to_it(planned, robot):
+    worlds, problems = planned
+    problem = jax.tree.map(lambda leaf: leaf[0], problems)
+    path = jax.tree.map(lambda leaf: leaf[0, robot], worlds.path)
+    assert path.found
+    frame = jax.tree.map(lambda leaf: leaf[robot], lines(problem))
+    speed = problem.team.cruise_speed_mps[robot]
+    way = ways.from_path(path, frame, speed)
+    place = np.asarray(ways.points(way, frame, problem.team.goal_m[robot]))
+    corner = np.asarray(path.position_m, float)
+    begin, leg = corner[:-1], np.diff(corner, axis=0)
+    square = np.maximum((leg**2).sum(axis=1), 1e-12)
+    share = np.clip(((place[:, None] - begin) * leg).sum(axis=-1) / square, 0.0, 1.0)
+    off = np.linalg.norm(place[:, None] - (begin + share[..., None] * leg), axis=-1).min(axis=1)
+    assert off.max() < 1e-3
+    time, _ = ways.timed(place, ways.delays_s(way), np.float32(0.0), speed)
+    # Corners are cut, so it is not later than the path; delays are kept.
+    assert 0.8 * path.time_s[-1] < time[-1] < path.time_s[-1] + 0.5

@@ -1,0 +1,51 @@
+"""Training: the same numbers from the same seed, also after an interruption; examples of runs."""
+
+import jax
+import numpy as np
+import pytest
+
+from angler_experiments.learned_planner import checkpoint, examples, sources
+from angler_experiments.learned_planner.shapes import Width
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.rollout import rollout
+
+
+@pytest.fixture(scope="module")
+def several(made):
+    return jax.tree.map(lambda leaf: np.concatenate([leaf] * 10), made)
+
+
+def test_an_interruption_changes_no_number(several, tmp_path):
+    pytest.importorskip("optax", reason="needs the extra learn")
+    pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
+    from angler_experiments.learned_planner import train
+
+    config = train.TrainConfig(
+        width=Width(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
+    )
+    told = []
+    whole = train.train(config, several, tmp_path / "whole", told.append)
+    train.train(config, several, tmp_path / "parts", told.append, stop=2)
+    assert not (tmp_path / "parts" / "weights.npz").exists()
+    parts = train.train(config, several, tmp_path / "parts", told.append)
+    assert "goes on after step 2" in told
+    for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert np.isfinite(np.asarray(a, float)).all()
+    begun = train.begin(config)
+    assert np.abs(np.asarray(whole.params["gap"]["w"] - begun.params["gap"]["w"])).max() > 1e-3
+    found = checkpoint.load(tmp_path / "whole" / "weights.npz")
+    assert found.about["steps"] == 4
+    other = train.TrainConfig(**{**vars(config), "seed": 1})
+    with pytest.raises(ConfigError, match="another --out"):
+        train.train(other, several, tmp_path / "whole", told.append)
+
+
+@pytest.mark.nightly(
+    by="tests/experiments/learned_planner/test_network.py::test_mirrored_examples_are_those_of_the_mirrored_world"
+)
+def test_examples_of_a_run_are_those_of_its_worlds(simulator, made, tmp_path):
+    run = rollout(simulator.scenario, out=tmp_path / "run", simulator=simulator)
+    read = examples.joined(list(sources.of_run(run.path, tile=4)))
+    for a, b in zip(jax.tree.leaves(read), jax.tree.leaves(made), strict=True):
+        np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=1e-3)
