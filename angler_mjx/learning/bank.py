@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.state import World, WorldState
@@ -53,11 +54,18 @@ def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None =
 def of(simulator: Simulator, worlds: World, begun: list[WorldState]) -> Bank:
     """A bank of worlds that are there, and their states at t = 0 tile by tile."""
     count = worlds.variant.shape[0]
-    return Bank(worlds=simulator.admitted(worlds), begun=_joined(begun, count))
+    return Bank(worlds=loose(simulator.admitted(worlds)), begun=_joined(begun, count))
+
+
+def loose(tree: Any) -> Any:
+    """Arrays that lie nowhere in particular: a simulator's belong to its devices' mesh."""
+    return jax.tree.map(jnp.asarray, jax.device_get(tree))
 
 
 def _joined(tiles: list[Any], count: int) -> Any:
-    """The first ``count`` worlds of tiles, on one device."""
-    device = jax.devices()[0]
-    here = [jax.device_put(tile, device) for tile in tiles]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *here)
+    """The first ``count`` worlds of tiles."""
+
+    def one(*leaves: np.ndarray) -> jax.Array:
+        return jnp.asarray(np.concatenate(leaves)[:count])
+
+    return jax.tree.map(one, *map(jax.device_get, tiles))

@@ -302,7 +302,7 @@ def make(
     )
     env = FleetEnv(
         bank=bank,
-        fleet=jax.device_put(simulator.fleet, jax.devices()[0]),
+        fleet=banks.loose(simulator.fleet),
         observed=jnp.zeros((bank.count, *bank.worlds.variant.shape[1:], 0)),
         rules=rules,
         worlds=worlds,
