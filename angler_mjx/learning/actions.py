@@ -116,9 +116,7 @@ def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> 
         )
     if name == "pwm" and max(chosen) > PWM[0]:
         raise ConfigError(f"scale = {chosen}: action 'pwm' reaches {PWM[0]:g} us from 1500 at most")
-    return Action(
-        name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make
-    )
+    return Action(name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make)
 
 
 def check(action: Any, shape: tuple[int, ...]) -> None:

@@ -183,9 +183,7 @@ class FleetEnv:
             after = EnvState(flight=both[0], row=both[1], action=both[2], key=key)
             return after, choose(self.observed[row], seen)
 
-        after: tuple[EnvState, jax.Array] = jax.lax.cond(
-            jnp.any(ended), put, lambda: (state, seen)
-        )
+        after: tuple[EnvState, jax.Array] = jax.lax.cond(jnp.any(ended), put, lambda: (state, seen))
         return after
 
     def _aim(self, rows: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -122,11 +122,11 @@ def weighed(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
     return tuple((name, float(weight)) for name, weight in weights.items())
 
 
-def of(weights: tuple[tuple[str, float], ...], step: Step) -> tuple[jax.Array, dict[str, jax.Array]]:
+def of(
+    weights: tuple[tuple[str, float], ...], step: Step
+) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Reward [W, R], and its terms by name, weighted, whose sum it is."""
     counts = step.before.tally.outcome == Outcome.RUNNING
-    terms = {
-        name: jnp.where(counts, weight * TERMS[name](step), 0.0) for name, weight in weights
-    }
+    terms = {name: jnp.where(counts, weight * TERMS[name](step), 0.0) for name, weight in weights}
     total = jnp.sum(jnp.stack(list(terms.values())), axis=0)
     return total, terms
