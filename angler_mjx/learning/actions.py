@@ -1,4 +1,4 @@
-"""What an agent may tell its robots: numbers from -1 to 1, made commands of `angler_mjx.control`."""
+"""What an agent may tell its robots: numbers from -1 to 1, made commands of the controllers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -102,7 +102,8 @@ class FleetEnv:
         Returns:
             The state, and observations [W, R, size].
         """
-        return _begin(self, key)
+        begun: tuple[EnvState, jax.Array] = _begin(self, key)
+        return begun
 
     def step(self, state: EnvState, action: jax.Array) -> Stepped:
         """One control step of all worlds; those that end begin anew as others.

@@ -130,7 +130,7 @@ def action(sight: Sight) -> jax.Array:
 def _nearest(
     sight: Sight, to: jax.Array, seen: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The `NEAREST` of vectors [W, R, n, 3] in F, filled up, which they are, and if they are seen."""
+    """The `NEAREST` of vectors [W, R, n, 3] in F, filled up, their places, if they are seen."""
     far = jnp.sum(to * to, axis=-1)
     far = jnp.where(seen & (far < REACH_M**2), far, jnp.inf)
     least, index = jax.lax.top_k(-far, min(NEAREST, to.shape[2]))

@@ -28,7 +28,8 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
 
     def __init__(self, env: FleetEnv) -> None:
         """Of an environment, whose bank it shares."""
-        self._env, self._state = env, None
+        self._env = env
+        self._state: EnvState | None = None
         self._step, self._reset = jax.jit(FleetEnv.step), FleetEnv.reset
         low, high = observations.bounds(env.rules.parts)
         self.num_envs = env.worlds
@@ -77,11 +78,9 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         """
         if self._state is None:
             raise ConfigError("step: the environment was not reset; call reset first")
-        state: EnvState
-        state, seen, reward, terminated, truncated, info = self._step(
+        self._state, seen, reward, terminated, truncated, info = self._step(
             self._env, self._state, np.asarray(actions, np.float32)
         )
-        self._state = state
         now = jax.device_get((seen, reward, terminated, truncated, info))
         seen, reward, terminated, truncated, info = now
         final = np.array(info.pop("final_obs"), np.float32)

@@ -66,7 +66,7 @@ class TritonEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
-        """See `Engine.control_step`; kernels have one time for all worlds, plain JAX has several."""
+        """See `Engine.control_step`; kernels have one time, plain JAX one for each world."""
         if rows is not None:
             plain = FusedEngine().control_step
             return plain(spec, fleet, worlds, state, command, policy, rows)

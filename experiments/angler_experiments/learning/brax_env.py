@@ -1,4 +1,4 @@
-"""A fleet environment as Brax's trainers want one: all worlds in one state, which replace themselves.
+"""A fleet environment as Brax's trainers want one: all worlds in one state.
 
 Brax is asked not to wrap it: worlds begin anew by themselves, and episodes have their own length.
 """
@@ -27,7 +27,7 @@ def replicated() -> Iterator[None]:
     if hasattr(jax, "device_put_replicated"):
         yield
         return
-    jax.device_put_replicated = device_put_replicated
+    jax.device_put_replicated = device_put_replicated  # type: ignore[assignment]
     try:
         yield
     finally:

@@ -2,9 +2,8 @@
 
     python -m angler_experiments.learning.speed --worlds 8192
 
-Both fly the plans of `reef_fleet`, or with ``--action twist`` stand still by a command of zeros; the
-environment is scanned in one program, with observations, rewards and new worlds for ended ones.
-Prints robot steps a second of both, the best of ``--repeats``, and their ratio.
+Both are told velocities of zero, or with ``--action plan`` fly their plans; the environment is
+scanned in one program, with observations, rewards and new worlds for ended ones. Prints robot steps a second of both, the best of ``--repeats``, and their ratio.
 """
 
 import time
@@ -39,7 +38,7 @@ def scanned(steps: int) -> Any:
         action = jnp.zeros(env.action_shape)
 
         def one(state: EnvState, _: None) -> tuple[EnvState, jax.Array]:
-            after, seen, reward, *_ = env.step(state, action)
+            after, seen, reward = env.step(state, action)[:3]
             return after, jnp.sum(reward) + jnp.sum(seen)
 
         return jax.lax.scan(one, state, length=steps)

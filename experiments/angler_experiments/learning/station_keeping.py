@@ -3,8 +3,8 @@
     python -m angler_experiments.learning.station_keeping --minutes 10
     python -m angler_experiments.learning.station_keeping --smoke
 
-The agent gives velocities to the velocity controller; the cascade is told to hold the pose. Both fly
-the same worlds, which were not trained on. Needs the extra ``learn`` (Brax's PPO).
+The agent gives velocities to the velocity controller; the cascade is told to hold the pose. Both
+fly the same worlds, which were not trained on. Needs the extra ``learn`` (Brax's PPO).
 """
 
 import time
@@ -81,7 +81,8 @@ def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any],
 
     from angler_experiments.learning.brax_env import BraxFleet, replicated
 
-    begun, last = time.perf_counter(), {}
+    begun = time.perf_counter()
+    last: dict[str, Any] = {}
     of_one = size.batch * size.minibatches * size.unroll
 
     def note(step: int, make_policy: Any, params: Any) -> None:
@@ -128,7 +129,7 @@ def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Flown:
     """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
 
     def fly(env: FleetEnv) -> Any:
-        def one(carry: tuple[EnvState, jax.Array], _: None) -> Any:
+        def one(carry: tuple[EnvState, jax.Array], __: None) -> Any:
             state, seen = carry
             state, seen, _, terminated, _, info = env.step(state, act(seen))
             return (state, seen), (info["aim_distance_m"][:, 0], info["energy_j"][:, 0], terminated)
