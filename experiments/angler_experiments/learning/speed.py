@@ -3,7 +3,8 @@
     python -m angler_experiments.learning.speed --worlds 8192
 
 Both are told velocities of zero, or with ``--action plan`` fly their plans; the environment is
-scanned in one program, with observations, rewards and new worlds for ended ones. Prints robot steps a second of both, the best of ``--repeats``, and their ratio.
+scanned in one program, with observations, rewards and new worlds for ended ones. Prints
+robot steps a second of both, the best of ``--repeats``, and their ratio.
 """
 
 import time
