@@ -5,6 +5,8 @@ Every function takes and gives pytrees of one world with a leading axis [tile] o
 
 from typing import Protocol
 
+import jax
+
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.mjx import MjxEngine
@@ -42,6 +44,7 @@ class Engine(Protocol):
         state: WorldState,
         command: Command | None,
         policy: Policy | None = None,
+        rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """One control step.
 
@@ -52,6 +55,8 @@ class Engine(Protocol):
             state: of the worlds.
             command: to the controllers instead of the paths, [tile, R] leading.
             policy: that commands them where ``command`` does not; the one of `reset`.
+            rows: int32 [tile] which of the ``worlds`` each state is of, where they are a bank of
+                any number; each state is then at a step of its own. Without them all are at one.
 
         Returns:
             The state one control period later, and the sample of the state before.

@@ -248,8 +248,11 @@ class MjxEngine:
         state: WorldState,
         command: Command | None,
         policy: Policy | None = None,
+        rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
+        if rows is not None:
+            worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
         one = partial(control_step, spec, policy=policy, number=_number(state, policy))
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(

@@ -6,6 +6,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import jax
@@ -232,12 +233,8 @@ def tell_tile(
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
 ) -> tuple[Minds, Told]:
-    """As `tell` for worlds [W], all at step ``number`` []."""
-
-    def one(
-        world: World, minds: Minds, vehicles: VehicleState, obstacles: ObstacleState | None
-    ) -> tuple[Minds, Told]:
-        return tell(spec, policy, world, minds, number, vehicles, obstacles)
-
-    after: tuple[Minds, Told] = jax.vmap(one)(worlds, minds, vehicles, obstacles)
+    """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
+    one = partial(tell, spec, policy)
+    axes = (0, 0, 0 if number.ndim else None, 0, 0)
+    after: tuple[Minds, Told] = jax.vmap(one, axes)(worlds, minds, number, vehicles, obstacles)
     return after

@@ -453,6 +453,22 @@ class Simulator:
         """
         return self._gate.adopt(worlds)
 
+    def admitted(self, worlds: World) -> World:
+        """Worlds as programs of one's own may give them to `engine`: checked, cells packed.
+
+        Args:
+            worlds: any number of them, leading.
+
+        Raises:
+            ConfigError: as `reset`.
+        """
+        return self._gate.admit(worlds)
+
+    @property
+    def engine(self) -> engines.Engine:
+        """What advances the worlds, for programs of one's own (`angler_mjx.learning`)."""
+        return self._engine
+
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
 

@@ -69,14 +69,17 @@ class FusedEngine:
         state: WorldState,
         command: Command | None,
         policy: Policy | None = None,
+        rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        scene, number = scene_of(fleet, worlds), state.step[0]
+        scene = scene_of(fleet, worlds, rows)
+        number = state.step[0] if rows is None else state.step
         policy = aboard.asked(policy, command)
         minds, told = Minds.of(state), Told()
         if aboard.tells(spec, policy):
+            here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
             minds, told = aboard.tell_tile(
-                spec, policy, worlds, minds, number, state.vehicles, state.obstacles
+                spec, policy, here, minds, number, state.vehicles, state.obstacles
             )
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
@@ -219,8 +222,8 @@ def _control_step(
 ) -> tuple[Moving, dict[str, Any]]:
     """One control step of all worlds, and its part of the sample.
 
-    ``command`` [W, R, ...] stands in for the paths, and for the policy's; ``told`` [W, R, ...] is
-    what the phases of worlds gave.
+    ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
+    paths, and for the policy's; ``told`` [W, R, ...] is what the phases of worlds gave.
     """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s

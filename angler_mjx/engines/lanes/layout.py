@@ -122,23 +122,25 @@ def spread_out(elements: np.ndarray, like: jax.Array) -> np.ndarray:
     return out
 
 
-def to_lanes(tree: Any, lead: int) -> Any:
+def to_lanes(tree: Any, lead: int, rows: jax.Array | None = None) -> Any:
     """Arrays [W, ...] with ``lead`` axes of lanes as object arrays, worlds last.
 
-    Long ones become tables.
+    Long ones become tables. Of arrays of more worlds, ``rows`` int32 [W] says which are meant:
+    tables are read where they stand, nothing long is copied.
     """
 
     def one(leaf: jax.Array) -> Any:
         tail = leaf.shape[lead:]
         if is_table(tail):
-            return _table(leaf, lead)
-        return lanes.split(jnp.swapaxes(leaf, 0, lead - 1), lead)
+            return _table(leaf, lead, rows)
+        chosen = leaf if rows is None else leaf[rows]
+        return lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
 
     return jax.tree.map(one, tree)
 
 
-def _table(leaf: jax.Array, lead: int) -> lanes.Table:
-    """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]."""
+def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.Table:
+    """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]; as `to_lanes`."""
     tail = leaf.shape[lead:]
     if leaf.size >= MOST:
         raise RunError(
@@ -148,7 +150,8 @@ def _table(leaf: jax.Array, lead: int) -> lanes.Table:
     size = int(np.prod(tail))
     flat = leaf.reshape(-1)
     body = np.arange(leaf.size // size, dtype=np.int32).reshape(leaf.shape[:lead])
-    base = jnp.asarray(np.swapaxes(body, 0, lead - 1) * np.int32(size))
+    base = jnp.asarray(body if rows is None else jnp.asarray(body)[rows]) * np.int32(size)
+    base = jnp.swapaxes(base, 0, lead - 1)
 
     def load(place: Any) -> jax.Array:
         return flat.at[place].get(mode="promise_in_bounds")
@@ -206,23 +209,23 @@ def packed_cells(worlds: World) -> jax.Array:
     return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
 
 
-def scene_of(fleet: Fleet, worlds: World) -> Scene:
-    """Everything that stays the same, laid out as lanes."""
+def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scene:
+    """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`."""
     environment = worlds.environment
 
     def given(group: Group) -> Given:
         return Given(
             group=group,
-            params=_params(fleet, group, worlds),
-            path=to_lanes(of_group(worlds.path, group), 2),
-            goal_m=to_lanes(of_group(environment.goal_m, group), 2),
+            params=_params(fleet, group, worlds, rows),
+            path=to_lanes(of_group(worlds.path, group), 2, rows),
+            goal_m=to_lanes(of_group(environment.goal_m, group), 2, rows),
         )
 
-    obstacles = to_lanes(environment.obstacles, 2)
+    obstacles = to_lanes(environment.obstacles, 2, rows)
     return Scene(
         groups=tuple(map(given, fleet.groups)),
-        current=to_lanes(environment.current, 1),
-        cells=_cells(worlds),
+        current=to_lanes(environment.current, 1, rows),
+        cells=_cells(worlds, rows),
         shape=grid_shape(environment),
         obstacles=obstacles,
         reach=lane_judge.reach(obstacles),
@@ -231,30 +234,33 @@ def scene_of(fleet: Fleet, worlds: World) -> Scene:
     )
 
 
-def _cells(worlds: World) -> Cells:
+def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
     environment, neighbours = worlds.environment, packed_cells(worlds)
     grid = environment.grid
     lo, hi = jax.vmap(region)(environment)
     return Cells(
-        neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1),
-        origin_m=to_lanes(grid.origin_m, 1),
-        cell_m=to_lanes(grid.cell_m, 1),
-        floor_z_m=to_lanes(environment.floor_z_m, 1),
-        lo=to_lanes(lo, 1),
-        hi=to_lanes(hi, 1),
+        neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1, rows),
+        origin_m=to_lanes(grid.origin_m, 1, rows),
+        cell_m=to_lanes(grid.cell_m, 1, rows),
+        floor_z_m=to_lanes(environment.floor_z_m, 1, rows),
+        lo=to_lanes(lo, 1, rows),
+        hi=to_lanes(hi, 1, rows),
     )
 
 
-def _params(fleet: Fleet, group: Group, worlds: World) -> ControlParams:
+def _params(
+    fleet: Fleet, group: Group, worlds: World, rows: jax.Array | None = None
+) -> ControlParams:
     """Parameters of a group's robots; an element that no variant changes is one number for all."""
-    variant = jnp.swapaxes(of_group(worlds.variant, group), 0, 1)
+    of_world = worlds.variant if rows is None else worlds.variant[rows]
+    variant = jnp.swapaxes(of_group(of_world, group), 0, 1)
     leaves, tree = jax.tree.flatten(fleet.control)
     possible = [
         _parameter(leaf, letters, group.variant, variant)
         for leaf, letters in zip(leaves, group.sameness, strict=True)
     ]
     params: ControlParams = jax.tree.unflatten(tree, possible)
-    cruise = to_lanes(of_group(worlds.control.cruise_speed_mps, group), 2)
+    cruise = to_lanes(of_group(worlds.control.cruise_speed_mps, group), 2, rows)
     return replace(params, cruise_speed_mps=cruise)
 
 

@@ -64,8 +64,12 @@ class TritonEngine:
         state: WorldState,
         command: Command | None,
         policy: Policy | None = None,
+        rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
-        """See `Engine.control_step`."""
+        """See `Engine.control_step`; kernels have one time, plain JAX one for each world."""
+        if rows is not None:
+            plain = FusedEngine().control_step
+            return plain(spec, fleet, worlds, state, command, policy, rows)
         after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy)
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 

@@ -1,0 +1,132 @@
+"""What an agent may tell its robots: numbers from -1 to 1, made commands of the controllers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.errors import ConfigError
+from angler_mjx.physics.step import VehicleState
+
+POSE = (2.0, 2.0, 2.0, 3.14159265)
+"""Offset along forward, left (level), up, m, and of the heading, rad."""
+TWIST = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+"""Velocity over ground in F, m/s and rad/s."""
+WRENCH = (80.0, 80.0, 80.0, 15.0, 15.0, 15.0)
+"""Wrench in F, N and N m."""
+PWM = (400.0,)
+"""Of each thruster, us from neutral."""
+NEUTRAL_US = 1500.0
+
+type Make = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """One kind of action; ``range`` is what 1 stands for, element by element, -1 the opposite."""
+
+    name: str
+    unit: str
+    size: int
+    """Numbers for each robot."""
+    range: tuple[float, ...]
+    command: type | None
+    """That it becomes; None: the robots follow their plans."""
+    make: Make
+    """Of scaled numbers [W, R, size], the robots [W, R, ...], and position [W, R, 3] and heading
+    [W, R] of the aim."""
+
+
+def _plan(_: jax.Array, __: VehicleState, ___: jax.Array, ____: jax.Array) -> None:
+    return None
+
+
+def _level(yaw_rad: jax.Array, offset: jax.Array) -> jax.Array:
+    """An offset [..., 3] forward, left and up of a heading, in W."""
+    c, s = jnp.cos(yaw_rad), jnp.sin(yaw_rad)
+    x, y, z = jnp.moveaxis(offset, -1, 0)
+    return jnp.stack([c * x - s * y, s * x + c * y, z], axis=-1)
+
+
+def _pose(a: jax.Array, robots: VehicleState, _: jax.Array, __: jax.Array) -> PoseTarget:
+    yaw = jax.vmap(jax.vmap(quaternion.yaw))(robots.q)
+    return PoseTarget(
+        position_m=robots.p + _level(yaw, a[..., :3]),
+        velocity_mps=jnp.zeros_like(robots.p),
+        yaw_rad=yaw + a[..., 3],
+    )
+
+
+def _aim(a: jax.Array, robots: VehicleState, aim_m: jax.Array, yaw_rad: jax.Array) -> PoseTarget:
+    return PoseTarget(
+        position_m=aim_m + _level(yaw_rad, a[..., :3]),
+        velocity_mps=jnp.zeros_like(robots.p),
+        yaw_rad=yaw_rad + a[..., 3],
+    )
+
+
+def _twist(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyTwist:
+    return BodyTwist(nu=a)
+
+
+def _wrench(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> BodyWrench:
+    return BodyWrench(tau=a)
+
+
+def _pwm(a: jax.Array, _: VehicleState, __: jax.Array, ___: jax.Array) -> ThrusterPwm:
+    return ThrusterPwm(pwm_us=NEUTRAL_US + a)
+
+
+KINDS: dict[str, tuple[str, tuple[float, ...], type | None, Make]] = {
+    "plan": ("", (), None, _plan),
+    "waypoint": ("m, rad; from the robot, level", POSE, PoseTarget, _pose),
+    "pose": ("m, rad; from the aim, level", POSE, PoseTarget, _aim),
+    "twist": ("m/s, rad/s, in F", TWIST, BodyTwist, _twist),
+    "wrench": ("N, N m, in F", WRENCH, BodyWrench, _wrench),
+    "pwm": ("us from 1500", PWM, ThrusterPwm, _pwm),
+}
+"""By name: unit, range, command, and how it is made."""
+
+
+def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> Action:
+    """An action by its name.
+
+    Args:
+        name: one of `KINDS`.
+        thrusters: of each robot, padding included.
+        scale: other ranges than those of `KINDS`.
+
+    Raises:
+        ConfigError: there is none of this name, or the ranges are not as many as its numbers, or
+            not above 0, or pulse widths would leave the thrust table.
+    """
+    if name not in KINDS:
+        raise ConfigError(f"action = {name!r}: there is {', '.join(KINDS)}")
+    unit, default, command, make = KINDS[name]
+    wanted = default * thrusters if name == "pwm" else default
+    chosen = wanted if scale is None else tuple(scale)
+    if len(chosen) != len(wanted) or not all(0 < x < float("inf") for x in chosen):
+        raise ConfigError(
+            f"scale = {chosen}: action {name!r} has {len(wanted)} numbers ({unit or 'none'}); "
+            "give what 1 stands for in each, above 0"
+        )
+    if name == "pwm" and max(chosen) > PWM[0]:
+        raise ConfigError(f"scale = {chosen}: action 'pwm' reaches {PWM[0]:g} us from 1500 at most")
+    return Action(name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make)
+
+
+def check(action: Any, shape: tuple[int, ...]) -> None:
+    """Refuse actions of another shape.
+
+    Raises:
+        ConfigError: says which it is and which it must be.
+    """
+    if jnp.shape(action) != shape:
+        raise ConfigError(
+            f"action has the shape {list(jnp.shape(action))}: must be {list(shape)}, for "
+            "[world, robot, number]"
+        )

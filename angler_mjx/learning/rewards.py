@@ -1,0 +1,132 @@
+"""What a control step was worth to each robot: terms with names and units, weighted and added."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim.state import Outcome, WorldState
+
+MARGIN_M = 0.5
+"""Nearer than this to anything counts as near."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A control step of worlds [W]."""
+
+    before: WorldState
+    after: WorldState
+    aim_m: jax.Array
+    """[W, R, 3] in W."""
+    aim_yaw_rad: jax.Array
+    """[W, R]."""
+    last: jax.Array
+    """[W, R, size] action before."""
+    action: jax.Array
+    """[W, R, size]."""
+    dt_s: float
+
+
+def _away(state: WorldState, aim_m: jax.Array) -> jax.Array:
+    return jnp.sqrt(jnp.sum((state.vehicles.p - aim_m) ** 2, axis=-1))
+
+
+def progress(step: Step) -> jax.Array:
+    """M by which the robot came nearer to its aim."""
+    return _away(step.before, step.aim_m) - _away(step.after, step.aim_m)
+
+
+def distance(step: Step) -> jax.Array:
+    """M s: distance to the aim after the step, times its length."""
+    return _away(step.after, step.aim_m) * step.dt_s
+
+
+def square(step: Step) -> jax.Array:
+    """M^2 s: its square, times the step's length."""
+    return _away(step.after, step.aim_m) ** 2 * step.dt_s
+
+
+def heading(step: Step) -> jax.Array:
+    """S: 1 - cosine of the heading's error, times the step's length."""
+    yaw = jax.vmap(jax.vmap(quaternion.yaw))(step.after.vehicles.q)
+    return (1.0 - jnp.cos(yaw - step.aim_yaw_rad)) * step.dt_s
+
+
+def energy(step: Step) -> jax.Array:
+    """KJ that the thrusters took."""
+    return (step.after.tally.energy_j - step.before.tally.energy_j) / 1000.0
+
+
+def clearance(step: Step) -> jax.Array:
+    """M by which the least distance so far to anything fell in this step, below `MARGIN_M`."""
+
+    def short(state: WorldState) -> jax.Array:
+        least = jnp.minimum(state.tally.min_clearance_m, state.tally.min_separation_m)
+        return jnp.clip(MARGIN_M - least, 0.0, MARGIN_M)
+
+    return short(step.after) - short(step.before)
+
+
+def collision(step: Step) -> jax.Array:
+    """1 in the step in which the robot fails: touches, leaves the region or diverges."""
+    outcome = step.after.tally.outcome
+    ended = (step.before.tally.outcome == Outcome.RUNNING) & (outcome != Outcome.RUNNING)
+    return (ended & (outcome != Outcome.REACHED)).astype(step.action.dtype)
+
+
+def arrival(step: Step) -> jax.Array:
+    """1 in the step in which the robot reaches its goal."""
+    running = step.before.tally.outcome == Outcome.RUNNING
+    return (running & (step.after.tally.outcome == Outcome.REACHED)).astype(step.action.dtype)
+
+
+def roughness(step: Step) -> jax.Array:
+    """Mean square of the change of the action's numbers since the step before."""
+    if not step.action.shape[-1]:
+        return jnp.zeros(step.action.shape[:-1], step.action.dtype)
+    return jnp.mean((step.action - step.last) ** 2, axis=-1)
+
+
+TERMS: dict[str, Callable[[Step], jax.Array]] = {
+    term.__name__: term
+    for term in (
+        progress, distance, square, heading, energy, clearance, collision, arrival, roughness
+    )
+}  # fmt: skip
+"""By name; each gives [W, R], 0 for robots whose episode had ended."""
+
+DEFAULT = {"progress": 1.0, "energy": -0.1, "clearance": -1.0, "collision": -10.0, "arrival": 10.0}
+
+
+def weighed(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
+    """Weights of terms as they are kept.
+
+    Raises:
+        ConfigError: a term does not exist, none is given, or a weight is no finite number.
+    """
+    wrong = [name for name in weights if name not in TERMS]
+    if wrong or not weights:
+        raise ConfigError(
+            f"reward = {dict(weights)}: give weights to some of {', '.join(TERMS)}"
+            + (f"; there is no {wrong[0]!r}" if wrong else "")
+        )
+    for name, weight in weights.items():
+        number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if not number or not isfinite(weight):
+            raise ConfigError(f"reward.{name} = {weight!r}: give a finite number")
+    return tuple((name, float(weight)) for name, weight in weights.items())
+
+
+def of(
+    weights: tuple[tuple[str, float], ...], step: Step
+) -> tuple[jax.Array, dict[str, jax.Array]]:
+    """Reward [W, R], and its terms by name, weighted, whose sum it is."""
+    counts = step.before.tally.outcome == Outcome.RUNNING
+    terms = {name: jnp.where(counts, weight * TERMS[name](step), 0.0) for name, weight in weights}
+    total = jnp.sum(jnp.stack(list(terms.values())), axis=0)
+    return total, terms

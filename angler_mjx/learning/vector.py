@@ -1,0 +1,96 @@
+"""The same environment with Gymnasium's vector API: arrays of NumPy in and out.
+
+Needs the extra ``learn``. A sub-environment is a world with all its robots: observations are
+[W, R, size], actions [W, R, size], and the reward of a world is the sum over its robots.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning import observations
+from angler_mjx.learning.environment import EnvState, FleetEnv
+
+type Numbers = np.ndarray[Any, Any]
+
+
+class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
+    """Worlds side by side, replaced in the step in which they end.
+
+    Where any ended, ``info["final_obs"]`` and ``info["final_info"]`` hold what they ended with, and
+    ``info["_final_obs"]`` and ``info["_final_info"]`` bool [W] say which worlds these are.
+    """
+
+    def __init__(self, env: FleetEnv) -> None:
+        """Of an environment, whose bank it shares."""
+        self._env = env
+        self._state: EnvState | None = None
+        self._step, self._reset = jax.jit(FleetEnv.step), FleetEnv.reset
+        low, high = observations.bounds(env.rules.parts)
+        self.num_envs = env.worlds
+        self.single_observation_space = Box(
+            np.tile(low, (env.robots, 1)), np.tile(high, (env.robots, 1)), dtype=np.float32
+        )
+        self.single_action_space = Box(-1.0, 1.0, env.action_shape[1:], np.float32)
+        self.observation_space = batch_space(self.single_observation_space, env.worlds)
+        self.action_space = batch_space(self.single_action_space, env.worlds)
+        self.metadata = {
+            "autoreset_mode": AutoresetMode.SAME_STEP,
+            "units": {part.name: part.unit for part in env.rules.parts},
+            "action_unit": env.rules.action.unit,
+            "action_range": env.rules.action.range,
+        }
+        self.spec, self.render_mode, self.closed = None, None, False
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Numbers, dict[str, Any]]:
+        """All worlds at t = 0.
+
+        Args:
+            seed: a whole number draws which worlds of the bank; left out, they are its first at
+                the first reset, and go on being drawn after it.
+            options: none are known.
+
+        Raises:
+            ConfigError: the seed is no whole number, or options are given.
+        """
+        if options:
+            raise ConfigError(f"options = {options}: there are none; leave them out")
+        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int | np.integer)):
+            raise ConfigError(f"seed = {seed!r}: give one whole number for all worlds, or None")
+        key = None if self._state is None else self._state.key
+        if seed is not None:
+            key = jax.random.key(int(seed) % 2**32)
+        self._state, seen = self._reset(self._env, key)
+        return np.array(seen, np.float32), {}
+
+    def step(self, actions: Numbers) -> tuple[Numbers, Numbers, Numbers, Numbers, dict[str, Any]]:
+        """One control step of all worlds.
+
+        Raises:
+            ConfigError: nothing was reset yet, or the actions have another shape.
+        """
+        if self._state is None:
+            raise ConfigError("step: the environment was not reset; call reset first")
+        self._state, seen, reward, terminated, truncated, info = self._step(
+            self._env, self._state, np.asarray(actions, np.float32)
+        )
+        now = jax.device_get((seen, reward, terminated, truncated, info))
+        seen, reward, terminated, truncated, info = now
+        final = np.array(info.pop("final_obs"), np.float32)
+        ended = terminated | truncated
+        told: dict[str, Any] = {
+            **info,
+            **{f"_{name}": np.ones(self.num_envs, bool) for name in info},
+        }
+        if ended.any():
+            told |= {"final_obs": final, "_final_obs": ended}
+            told |= {"final_info": info, "_final_info": ended}
+        total = reward.sum(axis=1)
+        return np.array(seen, np.float32), total, terminated, truncated, told

@@ -1,0 +1,84 @@
+"""A fleet environment as Brax's trainers want one: all worlds in one state.
+
+Brax is asked not to wrap it: worlds begin anew by themselves, and episodes have their own length.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from brax.envs.base import Env, State
+
+from angler_mjx.learning.environment import FleetEnv
+
+
+@contextmanager
+def replicated() -> Iterator[None]:
+    """While Brax 0.14 trains: the one function that it calls and JAX 0.11 no longer has."""
+
+    def device_put_replicated(tree: Any, devices: Sequence[jax.Device]) -> Any:
+        def one(leaf: Any) -> jax.Array:
+            return jnp.broadcast_to(leaf, (len(devices), *jnp.shape(leaf)))
+
+        return jax.tree.map(one, tree)
+
+    if hasattr(jax, "device_put_replicated"):
+        yield
+        return
+    jax.device_put_replicated = device_put_replicated  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del jax.device_put_replicated
+
+
+class BraxFleet(Env):  # type: ignore[misc]
+    """Worlds of one robot each; observations [W, size], actions [W, size]."""
+
+    def __init__(self, env: FleetEnv) -> None:
+        """Of an environment with one robot in a world."""
+        self._env = env
+
+    def reset(self, rng: jax.Array) -> State:
+        """All worlds; ``rng`` [W, 2] of which the first counts."""
+        key = jax.random.wrap_key_data(rng.reshape(-1, rng.shape[-1])[0])
+        state, seen = self._env.reset(key)
+        none = jnp.zeros(self._env.worlds)
+        info = {"truncation": none, "episode_done": none, "episode_metrics": {}}
+        return State(pipeline_state=state, obs=seen[:, 0], reward=none, done=none, info=info)
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """One control step of all worlds."""
+        after, seen, reward, terminated, truncated, _ = self._env.step(
+            state.pipeline_state, action[:, None]
+        )
+        done = (terminated | truncated).astype(reward.dtype)
+        info = {
+            **state.info,
+            "truncation": truncated.astype(reward.dtype),
+            "episode_done": done,
+        }
+        return state.replace(
+            pipeline_state=after, obs=seen[:, 0], reward=reward[:, 0], done=done, info=info
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers of an observation."""
+        return self._env.observation_shape[-1]
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return self._env.action_shape[-1]
+
+    @property
+    def backend(self) -> str:
+        """Brax's engines have names; this is none of them."""
+        return "angler_mjx"
+
+    def unbatched(self, **_: Any) -> "BraxFleet":
+        """Itself, whatever wrapper is asked for."""
+        return self

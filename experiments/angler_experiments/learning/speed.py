@@ -1,0 +1,94 @@
+"""How fast the environment of `angler_mjx.learning` is beside `Simulator.segment`.
+
+    python -m angler_experiments.learning.speed --worlds 8192
+
+Both are told velocities of zero, or with ``--action plan`` fly their plans; the environment is
+scanned in one program, with observations, rewards and new worlds for ended ones. Prints
+robot steps a second of both, the best of ``--repeats``, and their ratio.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import tyro
+
+from angler_mjx.control.commands import BodyTwist
+from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.simulator.simulator import Simulator
+
+
+def best_s(run: Callable[[], Any], repeats: int) -> float:
+    """Least time that a call took, after one that is not counted."""
+    jax.block_until_ready(run())
+    took = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        jax.block_until_ready(run())
+        took.append(time.perf_counter() - begun)
+    return min(took)
+
+
+def scanned(steps: int) -> Any:
+    """A program of an environment and its state: so many steps with actions of zeros."""
+
+    def fly(env: FleetEnv, state: EnvState) -> tuple[EnvState, jax.Array]:
+        action = jnp.zeros(env.action_shape)
+
+        def one(state: EnvState, _: None) -> tuple[EnvState, jax.Array]:
+            after, seen, reward = env.step(state, action)[:3]
+            return after, jnp.sum(reward) + jnp.sum(seen)
+
+        return jax.lax.scan(one, state, length=steps)
+
+    return jax.jit(fly)
+
+
+def main(
+    worlds: int = 256,
+    repeats: int = 5,
+    action: str = "twist",
+    scenario: str = "reef_fleet",
+    kernels: str = "",
+) -> None:
+    """Measure both.
+
+    Args:
+        worlds: side by side.
+        repeats: of which the best counts.
+        action: of the environment: plan, or twist with zeros.
+        scenario: a shipped one.
+        kernels: of the fused engine in `Simulator.segment`; its default if left out.
+    """
+    # No record: `segment` then keeps one sample of its steps.
+    changes: dict[str, Any] = {"engine": "fused", "time": {"record_hz": 0.0}}
+    if kernels:
+        changes["kernels"] = kernels
+    simulator = Simulator(load_scenario(shipped()[scenario], **changes), tile=worlds)
+    drawn, steps = simulator.worlds(), simulator.segment_steps
+    robots = drawn.variant.shape[1]
+    command = None
+    if action != "plan":
+        command = BodyTwist(nu=jnp.zeros((worlds, robots, 6)))
+
+    def segment() -> Any:
+        return simulator.segment(drawn, simulator.reset(drawn), command)
+
+    def reset() -> Any:
+        return simulator.reset(drawn)
+
+    plain_s = best_s(segment, repeats) - best_s(reset, repeats)
+    env = make(simulator, worlds=worlds, action=action)
+    program, (state, _) = scanned(steps), env.reset()
+    env_s = best_s(lambda: program(env, state), repeats)
+    total = worlds * robots * steps
+    print(f"{jax.devices()[0].device_kind}: {scenario}, {worlds} worlds of {robots}, {action}")
+    print(f"Simulator.segment ({simulator.kernels}): {total / plain_s:,.0f} robot steps/s")
+    print(f"environment: {total / env_s:,.0f} robot steps/s, {plain_s / env_s:.0%} of it")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

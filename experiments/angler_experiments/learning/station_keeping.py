@@ -1,0 +1,183 @@
+"""PPO against the cascade: holding a place among vortices, with one BlueROV2 Heavy.
+
+    python -m angler_experiments.learning.station_keeping --minutes 10
+    python -m angler_experiments.learning.station_keeping --smoke
+
+The agent gives velocities to the velocity controller; the cascade is told to hold the pose. Both
+fly the same worlds, which were not trained on. Needs the extra ``learn`` (Brax's PPO).
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import tyro
+
+from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator.simulator import Simulator
+
+SCENARIO = Path(__file__).with_name("station_keeping.toml")
+OBSERVE = ("velocity", "upright", "goal", "heading", "current", "action")
+REWARD = {
+    "distance": -1.0,
+    "heading": -0.2,
+    "energy": -0.1,
+    "roughness": -0.002,
+    "collision": -1.0,
+}
+SPEEDS = (0.8, 0.8, 0.5, 0.3, 0.3, 0.6)
+"""That an action of 1 asks for, m/s and rad/s."""
+UNSEEN = 1_000_003
+"""Seed of the worlds that are judged by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """Of a training."""
+
+    worlds: int
+    bank: int
+    judged: int
+    minutes: float
+    unroll: int = 20
+    batch: int = 64
+    minibatches: int = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """How worlds were flown."""
+
+    rms_m: float
+    late_rms_m: float
+    """Of the second half of the episodes."""
+    energy_j: float
+    """Mean of an episode."""
+    failed: int
+    """Episodes that ended early."""
+
+    def line(self, name: str) -> str:
+        """For people."""
+        return (
+            f"{name:8} RMS error {self.rms_m:.3f} m (second half {self.late_rms_m:.3f} m), "
+            f"energy {self.energy_j:,.0f} J, {self.failed} failed"
+        )
+
+
+class OutOfTimeError(Exception):
+    """Training has had its time."""
+
+
+def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any], int, float]:
+    """A policy (observation, key) -> action; and the steps and seconds of its training."""
+    from brax.training.agents.ppo import networks as ppo_networks
+    from brax.training.agents.ppo import train as ppo
+
+    from angler_experiments.learning.brax_env import BraxFleet, replicated
+
+    begun = time.perf_counter()
+    last: dict[str, Any] = {}
+    of_one = size.batch * size.minibatches * size.unroll
+
+    def note(step: int, make_policy: Any, params: Any) -> None:
+        last.update(step=step, make=make_policy, params=params)
+        if time.perf_counter() - begun > 60.0 * size.minutes and step:
+            raise OutOfTimeError
+
+    def networks(*args: Any, **kwargs: Any) -> Any:
+        hidden = (64, 64)
+        return ppo_networks.make_ppo_networks(
+            *args, policy_hidden_layer_sizes=hidden, value_hidden_layer_sizes=hidden, **kwargs
+        )
+
+    try:
+        with replicated():
+            ppo.train(
+                environment=BraxFleet(env),
+                num_timesteps=100_000 * of_one,
+                num_evals=10_001,
+                run_evals=False,
+                num_envs=env.worlds,
+                episode_length=env.rules.horizon,
+                wrap_env_fn=BraxFleet.unbatched,
+                unroll_length=size.unroll,
+                batch_size=size.batch,
+                num_minibatches=size.minibatches,
+                num_updates_per_batch=4,
+                learning_rate=1e-3,
+                entropy_cost=1e-3,
+                discounting=0.97,
+                reward_scaling=10.0,
+                normalize_observations=True,
+                network_factory=networks,
+                seed=seed,
+                policy_params_fn=note,
+            )
+    except OutOfTimeError:
+        pass
+    params = jax.tree.map(lambda leaf: jnp.array(leaf), last["params"])
+    return last["make"](params, deterministic=True), last["step"], time.perf_counter() - begun
+
+
+def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Flown:
+    """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
+
+    def fly(env: FleetEnv) -> Any:
+        def one(carry: tuple[EnvState, jax.Array], __: None) -> Any:
+            state, seen = carry
+            state, seen, _, terminated, _, info = env.step(state, act(seen))
+            return (state, seen), (info["aim_distance_m"][:, 0], info["energy_j"][:, 0], terminated)
+
+        return jax.lax.scan(one, env.reset(), length=env.rules.horizon)[1]
+
+    away, energy, terminated = map(np.asarray, jax.jit(fly)(env))
+    ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that came in its place
+    first = np.ma.masked_array(away, ended)
+    half = len(away) // 2
+    return Flown(
+        rms_m=float(np.sqrt((first**2).mean())),
+        late_rms_m=float(np.sqrt((first[half:] ** 2).mean())),
+        energy_j=float(np.ma.masked_array(energy, ended).max(axis=0).mean()),
+        failed=int(terminated.any(axis=0).sum()),
+    )
+
+
+def main(minutes: float = 10.0, worlds: int = 256, seed: int = 0, smoke: bool = False) -> None:
+    """Train, fly and compare.
+
+    Args:
+        minutes: of training, compiling included.
+        worlds: side by side.
+        seed: of the training.
+        smoke: a few updates on a few worlds, to see that it runs.
+    """
+    size = Size(worlds=worlds, bank=2 * worlds, judged=128, minutes=minutes)
+    if smoke:
+        size = Size(worlds=8, bank=8, judged=8, minutes=0.0, unroll=5, batch=8, minibatches=1)
+    simulator = Simulator(load_scenario(SCENARIO), tile=size.judged)
+    common: dict[str, Any] = {"aim": "start", "observe": OBSERVE, "reward": REWARD}
+    env = make(
+        simulator, worlds=size.worlds, bank=size.bank, action="twist", scale=SPEEDS, **common
+    )
+    policy, steps, seconds = train(env, size, seed)
+    print(f"trained on {steps:,} control steps in {seconds:.0f} s", flush=True)
+    unseen: dict[str, Any] = {"worlds": size.judged, "bank": size.judged, "seed": UNSEEN, **common}
+    learner = make(simulator, action="twist", scale=SPEEDS, **unseen)
+    agent = judge(learner, lambda seen: policy(seen, jax.random.key(0))[0])
+    held = make(simulator, action="pose", **{**unseen, "bank": learner.bank})
+    cascade = judge(held, lambda seen: jnp.zeros(held.action_shape))
+    print(agent.line("PPO"))
+    print(cascade.line("cascade"))
+    nearer = "PPO" if agent.rms_m < cascade.rms_m else "the cascade"
+    thriftier = "PPO" if agent.energy_j < cascade.energy_j else "the cascade"
+    print(f"nearer: {nearer}; thriftier: {thriftier}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
