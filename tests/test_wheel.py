@@ -31,8 +31,13 @@ DISTRIBUTION = {
 """Where a module comes from, if not from what is called like it."""
 
 OF_EXTRAS = {
+    "brax": "ppo",
     "cmaes": "tune",
     "coal": "plan",
+    "grain": "learn",
+    "gymnasium": "learn",
+    "h5py": "export",
+    "minari": "export",
     "numba": "plan",
     "ompl": "plan",
     "optax": "learn",
@@ -41,6 +46,8 @@ OF_EXTRAS = {
     "pymavlink": "sitl",
     "ray": "ray",
     "rerun-sdk": "view",
+    "torch": "torch",
+    "xarray": "learn",
 }
 """Distributions that the package does without, and who brings them."""
 
@@ -102,6 +109,8 @@ def test_extras_are_imported_where_they_are_used_and_not_with_the_simulator():
     }
     # The bridge is made of pymavlink; who draws replays is imported when one is drawn, and who
     # plans on the host when somebody names such a planner.
+    # Who reads for a library of others, or gives it an environment, is imported by its users alone.
+    at_once -= {("torch", "datasets"), ("grain", "datasets"), ("gymnasium", "learning")}
     of_host = {name for name, extra in OF_EXTRAS.items() if extra == "plan"}
     assert {room for name, room in at_once if name in of_host} <= {"planning/host"}
     assert {name for name, _ in at_once} - of_host <= {"rerun-sdk"}

@@ -56,6 +56,9 @@ def test_what_cannot_be_flown_again_is_said(copy):
         mending.repair(copy, Silent())
 
 
+@pytest.mark.nightly(
+    by="tests/angler_mjx/datasets/test_verifying.py::test_an_environment_in_two_splits_is_found"
+)
 def test_datasets_become_one(file, made, tmp_path):
     other = rewritten(file, "other.toml", ("seed = 4", "seed = 5"))
     second = making.make(making.ask(other, 3), tmp_path / "second", told=Told())

@@ -15,6 +15,9 @@ def several(made):
     return jax.tree.map(lambda leaf: np.concatenate([leaf] * 10), made)
 
 
+@pytest.mark.nightly(
+    by="tests/experiments/learned_planner/test_checkpoint.py::test_what_was_written_is_read"
+)
 def test_an_interruption_changes_no_number(several, tmp_path):
     pytest.importorskip("optax", reason="needs the extra learn")
     pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
