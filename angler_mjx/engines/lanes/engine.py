@@ -84,7 +84,8 @@ class FusedEngine:
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
         sample = Sample(**told.record, **to_arrays(seen, 2))
-        sample = nearness.completed(spec, worlds, sample)
+        around = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        sample = nearness.completed(spec, around, sample)
         return world_state(after, state.step + 1, minds), sample
 
     def segment(

@@ -1,6 +1,9 @@
 """One small dataset, made once by the command itself, for all tests of datasets."""
 
+import fcntl
+import os
 import shutil
+from contextlib import contextmanager
 
 import pytest
 
@@ -58,11 +61,23 @@ count = 2
 """
 
 
+@contextmanager
+def alone(folder):
+    """One of the processes that share the tests at a time."""
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 @pytest.fixture(scope="session")
 def file(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("dataset")
-    (folder / "scenario.toml").write_text(SCENARIO)
-    (folder / "small.toml").write_text(FILE)
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "dataset"
+    folder.mkdir(exist_ok=True)
+    with alone(folder):
+        for name, text in (("scenario.toml", SCENARIO), ("small.toml", FILE)):
+            if not (folder / name).exists():
+                (folder / name).write_text(text)
     return folder / "small.toml"
 
 
@@ -70,7 +85,9 @@ def file(tmp_path_factory):
 def made(file):
     """Six worlds in two parts; not to be changed."""
     out = file.parent / "made"
-    main.main(["dataset", "make", str(file), "--episodes", "6", "--out", str(out)])
+    with alone(file.parent):
+        if not out.exists():
+            main.main(["dataset", "make", str(file), "--episodes", "6", "--out", str(out)])
     return out
 
 

@@ -96,6 +96,9 @@ def test_an_environment_in_two_splits_is_found():
     assert index.shared_environment(table.slice(1)) is None
 
 
+@pytest.mark.nightly(
+    by="tests/angler_mjx/datasets/test_verifying.py::test_a_sound_dataset_flies_again_to_the_last_bit"
+)
 def test_flights_that_come_out_otherwise_are_found(copy):
     """One bit of a plan's time: nobody sees it, and the flight again does."""
     part = manifest.read(copy).parts[0]

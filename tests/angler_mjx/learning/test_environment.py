@@ -59,6 +59,9 @@ def step():
     return jax.jit(FleetEnv.step)
 
 
+@pytest.mark.nightly(
+    by="tests/angler_mjx/learning/test_environment.py::test_only_ended_worlds_are_replaced_and_by_the_bank"
+)
 def test_a_fixed_command_flies_as_a_segment_does(simulator, env, step):
     worlds = simulator.worlds()
     twist = np.zeros((WORLDS, 2, 6), np.float32)

@@ -24,7 +24,7 @@ def test_the_physics_steps_follow_each_other_in_time():
         return tree
 
     here = SimpleNamespace(
-        spec=SimpleNamespace(physics_steps=4, physics_dt_s=0.02),
+        spec=SimpleNamespace(physics_steps=4, physics_dt_s=0.02, also=()),
         t=jnp.asarray(0.8),
         params="params",
         current="current",

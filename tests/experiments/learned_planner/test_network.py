@@ -11,6 +11,10 @@ from angler_experiments.learned_planner import examples, flow, network
 from angler_experiments.learned_planner.scene import Scene, scene
 from angler_experiments.learned_planner.shapes import Width
 
+pytestmark = pytest.mark.nightly(
+    by="tests/experiments/learned_planner/test_plans.py, whose plans come of the shipped network"
+)
+
 
 @pytest.fixture(scope="module")
 def params():
