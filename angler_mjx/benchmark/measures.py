@@ -63,7 +63,7 @@ def of_flight(robots: Sequence[Mapping[str, Any]], whole: bool) -> Row:
     """Columns of a flight.
 
     Args:
-        robots: rows of `angler_mjx.storage.results.EPISODE_SCHEMA`, of all robots of a world.
+        robots: rows of `angler_mjx.storage.columns.EPISODE_SCHEMA`, of all robots of a world.
         whole: whether each of them had a path, or needed none.
     """
     reached = [robot for robot in robots if robot["outcome"] == "reached"]

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from angler_mjx.benchmark.columns import NUMBERS, RUN_SCHEMA, WORDS
 from angler_mjx.benchmark.store import STATUS, Store
 from angler_mjx.storage import atomic
-from angler_mjx.storage.results import EPISODE_SCHEMA
+from angler_mjx.storage.columns import EPISODE_SCHEMA
 
 RUNS, ROBOTS, PROGRESS = "runs.parquet", "robots.parquet", "progress.parquet"
 

@@ -39,12 +39,20 @@ type Command = (
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class ControlParams:
-    """What controllers know of one robot."""
+    """One robot, and what controllers know of it."""
 
     vehicle: VehicleParams
+    """As it is; `known` is what controllers take it for."""
     allocation: AllocationParams
     cruise_speed_mps: jax.Array
     """[] speed along a planned path."""
+    nominal: VehicleParams | None = None
+    """What controllers and planners take the vehicle for; None: for what it is."""
+
+    @property
+    def known(self) -> VehicleParams:
+        """The vehicle as controllers and planners know it."""
+        return self.vehicle if self.nominal is None else self.nominal
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -54,7 +54,7 @@ def _of_law(
             more["realised"] = given.realised
         after: tuple[Any, Any] = law.step(
             gains,
-            given.params.vehicle,
+            given.params.known,
             carry,
             given.estimate,
             command,
@@ -97,7 +97,7 @@ def _track(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any
 
 def _pose(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
     params = given.params
-    return carry, pose.step(gains, params.vehicle, params.cruise_speed_mps, given.estimate, command)
+    return carry, pose.step(gains, params.known, params.cruise_speed_mps, given.estimate, command)
 
 
 def _allocation(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:

@@ -102,7 +102,7 @@ def team(
         start_yaw_rad: [R].
         goal_m: [R, 3].
     """
-    vehicle = control.vehicle
+    vehicle = control.known
     speed = vehicle.terminal_speed_mps
     added = jnp.diagonal(vehicle.M_A, axis1=-2, axis2=-1)[..., :3]
     # At terminal speed damping takes all the force there is; from rest the mass does.
@@ -124,7 +124,7 @@ def team(
 
 def _powers(control: ControlParams) -> jax.Array:
     """Power [3, n] of one robot, see `Team.power_w`."""
-    vehicle = control.vehicle
+    vehicle = control.known
     share = jnp.linspace(0.0, 1.0, _POWERS, dtype=vehicle.terminal_speed_mps.dtype)
 
     def at(axis: jax.Array, v: jax.Array) -> jax.Array:

@@ -1,5 +1,6 @@
 """What a scenario file says about the robots of its fleet."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -9,6 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel
 from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.tables import FOLDER
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.fleet import Member, Variant
@@ -127,21 +129,38 @@ class FleetEntry(FileModel):
         """What the controllers are told, and the instruments."""
         return self.estimate, self.sensors or SensorsConfig()
 
-    def member(self) -> Member:
-        """The robots of this entry as the simulator takes them."""
-        weights = self._weights(library.load(self.vehicle).default_set)
+    def member(self, number: int, randomise: RandomiseConfig) -> Member:
+        """The robots of this entry as the simulator takes them.
+
+        Args:
+            number: of the entry.
+            randomise: how they differ from their files.
+        """
+        config = library.load(self.vehicle)
+        weights = self._weights(config.default_set)
+        variants, chances = [], []
+        for name, weight in weights.items():
+            one = Variant(
+                vehicle=self.vehicle,
+                parameter_set=name,
+                battery_v=self.battery_v,
+                thruster_health=tuple(self.thruster_health.items()),
+                fault_known=self.fault_known,
+                rotor_response=self.rotor_response,
+            )
+            bank = [one]
+            if randomise.of_vehicles:
+                drawn = randomise.bank(number, name, len(config.thrusters.layout))
+                known = randomise.known
+                bank = [replace(one, variation=v, variation_known=known) for v in drawn]
+            variants += bank
+            chances += [weight / len(bank)] * len(bank)
         return Member(
-            variants=tuple(
-                Variant(
-                    vehicle=self.vehicle,
-                    parameter_set=name,
-                    battery_v=self.battery_v,
-                    thruster_health=tuple(self.thruster_health.items()),
-                    fault_known=self.fault_known,
-                    rotor_response=self.rotor_response,
-                )
-                for name in weights
-            ),
-            weights=tuple(weights.values()),
+            variants=tuple(variants),
+            weights=tuple(chances),
             cruise_speed_mps=self.cruise_speed_mps,
         )
+
+    def sets(self) -> list[str]:
+        """The parameter sets that its robots can have."""
+        return list(self._weights(library.load(self.vehicle).default_set))

@@ -18,6 +18,7 @@ from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
+from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
     FOLDER,
@@ -73,6 +74,7 @@ class Scenario(FileModel):
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
     store: StoreConfig = StoreConfig()
+    randomise: RandomiseConfig = RandomiseConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
@@ -116,6 +118,27 @@ class Scenario(FileModel):
             check_fleet(resolve(self.world), np.repeat(wide, counts))
         except ConfigError as error:
             raise ValueError(f"world, for the fleet: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _randomised_can_be(self) -> Self:
+        if self.randomise.sensor_noise != AS_SAID and not self.senses:
+            raise ValueError(
+                "randomise.sensor_noise: all robots are told the truth; give one of [[fleet]] "
+                'estimate = "noisy" or "ekf"'
+            )
+        if self.randomise.current != AS_SAID and not self.world.currents:
+            raise ValueError("randomise.current: there is no current; add [[world.currents]]")
+        for i, entry in enumerate(self.fleet if self.randomise.of_vehicles else ()):
+            try:
+                self.randomise.check(
+                    library.load(entry.vehicle),
+                    entry.sets(),
+                    entry.battery_v,
+                    self.water.density_kgpm3,
+                )
+            except ConfigError as error:
+                raise ValueError(f"fleet[{i}]: {error}") from error
         return self
 
     @model_validator(mode="after")
@@ -190,7 +213,9 @@ class Scenario(FileModel):
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
-        return [entry.member() for entry in self.fleet for _ in range(entry.count)]
+        each = [entry.member(i, self.randomise) for i, entry in enumerate(self.fleet)]
+        counts = [entry.count for entry in self.fleet]
+        return [member for member, count in zip(each, counts, strict=True) for _ in range(count)]
 
     def digest(self) -> str:
         """Hexadecimal, of everything that the problems of a seed are drawn from.
@@ -206,6 +231,8 @@ class Scenario(FileModel):
             "density_kgpm3": self.water.density_kgpm3,
             "goal_tolerance_m": self.goal_tolerance_m,
         }
+        if self.randomise.of_vehicles or self.randomise.of_worlds:
+            drawn["randomise"] = self.randomise.model_dump(mode="json")
         text = json.dumps(drawn, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 

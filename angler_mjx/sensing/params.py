@@ -1,8 +1,9 @@
 """What the sensor model knows of one robot: arrays in SI units, compiled from a config."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from statistics import NormalDist
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -133,6 +134,21 @@ class SensorParams:
     noise: bool = field(metadata={"static": True})
     """False: readings are exact. They still come at their rates, after their latency, and only
     with bottom lock or at the surface. The figures above remain what a filter believes."""
+
+
+def louder(params: SensorParams, factor: jax.Array) -> SensorParams:
+    """The same instruments with ``factor`` [] times the noise.
+
+    Standard deviations are scaled, those of biases too; rates, dropouts, the share of echoes and
+    the steps of readings stay.
+    """
+
+    def scaled(part: Any) -> Any:
+        names = [one.name for one in fields(part) if "std" in one.name]
+        return replace(part, **{name: factor * getattr(part, name) for name in names})
+
+    parts = ("imu", "depth", "ahrs", "dvl", "usbl", "gps", "truth")
+    return replace(params, **{name: scaled(getattr(params, name)) for name in parts})
 
 
 def check(config: SensorsConfig, control_dt_s: float) -> None:

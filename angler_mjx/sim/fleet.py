@@ -1,12 +1,13 @@
 """A fleet of mixed vehicles: the variants it can hold, and which one each robot of a world is.
 
-A variant is a vehicle with one parameter set at one voltage, with its faults. A robot of the fleet
-names one variant or a weighted mix; the mix is drawn anew in every world.
+A variant is a vehicle with one parameter set at one voltage, with its faults and what was drawn of
+it. A robot of the fleet names one variant or a weighted mix; the mix is drawn anew in every world.
 """
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +21,10 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.vehicles import library, mjcf, params
+from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.rotor_config import RotorResponse
+from angler_mjx.vehicles.variation import Variation, varied
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +41,10 @@ class Variant:
     """Whether the allocation knows of them; if not, it takes all thrusters for sound."""
     rotor_response: RotorResponse | None = None
     """None for what the vehicle file says."""
+    variation: Variation | None = None
+    """How it differs from its parameter set."""
+    variation_known: bool = False
+    """Whether controllers and planners are told so; if not, they take it for its parameter set."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +106,20 @@ def variants(members: Sequence[Member]) -> list[Variant]:
     return list(dict.fromkeys(v for member in members for v in member.variants))
 
 
+def described(members: Sequence[Member]) -> list[dict[str, Any]]:
+    """What each variant of a fleet is, by its number in ``World.variant``; for files."""
+    labels = library.labels(kind.vehicle for kind in variants(members))
+    rows = []
+    for number, kind in enumerate(variants(members)):
+        row = {"variant": number, **asdict(kind), "vehicle": labels[kind.vehicle]}
+        drawn = row.pop("variation") or {}
+        volts = drawn.pop("battery_v", None)
+        rows.append(
+            {**row, "battery_v": kind.battery_v if volts is None else volts, "drawn": drawn}
+        )
+    return rows
+
+
 def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     """Compile a fleet (host side).
 
@@ -111,25 +132,16 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
             one kind.
     """
     kinds = variants(members)
-    configs = [library.load(kind.vehicle) for kind in kinds]
-    robots = [
-        params.build(
-            config,
-            kind.parameter_set,
-            kind.battery_v,
-            thruster_health=dict(kind.thruster_health),
-            rotor_response=kind.rotor_response,
-        )
-        for config, kind in zip(configs, kinds, strict=True)
-    ]
+    robots = [_robot(kind) for kind in kinds]
     _refuse_mixed_rotors(kinds, robots)
     stacked = params.stack(robots)
+    nominal = None
+    if any(kind.variation and not kind.variation_known for kind in kinds):
+        nominal = params.stack([_robot(_taken_for(kind)) for kind in kinds])
+    believed = stacked if nominal is None else nominal
     known = np.array([[kind.fault_known] for kind in kinds])
-    specs = [
-        mjcf.to_spec(config, kind.parameter_set, shapes=False)
-        for config, kind in zip(configs, kinds, strict=True)
-    ]
-    surge = CRUISE_SHARE * np.asarray(stacked.terminal_speed_mps)[:, 0]
+    specs = [mjcf.to_spec(_config(kind), kind.parameter_set, shapes=False) for kind in kinds]
+    surge = CRUISE_SHARE * np.asarray(believed.terminal_speed_mps)[:, 0]
     cruise = np.array([np.minimum(member.cruise_speed_mps, surge) for member in members])
     chance = np.zeros((len(members), len(kinds)))
     for row, member in zip(chance, members, strict=True):
@@ -140,8 +152,9 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     engine, body = mjx_engine.build(specs) if multibody else (None, mjx_engine.without(specs))
     control = ControlParams(
         vehicle=stacked,
-        allocation=allocation.build(stacked, np.where(known, stacked.thruster_health, 1.0)),
+        allocation=allocation.build(believed, np.where(known, believed.thruster_health, 1.0)),
         cruise_speed_mps=jnp.zeros(len(kinds)),
+        nominal=nominal,
     )
     return Fleet(
         engine=engine,
@@ -151,6 +164,30 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
         cruise_mps=jnp.asarray(cruise, float),
         log_weight=jnp.asarray(log_weight, float),
     )
+
+
+def _config(kind: Variant) -> VehicleConfig:
+    """The vehicle file of a variant, its parameter set varied."""
+    config = library.load(kind.vehicle)
+    return config if kind.variation is None else varied(config, kind.parameter_set, kind.variation)
+
+
+def _robot(kind: Variant) -> VehicleParams:
+    """The parameters of a variant as it is."""
+    volts = kind.variation.battery_v if kind.variation else None
+    return params.build(
+        _config(kind),
+        kind.parameter_set,
+        kind.battery_v if volts is None else volts,
+        thruster_health=dict(kind.thruster_health),
+        thrust_gain=kind.variation.thrust if kind.variation else (),
+        rotor_response=kind.rotor_response,
+    )
+
+
+def _taken_for(kind: Variant) -> Variant:
+    """What controllers and planners take a variant for."""
+    return kind if kind.variation_known else replace(kind, variation=None)
 
 
 def _refuse_mixed_rotors(kinds: Sequence[Variant], robots: Sequence[VehicleParams]) -> None:

@@ -17,6 +17,7 @@ from angler_mjx.control.commands import Estimate
 from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sensing import suite
+from angler_mjx.sensing.params import SensorParams, louder
 from angler_mjx.sensing.readings import Truth
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import InstrumentedRobots, Senses, SimSpec, World
@@ -36,9 +37,9 @@ def reset(spec: SimSpec, world: World, vehicles: VehicleState) -> tuple[Senses |
     """
     if not spec.instrumented:
         return ()
-    truth, keys = _truth(world, vehicles), world.sensing_key
+    truth, keys, loud = _truth(world, vehicles), world.sensing_key, _loudness(world)
     return tuple(
-        jax.vmap(_switched_on)(robots.params, *_of(robots, (keys, truth)))
+        jax.vmap(_switched_on)(robots.params, *_of(robots, (keys, loud, truth)))
         if robots.source == "ekf"
         else None
         for robots in spec.instrumented
@@ -69,12 +70,12 @@ def step(
     truth, after = _truth(world, vehicles), []
     belief = truth_told(vehicles, flow)
     for robots, senses in zip(spec.instrumented, memory, strict=True):
-        key, seen, there = _of(robots, (world.sensing_key, truth, flow))
+        key, loud, seen, there = _of(robots, (world.sensing_key, _loudness(world), truth, flow))
         if senses is None:
-            known = jax.vmap(partial(_noisy, number=number))(robots.params, key, seen, there)
+            known = jax.vmap(partial(_noisy, number=number))(robots.params, key, loud, seen, there)
         else:
             navigated = jax.vmap(partial(_navigated, number=number))
-            senses, known = navigated(robots.params, key, senses, seen, there)
+            senses, known = navigated(robots.params, key, loud, senses, seen, there)
         after.append(senses)
         belief = _with(robots, belief, known)
     return tuple(after), belief
@@ -111,6 +112,16 @@ def _truth(world: World, vehicles: VehicleState) -> Truth:
     )
 
 
+def _loudness(world: World) -> jax.Array | None:
+    """[R] times the noise that the files say; None for just that."""
+    return None if world.factors is None else world.factors.sensor_noise
+
+
+def _heard(params: NavigationParams, loud: jax.Array | None) -> SensorParams:
+    """The instruments of one robot as noisy as they are; its filter believes ``params``."""
+    return params.sensors if loud is None else louder(params.sensors, loud)
+
+
 def _of(robots: InstrumentedRobots, tree: Any) -> Any:
     """The rows of some robots of arrays [R, ...]."""
     return jax.tree.map(lambda leaf: leaf[robots.first : robots.first + robots.count], tree)
@@ -125,12 +136,14 @@ def _with(robots: InstrumentedRobots, whole: Belief, part: Belief) -> Belief:
     return put
 
 
-def _switched_on(params: NavigationParams, key: jax.Array, truth: Truth) -> Senses:
+def _switched_on(
+    params: NavigationParams, key: jax.Array, loud: jax.Array | None, truth: Truth
+) -> Senses:
     """Instruments and filter of one robot, which begins off the truth by as much as it says."""
     wrapped = jax.random.wrap_key_data(key)
     estimate = Estimate(p=truth.p, q=truth.q, nu=truth.nu)
     return Senses(
-        instruments=suite.reset(params.sensors, wrapped, truth),
+        instruments=suite.reset(_heard(params, loud), wrapped, truth),
         filter=navigation.reset(params, estimate, jax.random.fold_in(wrapped, OF_FILTER)),
     )
 
@@ -138,6 +151,7 @@ def _switched_on(params: NavigationParams, key: jax.Array, truth: Truth) -> Sens
 def _navigated(
     params: NavigationParams,
     key: jax.Array,
+    loud: jax.Array | None,
     senses: Senses,
     truth: Truth,
     flow: jax.Array | None,
@@ -146,7 +160,8 @@ def _navigated(
 ) -> tuple[Senses, Belief]:
     """Instruments and filter of one robot. No instrument shows the current: still water."""
     wrapped = jax.random.wrap_key_data(key)
-    instruments, reading = suite.step(params.sensors, senses.instruments, wrapped, number, truth)
+    heard = _heard(params, loud)
+    instruments, reading = suite.step(heard, senses.instruments, wrapped, number, truth)
     carry, out = navigation.step(params, senses.filter, reading)
     estimate = out.estimate
     return Senses(instruments=instruments, filter=carry), Belief(
@@ -163,6 +178,7 @@ def _navigated(
 def _noisy(
     params: NavigationParams,
     key: jax.Array,
+    loud: jax.Array | None,
     truth: Truth,
     flow: jax.Array | None,
     *,
@@ -170,9 +186,10 @@ def _noisy(
 ) -> Belief:
     """The true state of one robot with white noise."""
     wrapped, noise = jax.random.wrap_key_data(key), params.sensors.truth
-    told = suite.disturb(params.sensors, wrapped, number, truth)
+    heard = _heard(params, loud)
+    told = suite.disturb(heard, wrapped, number, truth)
     if flow is not None:
-        flow = suite.disturb_current(params.sensors, wrapped, number, flow)
+        flow = suite.disturb_current(heard, wrapped, number, flow)
     stds = (noise.position_std_m, noise.velocity_std_mps, noise.attitude_std_rad)
     position, velocity, attitude = (jnp.broadcast_to(std, (3,)) for std in stds)
     return Belief(

@@ -85,6 +85,17 @@ class SimSpec:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
+class Factors:
+    """What was drawn for one world beside what its files say; its current has its own already."""
+
+    current: jax.Array
+    """[] times as fast as drawn."""
+    sensor_noise: jax.Array
+    """[n_robot] times the noise of the instruments."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
 class World:
     """What does not change during an episode of one world; [n_robot] leads in fleet and paths.
 
@@ -109,6 +120,8 @@ class World:
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
     """uint32 [2] key of the world's policy; None where the simulator has none."""
+    factors: Factors | None = None
+    """None where current and noise are as the files say."""
 
     @property
     def planned(self) -> jax.Array:

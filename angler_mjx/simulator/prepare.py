@@ -14,7 +14,7 @@ from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.joint_trajectory import hold as hold_joints
 from angler_mjx.control.trajectory import hold
-from angler_mjx.draws import children
+from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.asking import ask
@@ -22,12 +22,13 @@ from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.knowledge import Knows, obstacles
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import Factors, World
 from angler_mjx.simulator.on_device import GRID, device_planner, foresees, ways_config
-from angler_mjx.world import generate
+from angler_mjx.world import currents, generate
 from angler_mjx.world.config import WorldRecipe, resolve
 
 AT_ONCE = {"gpu": 16384}
@@ -186,7 +187,7 @@ def _one_world(
 ) -> World:
     """World ``index`` of a run: its key is the run's, folded with the global index."""
     key = jax.random.fold_in(jax.random.key(seed), index)
-    of_fleet, of_world, of_senses, of_policy = children(key, 4)
+    of_fleet, of_world, of_senses, of_policy, of_factors = children(key, 5)
     variant, control, body = fleet.draw(kinds, of_fleet)
     environment = generate.generate(
         recipe,
@@ -195,6 +196,11 @@ def _one_world(
         scenario.time.horizon_s,
         scenario.water.density_kgpm3,
     )
+    factors = _factors(scenario.randomise, of_factors, variant.shape[0])
+    if factors is not None:
+        environment = replace(
+            environment, current=currents.scaled(environment.current, factors.current)
+        )
     path: Path
     if shape.joints:
         path = hold_joints(environment.start_m, environment.start_yaw_rad, shape.points)
@@ -227,4 +233,16 @@ def _one_world(
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
         policy_key=jax.random.key_data(of_policy) if policy else None,
+        factors=factors,
+    )
+
+
+def _factors(given: RandomiseConfig, key: jax.Array, robots: int) -> Factors | None:
+    """What is drawn for one world; a robot more changes nothing for those before it."""
+    if not given.of_worlds:
+        return None
+    of_current, of_noise = uniforms(children(key, 2), max(robots, 1))
+    return Factors(
+        current=between(of_current[0], *given.current),
+        sensor_noise=between(of_noise, *given.sensor_noise),
     )

@@ -1,10 +1,11 @@
 """The run folder: where it is built, what lies in it, and how it is read back.
 
 ``config.json`` resolved scenario, ``environment.json`` versions and machine, ``policy.json`` where
-one commanded the robots, ``inputs/`` copies of the vehicle, thruster and plan files,
-``summary.json``, ``episodes.parquet``, ``trajectories.zarr``, ``run.log``, ``figures/``,
-``replay.rrd``; ``robots/`` where each robot left files of its own. While a run goes on, the folder
-is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the finished tiles.
+one commanded the robots, ``variants.json`` where vehicles were randomised, ``inputs/`` copies of
+the vehicle, thruster and plan files, ``summary.json``, ``episodes.parquet``, ``trajectories.zarr``,
+``run.log``, ``figures/``, ``replay.rrd``; ``robots/`` where each robot left files of its own. While
+a run goes on, the folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the
+finished tiles.
 """
 
 import json
@@ -23,12 +24,13 @@ import zarr
 from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.files import parse
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim import fleet
 from angler_mjx.storage import atomic, claims, environments, inputs, layout, results
 from angler_mjx.storage.claims import Claim, partial_path
 from angler_mjx.storage.damage import read_table, reading
 
 CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
-POLICY = "policy.json"
+POLICY, VARIANTS = "policy.json", "variants.json"
 EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
 FIGURES, REPLAY, ROBOTS, LOG = "figures", "replay.rrd", "robots", "run.log"
 
@@ -179,6 +181,8 @@ def begin(
     """
     inputs.take(building, [entry.vehicle for entry in scenario.fleet], others or [])
     write_json(building / CONFIG, scenario.model_dump(mode="json"))
+    if scenario.randomise.of_vehicles:
+        write_json(building / VARIANTS, {"variants": fleet.described(scenario.members())})
     write_json(building / ENVIRONMENT, environment)
 
 

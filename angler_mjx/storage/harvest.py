@@ -14,7 +14,7 @@ from angler_mjx.errors import RunError
 from angler_mjx.planning.online.policy import Memory
 from angler_mjx.planning.online.replanning import Plans
 from angler_mjx.sim.record import FIELDS, STATES, Field, Sample
-from angler_mjx.sim.state import Outcome, Tally, World, WorldState
+from angler_mjx.sim.state import Factors, Outcome, Tally, World, WorldState
 from angler_mjx.simulator.hosted import PlanNotes
 from angler_mjx.storage.layout import END, plan_arrays
 from angler_mjx.storage.results import TileResult
@@ -41,6 +41,8 @@ class Constants:
     """None where nothing is recorded, as the plans."""
     plan: dict[str, jax.Array] | None
     """By the names of their arrays; see `storage.layout`."""
+    factors: Factors | None = None
+    """None where none were drawn."""
 
 
 @jax.tree_util.register_dataclass
@@ -99,6 +101,7 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
         planned=worlds.planned,
         plan_length_m=_length(points_m(worlds.path)),
         plan_end_s=worlds.path.time_s[..., -1],
+        factors=worlds.factors,
         environment=worlds.environment if recorded else None,
         plan=plan_arrays(worlds.path) if recorded else None,
     )
@@ -170,7 +173,7 @@ def require_valid(constants: Constants, first: int, kept: int) -> None:
 
 def tile_result(tile: FinishedTile) -> TileResult:
     """A tile's end as host arrays, the horizon's end turned into time-outs."""
-    kept = tile.kept
+    kept, factors = tile.kept, tile.constants.factors
     tally = jax.tree.map(lambda leaf: np.asarray(leaf)[:kept], tile.end.tally)
     outcome = np.where(tally.outcome == Outcome.RUNNING, Outcome.TIMEOUT, tally.outcome)
     return TileResult(
@@ -194,6 +197,8 @@ def tile_result(tile: FinishedTile) -> TileResult:
         failed_replans=None
         if tile.end.failed_replans is None
         else np.asarray(tile.end.failed_replans)[:kept],
+        current_factor=None if factors is None else np.asarray(factors.current)[:kept],
+        sensor_noise_factor=None if factors is None else np.asarray(factors.sensor_noise)[:kept],
     )
 
 

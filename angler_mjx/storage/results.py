@@ -11,84 +11,10 @@ import pyarrow.compute as pc
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.simulator.hosted import PlanNotes, status_of
 from angler_mjx.storage import intervals
+from angler_mjx.storage.columns import EPISODE_SCHEMA, MISSING, SINCE, UNSAID
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
 """How an episode can end, in the order of every table and figure."""
-
-_FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
-    ("world", pa.int64(), "1", "index of the world; with the seed it makes the world again"),
-    ("robot", pa.int32(), "1", "index in the fleet"),
-    ("seed", pa.int64(), "1", "seed of the run"),
-    ("vehicle", pa.string(), "", "vehicle"),
-    ("parameter_set", pa.string(), "", "hydrodynamic parameter set"),
-    ("planned", pa.bool_(), "1", "whether the planner found a way"),
-    ("outcome", pa.string(), "", "how the episode ended"),
-    ("time_to_goal_s", pa.float32(), "s", "arrival; null if not reached"),
-    ("path_length_m", pa.float32(), "m", "way of the centre of mass until the end"),
-    ("energy_j", pa.float32(), "J", "electrical energy of the thrusters until the end"),
-    ("min_clearance_m", pa.float32(), "m", "least hull distance to cells, floor, obstacles"),
-    (
-        "min_separation_m",
-        pa.float32(),
-        "m",
-        "least hull distance to other robots, at most 1; null if alone",
-    ),
-    ("failure_time_s", pa.float32(), "s", "end of a failed episode; null if reached"),
-    ("failure_x_m", pa.float32(), "m", "centre of mass then, east; null if reached"),
-    ("failure_y_m", pa.float32(), "m", "north; null if reached"),
-    ("failure_z_m", pa.float32(), "m", "up, 0 at the surface; null if reached"),
-    (
-        "failure_pair",
-        pa.string(),
-        "",
-        "what was touched: cell, floor, obstacle:i, robot:i; or none",
-    ),
-    ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; null without one"),
-    ("redraws", pa.int32(), "1", "drawings thrown away before this world"),
-    ("planning_s", pa.float32(), "s", "planner's time for the world; null on the device"),
-    ("plan_status", pa.string(), "", "how planning ended, see docs/planners.md"),
-    ("plan_reason", pa.string(), "", "why the robot has no path; null if it has one, or unknown"),
-    ("plan_length_m", pa.float32(), "m", "planned way; null without a path"),
-    ("plan_end_s", pa.float32(), "s", "when the path is over; null without a path"),
-    ("late_s", pa.float32(), "s", "arrival after the end of the path; null if not reached"),
-    (
-        "failed_replans",
-        pa.int32(),
-        "1",
-        "times that no new plan was found on the way; null where none was asked for",
-    ),
-)
-
-_SINCE = (1, 7)
-"""Columns at the end that older runs lack: before failed replans were told, and before there was a
-choice of planners."""
-
-MISSING = (
-    "time_to_goal_s",
-    "min_separation_m",
-    "failure_time_s",
-    "failure_x_m",
-    "failure_y_m",
-    "failure_z_m",
-    "impact_speed_mps",
-    "planning_s",
-    "plan_length_m",
-    "plan_end_s",
-    "late_s",
-    "failed_replans",
-)
-"""Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
-
-UNSAID = ("plan_status", "plan_reason")
-"""Columns of text in which there may be none."""
-
-EPISODE_SCHEMA = pa.schema(
-    [
-        pa.field(name, kind, metadata={"unit": unit, "description": text})
-        for name, kind, unit, text in _FIELDS
-    ]
-)
-"""Columns of ``episodes.parquet``, with unit and meaning in each field's metadata."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +47,10 @@ class TileResult:
     """int [w]."""
     failed_replans: np.ndarray | None = None
     """int [w, r]; None where nothing was planned anew."""
+    current_factor: np.ndarray | None = None
+    """[w]; None where none was drawn, as with the next."""
+    sensor_noise_factor: np.ndarray | None = None
+    """[w, r]."""
 
 
 def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
@@ -167,7 +97,8 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         "impact_speed_mps": _known(result.impact_speed_mps.reshape(-1)),
         "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
     }
-    return pa.table({**columns, **_plan_columns(result, end, reached)}, schema=EPISODE_SCHEMA)
+    more = {**_plan_columns(result, end, reached), **_factor_columns(result)}
+    return pa.table({**columns, **more}, schema=EPISODE_SCHEMA)
 
 
 def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> dict[str, Any]:
@@ -193,6 +124,20 @@ def _plan_columns(result: TileResult, end: np.ndarray, reached: np.ndarray) -> d
         "failed_replans": pa.nulls(planned.size, pa.int32())
         if result.failed_replans is None
         else pa.array(result.failed_replans.reshape(-1), pa.int32()),
+    }
+
+
+def _factor_columns(result: TileResult) -> dict[str, Any]:
+    """What was drawn for the robots and their water; [w * r] values each."""
+    shape = result.variant.shape
+    nothing = np.full(shape, np.nan)
+    of_world, of_robot = result.current_factor, result.sensor_noise_factor
+    current = nothing if of_world is None else np.broadcast_to(of_world[:, None], shape)
+    noise = nothing if of_robot is None else of_robot
+    return {
+        "variant": result.variant.reshape(-1).astype(np.int32),
+        "current_factor": _known(current.reshape(-1)),
+        "sensor_noise_factor": _known(noise.reshape(-1)),
     }
 
 
@@ -229,7 +174,7 @@ def checked(table: pa.Table) -> pa.Table:
 
 def _with_plans(table: pa.Table) -> pa.Table:
     """Rows with the columns that older runs lack, empty."""
-    lacking = next((n for n in _SINCE if table.schema.names == EPISODE_SCHEMA.names[:-n]), 0)
+    lacking = next((n for n in SINCE if table.schema.names == EPISODE_SCHEMA.names[:-n]), 0)
     for field in list(EPISODE_SCHEMA)[len(EPISODE_SCHEMA) - lacking :]:
         table = table.append_column(field, pa.nulls(table.num_rows, field.type))
     return table

@@ -4,7 +4,7 @@ Everything is about the robot's centre of mass, in F (x forward, y left, z up). 
 once, on the host, in float64; the arrays have JAX's default float type.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -64,7 +64,7 @@ class VehicleParams:
     thruster_exists: jax.Array
     """bool [n_t] False for padding and for dead thrusters: neither draws power."""
     thruster_health: jax.Array
-    """[n_t] share of the table's thrust that each thruster gives: 1 sound, 0 dead."""
+    """[n_t] share of the table's thrust that each thruster gives: 1 as the table says, 0 dead."""
     rotor: RotorFilter | None = field(default=None, metadata={"static": True})
     """What thrusts follow their commands by; None for a lag of first order."""
     steered: bool = field(default=False, metadata={"static": True})
@@ -77,6 +77,7 @@ def build(
     voltage_v: float,
     *,
     thruster_health: Mapping[str, float] | None = None,
+    thrust_gain: Sequence[float] = (),
     rotor_response: RotorResponse | None = None,
 ) -> VehicleParams:
     """Compile a vehicle file to the parameters of one robot.
@@ -87,6 +88,7 @@ def build(
         voltage_v: Battery voltage, V.
         thruster_health: Share of its thrust, in [0, 1], of each thruster that is not sound, by
             name. Terminal speeds are those of a sound vehicle.
+        thrust_gain: Times the share of each, in the order of the file; 1 if left out.
         rotor_response: First or third order; None for what the file says.
 
     Raises:
@@ -95,6 +97,7 @@ def build(
     """
     chosen = config.find_set(parameter_set)
     health = np.array(config.find_health(thruster_health or {}))
+    health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
     thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
     B = wrench_matrix(config)
     D_l = np.asarray(chosen.damping.linear, dtype=np.float64)

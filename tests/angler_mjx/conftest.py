@@ -18,6 +18,7 @@ from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Fleet, Member, Variant
 from angler_mjx.sim.state import SimSpec, World
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.variation import Variation
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.currents import (
     DoubleGyreConfig,
@@ -87,8 +88,21 @@ class Scene:
     """[n] leads."""
 
 
+OTHERWISE = Variation(
+    mass=0.97,
+    buoyancy=1.015,
+    damping=(0.8, 1.3, 1.1, 0.7, 1.4, 0.9),
+    added_mass=(1.2, 0.8, 1.1, 0.9, 1.3, 0.7),
+    thrust=(0.9, 1.05, 0.95, 1.0, 0.85, 1.02),
+)
+"""How one robot differs from its file, untold."""
+
+
 def every_variant() -> list[Member]:
-    """A robot for each parameter set of each shipped vehicle, and one that draws its set."""
+    """A robot for each parameter set of each shipped vehicle, and one that draws its set.
+
+    The last is not what its file says, and its controllers do not know.
+    """
     members = []
     for vehicle in reversed(library.available()):
         kinds = [
@@ -98,6 +112,8 @@ def every_variant() -> list[Member]:
         members += [
             Member(variants=(kind,), weights=(1.0,), cruise_speed_mps=0.5) for kind in kinds
         ]
+    other = replace(members[-1].variants[0], variation=OTHERWISE)
+    members[-1] = replace(members[-1], variants=(other,))
     heavy = members[0].variants[0].vehicle
     mix = tuple(kind for kind in fleet.variants(members) if kind.vehicle == heavy)
     return [Member(variants=mix, weights=(1.0,) * len(mix), cruise_speed_mps=0.4), *members]

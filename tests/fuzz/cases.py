@@ -114,7 +114,33 @@ def draw(seed: int, number: int, *, worlds: int, horizon_s: float = 60.0) -> Cas
         "controller": {"name": controller},
         "fleet": fleet,
     }
+    if rng.random() < 0.4:
+        scenario["randomise"] = _randomise(rng, scenario)
     return Case(scenario=scenario, signals=driver == "signals", vehicles=vehicles)
+
+
+def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
+    """Ranges that leave every vehicle afloat."""
+    spans = {
+        "mass": (0.95, 1.05),
+        "buoyancy": (0.97, 1.03),
+        "damping": (0.5, 2.0),
+        "added_mass": (0.5, 2.0),
+        "thrust": (0.7, 1.1),
+        "battery_v": (12.0, 18.0),
+    }
+    if scenario["world"].get("currents"):
+        spans["current"] = (0.0, 2.0)
+    if any(entry.get("estimate", "truth") != "truth" for entry in scenario["fleet"]):
+        spans["sensor_noise"] = (0.0, 3.0)
+    found: dict[str, Any] = {
+        name: sorted(round(rng.uniform(low, high), 2) for _ in range(2))
+        for name, (low, high) in spans.items()
+        if rng.random() < 0.5
+    }
+    if rng.random() < 0.3:
+        found |= {"fault_probability": 0.2, "fault_health": [0.0, 0.5]}
+    return {"variants": rng.choice([1, 3]), "known": rng.random() < 0.5, **found}
 
 
 def _fleet(rng: random.Random, *, rock: bool) -> tuple[list[dict[str, Any]], dict[str, str]]:
@@ -263,6 +289,8 @@ def simpler(case: Case) -> list[Case]:
                 dropped = (key, "fault_known") if key == "thruster_health" else (key,)
                 less = {k: v for k, v in entry.items() if k not in dropped}
                 found.append(with_fleet([*fleet[:i], less, *fleet[i + 1 :]]))
+    if "randomise" in scenario:
+        found.append(case.but(randomise={}))
     if scenario["controller"]["name"] != "cascade":
         found.append(case.but(controller={"name": "cascade"}))
     return found

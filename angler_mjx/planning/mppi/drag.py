@@ -44,7 +44,7 @@ def hull(
 
     A vehicle without thrust in some direction is taken to turn its bow there.
     """
-    vehicle = params.vehicle
+    vehicle = params.known
     speed = vehicle.terminal_speed_mps
     return Hull(
         heading=jnp.stack([jnp.cos(yaw_rad), jnp.sin(yaw_rad)]),

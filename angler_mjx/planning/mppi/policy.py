@@ -81,7 +81,7 @@ class Mppi(Policy):
 
         p = known.belief.p
         return Memory(
-            field=jax.vmap(of_robot)(known.goal_m, known.params.vehicle.radius_m),
+            field=jax.vmap(of_robot)(known.goal_m, known.params.known.radius_m),
             knots=jnp.zeros((p.shape[0], self.knots, 3), p.dtype),
             way_m=jnp.repeat(p[:, None], self.steps, axis=1),
             yaw_rad=jax.vmap(quaternion.yaw)(known.belief.q),
@@ -95,12 +95,12 @@ class Mppi(Policy):
         ahead_s = self.dt_s * (jnp.arange(self.steps) + 1)
         place, reach = ahead.obstacles(known.obstacles, ahead_s)
         centre = jnp.concatenate([jnp.swapaxes(others, 0, 1), jnp.swapaxes(place, 0, 1)], axis=1)
-        robots, radii = jnp.arange(known.goal_m.shape[0]), known.params.vehicle.radius_m
+        robots, radii = jnp.arange(known.goal_m.shape[0]), known.params.known.radius_m
 
         def one(
             i: jax.Array, params: ControlParams, seen: fields.Field, knots: jax.Array
         ) -> tuple[jax.Array, jax.Array, jax.Array]:
-            radius, q = params.vehicle.radius_m, believed.q[i]
+            radius, q = params.known.radius_m, believed.q[i]
             of_robots = jnp.where(robots == i, ahead.NOBODY_M, radius + radii)
             scene = Scene(
                 field=seen,
@@ -157,6 +157,6 @@ class Mppi(Policy):
 
         believed = known.belief
         commands: BodyTwist | BodyWrench = jax.vmap(one)(
-            known.params.vehicle, believed.p, believed.q, believed.nu, asked, flow, yaw
+            known.params.known, believed.p, believed.q, believed.nu, asked, flow, yaw
         )
         return commands

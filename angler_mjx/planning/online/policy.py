@@ -91,7 +91,7 @@ class Online(Policy):
     def _order(self, path: Plan, known: Known) -> Order | None:
         if not self.keeps_order:
             return None
-        return order.of(path, guidance.reach_m(known.params.vehicle.radius_m))
+        return order.of(path, guidance.reach_m(known.params.known.radius_m))
 
     def _anew(
         self, settings: Replanning, carry: Memory, known: Known, key: jax.Array, step: jax.Array

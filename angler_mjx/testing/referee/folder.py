@@ -50,13 +50,15 @@ def read_rows(path: Path, robots: int) -> dict[int, list[Row]]:
         ConfigError: the file is damaged, or a world has other rows.
     """
     with reading(path):
-        table = pq.read_table(path, columns=["world", "robot", *WORDS, *NUMBERS])
+        drawn = [name for name in ("variant",) if name in pq.read_schema(path).names]
+        table = pq.read_table(path, columns=["world", "robot", *WORDS, *NUMBERS, *drawn])
         table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
         columns: dict[str, Any] = {
             "world": table["world"].to_numpy(),
             "robot": table["robot"].to_numpy(),
             **{name: table[name].to_pylist() for name in WORDS},
             **{name: _numbers(table[name], name) for name in NUMBERS},
+            **{name: table[name].to_pylist() for name in drawn},
         }
     found: dict[int, list[Row]] = {}
     for i in range(table.num_rows):

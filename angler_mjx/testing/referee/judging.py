@@ -101,7 +101,7 @@ def _is_held(scene: Scene, robot: int, state: int) -> bool:
 def _energy(tell: Telling, scene: Scene, robot: int, last: int) -> None:
     """Power of every command until the end, for a control period each."""
     pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
-    thrusters = scene.run.robots[robot]
+    thrusters = scene.run.robot(robot, tell.row)
     mine = pwm[:, : thrusters.alive.size]
     if len(pwm) < last or not np.all(np.isfinite(mine) & (mine > 0.0)):
         tell.unchecked("energy_j", "a step has no command in the record")

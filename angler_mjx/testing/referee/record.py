@@ -42,6 +42,8 @@ class Run:
     horizon_steps: int
     goal_tolerance_m: float
     robots: tuple[Robot, ...]
+    variants: Sequence[Mapping[str, Any]]
+    """Of ``variants.json``, by number; empty where vehicles are as their files say."""
     rows: Mapping[int, Sequence[Row]]
     """Of each finished world, in the order of the robots."""
     planned_worlds: int
@@ -51,6 +53,11 @@ class Run:
     whole_us: bool
     """Whether commands were stored as whole microseconds, and not as they were."""
     group: Any
+
+    def robot(self, number: int, row: Row) -> Robot:
+        """The robot of a row, as it was drawn for its world."""
+        one = self.robots[number]
+        return one.as_drawn(self.variants[int(row["variant"])]) if self.variants else one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +152,16 @@ def open_run(path: Path) -> Run:
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
         }
+    drawn: Sequence[Mapping[str, Any]] = ()
+    if (path / "variants.json").exists():
+        drawn = read_json(path / "variants.json")["variants"]
     with reading(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = group["pwm_us"].dtype.kind in "iu"
     return Run(
         path=path,
         robots=robots,
+        variants=drawn,
         rows=read_rows(path / "episodes.parquet", len(robots)),
         one_scene=_is_one_scene(path / "summary.json"),
         whole_us=whole,

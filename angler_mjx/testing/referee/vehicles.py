@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,17 @@ class Robot:
     """[n] at the robot's voltage."""
     alive: np.ndarray
     """bool [t] the thrusters that it has and that are not dead: only they draw power."""
+    table: Mapping[str, Any]
+    """Its thruster's file."""
+
+    def as_drawn(self, variant: Mapping[str, Any]) -> "Robot":
+        """The same robot as a row of ``variants.json`` has it: hulls are never drawn."""
+        alive = self.alive
+        if variant["drawn"].get("thrust"):
+            alive = alive & (np.asarray(variant["drawn"]["thrust"], float) > 0.0)
+        return replace(
+            self, power_w=_at_voltage(self.table, float(variant["battery_v"])), alive=alive
+        )
 
     def power(self, pwm_us: Floats) -> Floats:
         """Power [...] W of signals [..., columns]; columns past the thrusters are padding."""
@@ -97,6 +108,7 @@ def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> Robot:
             pwm_us=np.asarray(table["pwm_us"], float),
             power_w=_at_voltage(table, float(entry["battery_v"])),
             alive=np.array([health.get(name, 1.0) > 0.0 for name in names]),
+            table=table,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)

@@ -24,6 +24,7 @@ from angler_mjx.world.currents.fields import (
     Uniform,
     Vortices,
     evaluate,
+    scaled,
     velocity,
 )
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
@@ -45,6 +46,7 @@ __all__ = [
     "VorticesConfig",
     "draw",
     "evaluate",
+    "scaled",
     "velocity",
 ]
 

@@ -4,8 +4,8 @@ The vortices and gyres stand where they are: the field is given, not solved for.
 divergence.
 """
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,10 @@ class Component(Protocol):
         """Velocity, its rate and its Jacobian at p [3] m and t [] s, in W."""
         ...
 
+    def scaled(self, factor: jax.Array) -> Self:
+        """The same field ``factor`` [] times as fast everywhere, at the same times."""
+        ...
+
 
 type Current = tuple[Component, ...]
 
@@ -46,6 +50,10 @@ class Uniform:
         zero = jnp.zeros_like(self.velocity_mps)
         return self.velocity_mps, zero, jnp.zeros((3, 3), zero.dtype)
 
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, velocity_mps=factor * self.velocity_mps)
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +68,10 @@ class GaussMarkov:
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
         return smooth_knots(t, self.knots_mps, self.knot_dt_s)
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, knots_mps=factor * self.knots_mps)
 
 
 @jax.tree_util.register_dataclass
@@ -77,6 +89,10 @@ class Vortices:
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
         return lamb_oseen(p, self.centre_m, self.circulation_m2ps, self.core_m)
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, circulation_m2ps=factor * self.circulation_m2ps)
 
 
 @jax.tree_util.register_dataclass
@@ -97,6 +113,10 @@ class Rankine:
     def flow(self, p: jax.Array, t: jax.Array) -> Flow:
         """See `Component.flow`."""
         return rankine(p, self.centre_m, self.circulation_m2ps, self.core_m)
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, circulation_m2ps=factor * self.circulation_m2ps)
 
 
 @jax.tree_util.register_dataclass
@@ -121,6 +141,10 @@ class DoubleGyre:
             p, t, self.lo_m, self.extent_m, self.stream_m2ps, self.epsilon, self.period_s
         )
 
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, stream_m2ps=factor * self.stream_m2ps)
+
 
 def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Velocity of the water and its material derivative at a point.
@@ -143,3 +167,8 @@ def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, j
 def velocity(current: Current, p: jax.Array, t: jax.Array) -> jax.Array:
     """Velocity [3] of the water at a point, m/s, W (see `evaluate`)."""
     return evaluate(current, p, t)[0]
+
+
+def scaled(current: Current, factor: jax.Array) -> Current:
+    """The same current ``factor`` [] times as fast everywhere, at the same times."""
+    return tuple(component.scaled(factor) for component in current)

@@ -25,8 +25,9 @@ from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import folder, inputs
+from angler_mjx.storage.columns import EPISODE_SCHEMA
 from angler_mjx.storage.folder import Run, partial_path
-from angler_mjx.storage.results import EPISODE_SCHEMA, OUTCOMES
+from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.testing import referee
 from angler_mjx.vehicles import library
 

@@ -3,7 +3,8 @@
 import pyarrow as pa
 import pytest
 
-from angler_mjx.storage.results import EPISODE_SCHEMA, checked
+from angler_mjx.storage.columns import EPISODE_SCHEMA
+from angler_mjx.storage.results import checked
 
 OF_TEXT = {"outcome": "reached", "vehicle": "a", "parameter_set": "b", "failure_pair": "none"}
 

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.storage.columns import EPISODE_SCHEMA
 from angler_mjx.storage.folder import Run
 from angler_mjx.storage.recorder import Recorder, Shape
-from angler_mjx.storage.results import EPISODE_SCHEMA
 from angler_mjx.viewing.scene import RobotTrack, Scene
 from angler_mjx.world.currents import Uniform, Vortices
 from angler_mjx.world.environment import Environment

@@ -1,0 +1,84 @@
+"""The columns of ``episodes.parquet``: one row per robot per world."""
+
+import pyarrow as pa
+
+_FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
+    ("world", pa.int64(), "1", "index of the world; with the seed it makes the world again"),
+    ("robot", pa.int32(), "1", "index in the fleet"),
+    ("seed", pa.int64(), "1", "seed of the run"),
+    ("vehicle", pa.string(), "", "vehicle"),
+    ("parameter_set", pa.string(), "", "hydrodynamic parameter set"),
+    ("planned", pa.bool_(), "1", "whether the planner found a way"),
+    ("outcome", pa.string(), "", "how the episode ended"),
+    ("time_to_goal_s", pa.float32(), "s", "arrival; null if not reached"),
+    ("path_length_m", pa.float32(), "m", "way of the centre of mass until the end"),
+    ("energy_j", pa.float32(), "J", "electrical energy of the thrusters until the end"),
+    ("min_clearance_m", pa.float32(), "m", "least hull distance to cells, floor, obstacles"),
+    (
+        "min_separation_m",
+        pa.float32(),
+        "m",
+        "least hull distance to other robots, at most 1; null if alone",
+    ),
+    ("failure_time_s", pa.float32(), "s", "end of a failed episode; null if reached"),
+    ("failure_x_m", pa.float32(), "m", "centre of mass then, east; null if reached"),
+    ("failure_y_m", pa.float32(), "m", "north; null if reached"),
+    ("failure_z_m", pa.float32(), "m", "up, 0 at the surface; null if reached"),
+    (
+        "failure_pair",
+        pa.string(),
+        "",
+        "what was touched: cell, floor, obstacle:i, robot:i; or none",
+    ),
+    ("impact_speed_mps", pa.float32(), "m/s", "relative speed at the touch; null without one"),
+    ("redraws", pa.int32(), "1", "drawings thrown away before this world"),
+    ("planning_s", pa.float32(), "s", "planner's time for the world; null on the device"),
+    ("plan_status", pa.string(), "", "how planning ended, see docs/planners.md"),
+    ("plan_reason", pa.string(), "", "why the robot has no path; null if it has one, or unknown"),
+    ("plan_length_m", pa.float32(), "m", "planned way; null without a path"),
+    ("plan_end_s", pa.float32(), "s", "when the path is over; null without a path"),
+    ("late_s", pa.float32(), "s", "arrival after the end of the path; null if not reached"),
+    (
+        "failed_replans",
+        pa.int32(),
+        "1",
+        "times that no new plan was found on the way; null where none was asked for",
+    ),
+    ("variant", pa.int32(), "1", "number in variants.json, where vehicles are randomised"),
+    ("current_factor", pa.float32(), "1", "the current's, drawn for the world; null where not"),
+    ("sensor_noise_factor", pa.float32(), "1", "the robot's, drawn; null where not"),
+)
+
+SINCE = (3, 4, 10)
+"""Columns at the end that older runs lack: before vehicles were randomised, before failed replans
+were told, and before there was a choice of planners."""
+
+MISSING = (
+    "time_to_goal_s",
+    "min_separation_m",
+    "failure_time_s",
+    "failure_x_m",
+    "failure_y_m",
+    "failure_z_m",
+    "impact_speed_mps",
+    "planning_s",
+    "plan_length_m",
+    "plan_end_s",
+    "late_s",
+    "failed_replans",
+    "variant",
+    "current_factor",
+    "sensor_noise_factor",
+)
+"""Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
+
+UNSAID = ("plan_status", "plan_reason")
+"""Columns of text in which there may be none."""
+
+EPISODE_SCHEMA = pa.schema(
+    [
+        pa.field(name, kind, metadata={"unit": unit, "description": text})
+        for name, kind, unit, text in _FIELDS
+    ]
+)
+"""Columns of ``episodes.parquet``, with unit and meaning in each field's metadata."""
