@@ -3,6 +3,8 @@
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.datasets import index, sums
-from angler_mjx.datasets.manifest import SPLITS, Manifest
+from angler_mjx.datasets.manifest import SPLITS, Manifest, PartEntry
 from angler_mjx.datasets.reading.stored import StoredArray
 from angler_mjx.datasets.verifying.report import Check
 from angler_mjx.errors import ConfigError
@@ -21,8 +23,8 @@ MOST_MPS, MOST_RADPS = 20.0, 50.0
 """Of a vehicle: what is faster has diverged."""
 FARTHEST_M = 30_000.0
 PWM_US = (1100.0, 1900.0)
-WORLDS = 64
-"""Read at once."""
+WORLDS = 16
+"""Looked at by one thread at a time."""
 
 
 def files(place: Path, manifest: Manifest) -> Check:
@@ -104,18 +106,21 @@ def values(place: Path, manifest: Manifest) -> Check:
     """Every sample against what it can be."""
     check = Check(name="values")
     worlds = samples = 0
-    for part in manifest.parts:
-        try:
-            stored = {
-                name: StoredArray(place / part.path / folder.TRAJECTORIES / name)
-                for name in _LOOKED
-            }
-            for first, got in _some(stored, part.worlds):
-                _values(check, part.path, first, got, manifest)
-                worlds += len(got["p_m"])
-                samples += got["p_m"].size // 3
-        except ConfigError as error:
-            check.wrong(part.path, str(error))
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
+        for part in manifest.parts:
+            try:
+                stored = {
+                    name: StoredArray(place / part.path / folder.TRAJECTORIES / name)
+                    for name in _LOOKED
+                }
+                look = partial(_some, stored, part, manifest)
+                for looked in pool.map(look, range(0, part.worlds, WORLDS)):
+                    for name, what in looked.faults:
+                        check.wrong(f"{part.path}/{folder.TRAJECTORIES}/{name}", what)
+                    worlds += looked.worlds
+                    samples += looked.samples
+            except ConfigError as error:
+                check.wrong(part.path, str(error))
     check.looked_at = f"{samples:,} samples of robots in {worlds:,} worlds"
     return check
 
@@ -124,26 +129,29 @@ _LOOKED = ("p_m", "q", "nu", "pwm_us", "outcome", "current_mps", "target_m")
 """Arrays whose values are looked at."""
 
 
+@dataclass(frozen=True)
+class _Looked:
+    """What some worlds came to."""
+
+    worlds: int
+    samples: int
+    faults: list[tuple[str, str]]
+    """Name of an array, and what is wrong in it."""
+
+
 def _some(
-    stored: Mapping[str, StoredArray], worlds: int
-) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """Values of some worlds at a time, with the first one's index; threads read them."""
-    with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
-        for first in range(0, worlds, WORLDS):
-            here = range(first, min(first + WORLDS, worlds))
-            yield (
-                first,
-                {
-                    name: np.stack(list(pool.map(array.read, here)))
-                    for name, array in stored.items()
-                },
-            )
+    stored: Mapping[str, StoredArray], part: PartEntry, manifest: Manifest, first: int
+) -> _Looked:
+    """Worlds of a part from number ``first`` on, `WORLDS` of them at most."""
+    here = range(first, min(first + WORLDS, part.worlds))
+    got = {name: np.stack([array.read(i) for i in here]) for name, array in stored.items()}
+    return _Looked(len(here), got["p_m"].size // 3, list(_values(first, got, manifest)))
 
 
 def _values(
-    check: Check, path: str, first: int, got: dict[str, np.ndarray], manifest: Manifest
-) -> None:
-    """Of some worlds: [w, t, r, ...]."""
+    first: int, got: Mapping[str, np.ndarray], manifest: Manifest
+) -> Iterator[tuple[str, str]]:
+    """Faults of some worlds: [w, t, r, ...]."""
     outcome = got["outcome"].astype(int)
     known = np.isfinite(got["p_m"]).all(-1)  # NaN after the tile had ended
     running = known & (outcome == 0)
@@ -171,8 +179,8 @@ def _values(
         if fault.any():
             world, time, robot = np.argwhere(fault)[0]
             value = np.asarray(got[name][world, time, robot]).tolist()
-            check.wrong(
-                f"{path}/trajectories.zarr/{name}",
+            yield (
+                name,
                 f"world {first + world}, sample {time}, robot {robot}: {value} cannot be "
                 f"({int(fault.sum())} such samples)",
             )
