@@ -1,5 +1,6 @@
 """Trained networks in one file: arrays by names in an ``.npz``, with what they were made for."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from importlib import resources
@@ -54,6 +55,19 @@ def load(path: Path | None = None) -> Checkpoint:
         with resources.as_file(resources.files(__package__) / SHIPPED) as shipped:
             return _read(shipped)
     return _read(path)
+
+
+def digest(path: Path | None = None) -> str:
+    """What tells a checkpoint from all others; the shipped one's if no path is given.
+
+    Raises:
+        ConfigError: there is no such file.
+    """
+    try:
+        data = (path or Path(__file__).with_name(SHIPPED)).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
+    return hashlib.sha256(data).hexdigest()[:16]
 
 
 def _read(path: Path) -> Checkpoint:

@@ -1,6 +1,9 @@
 """Where training takes its examples from: worlds drawn for it, or folders of runs."""
 
+import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,17 +47,30 @@ def of_sources(sources: Sequence[Source], worlds: int | None = None) -> Iterator
         worlds: in all, in the shares of the sources; theirs if left out.
     """
     total = sum(source.worlds for source in sources)
-    for source in sources:
-        count = source.worlds if worlds is None else max(1, worlds * source.worlds // total)
-        scenario = made_of.scenario(
-            preset=source.preset,
-            robots=source.robots,
-            still=source.still,
-            worlds=min(source.tile, count),
-            planner={"name": EXPERT},
-            seed=TRAINING_SEED,
-        )
-        yield from made_of.drawn(Simulator(scenario), count)
+    share = 1.0 if worlds is None else worlds / total
+    left = [_of_source(source, max(1, math.ceil(share * source.worlds))) for source in sources]
+    # In turn, so that who stops early has some of all; and their programs compile side by side.
+    with ThreadPoolExecutor(len(left)) as threads:
+        while left:
+            tiles = list(threads.map(_next, left))
+            left = [part for part, tile in zip(left, tiles, strict=True) if tile is not None]
+            yield from (tile for tile in tiles if tile is not None)
+
+
+def _of_source(source: Source, count: int) -> Iterator[Examples]:
+    scenario = made_of.scenario(
+        preset=source.preset,
+        robots=source.robots,
+        still=source.still,
+        worlds=min(source.tile, count),
+        planner={"name": EXPERT},
+        seed=TRAINING_SEED,
+    )
+    yield from made_of.drawn(Simulator(scenario), count)
+
+
+def _next(part: Iterator[Examples]) -> Examples | None:
+    return next(part, None)
 
 
 def of_folders(folders: Iterable[Path]) -> Iterator[Examples]:
@@ -64,7 +80,10 @@ def of_folders(folders: Iterable[Path]) -> Iterator[Examples]:
 
 
 def gathered(
-    parts: Iterable[Examples], worlds: int | None, tell: Callable[[str], None]
+    parts: Iterable[Examples],
+    worlds: int | None,
+    tell: Callable[[str], None],
+    seconds: float | None = None,
 ) -> Examples:
     """All examples on the device, in an order that mixes their sources.
 
@@ -72,14 +91,17 @@ def gathered(
         parts: of them.
         worlds: the most that are taken; all if left out.
         tell: progress.
+        seconds: after which no more parts are asked for.
     """
     kept: list[Examples] = []
+    begun = time.perf_counter()
     for part in parts:
         kept.append(part)
         count = sum(one.count for one in kept)
-        if len(kept) % 8 == 0:
+        took = time.perf_counter() - begun
+        if len(kept) % 4 == 0:
             tell(f"{count} worlds")
-        if worlds is not None and count >= worlds:
+        if (worlds is not None and count >= worlds) or (seconds is not None and took > seconds):
             break
     whole = made_of.joined(kept)
     order = np.random.default_rng(0).permutation(whole.count)[:worlds]

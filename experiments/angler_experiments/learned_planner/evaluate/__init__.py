@@ -1,0 +1,1 @@
+"""What the learned planner is worth: whole flights in worlds that nobody learned from."""

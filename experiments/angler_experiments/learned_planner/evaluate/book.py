@@ -1,0 +1,69 @@
+"""Rows as they come, in a JSON file: what stands there is not flown again."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.storage.atomic import whole
+
+_HEAD = (
+    "| sea | planner | have a path, % | arrive, % (95 %) | path / line | paths end, s | worlds/s |"
+)
+
+
+class Book:
+    """A file of rows, each with a key that says all that it depends on."""
+
+    def __init__(self, file: Path | None) -> None:
+        """Read the file, where there is one.
+
+        Raises:
+            ConfigError: it is no file of rows.
+        """
+        self._file = file
+        self.rows: list[dict[str, Any]] = []
+        if file is not None and file.exists():
+            try:
+                self.rows = json.loads(file.read_text())["rows"]
+            except (ValueError, KeyError, TypeError) as error:
+                raise ConfigError(
+                    f"{file}: holds no rows ({error}); remove it, or give another --out"
+                ) from error
+
+    def find(self, key: dict[str, Any]) -> dict[str, Any] | None:
+        """The row of a key, if it is there."""
+        return next((row for row in self.rows if row["key"] == key), None)
+
+    def add(self, key: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
+        """Write one more row; it is on the disk when this returns."""
+        device = jax.devices()[0].device_kind
+        made = {"key": key, "device": device, **row}
+        self.rows.append(made)
+        if self._file is not None:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            with whole(self._file) as writing:
+                writing.write_text(json.dumps({"rows": self.rows}, indent=1) + "\n")
+        return made
+
+
+def shown(rate: dict[str, Any]) -> str:
+    """A rate with its interval, in per cent."""
+    return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
+
+
+def head() -> str:
+    """Head of the table of `line`."""
+    return f"{_HEAD}\n{'|---' * (_HEAD.count('|') - 1)}|"
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row of a table for people."""
+    key = row["key"]
+    return (
+        f"| {key['sea']} | {key['planner']} | {100 * row['found']['rate']:.1f} | "
+        f"{shown(row['arrived'])} | {row['detour']:.2f} | {row['planned_s']:.1f} | "
+        f"{key['worlds'] / row['planning_s']:.3g} |"
+    )

@@ -1,0 +1,65 @@
+"""Pictures of rows."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.viewing import style
+
+_PERCENT = 100.0
+
+
+def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
+    """Bars of arrivals with their intervals, planners side by side in each sea."""
+    seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
+    names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
+    with style.styled():
+        figure = style.new_figure(2.2 + 1.9 * len(seas), 3.6)
+        axes = figure.add_subplot()
+        wide = 0.8 / len(names)
+        for number, name in enumerate(names):
+            mine = [row for row in rows if row["key"]["planner"] == name]
+            at = [seas.index(row["key"]["sea"]) + (number + 0.5) * wide - 0.4 for row in mine]
+            rate, off = _with_interval(mine)
+            axes.bar(at, rate, 0.9 * wide, color=style.robot_color(number), label=name)
+            axes.errorbar(at, rate, off, fmt="none", ecolor=style.INK, elinewidth=0.9)
+        axes.set_xticks(range(len(seas)), seas)
+        axes.set_ylim(0.0, 105.0)
+        axes.set_ylabel("robots that arrive, %")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        return style.save(figure, file, palette=128)
+
+
+def curve(rows: list[dict[str, Any]], file: Path) -> Path:
+    """Arrivals, and the loss on worlds that were held back, against the size of the training."""
+    names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
+    with style.styled():
+        figure = style.new_figure(8.4, 3.4)
+        left, right = figure.subplots(1, 2)
+        for number, name in enumerate(names):
+            mine = [row for row in rows if row["key"]["planner"] == name]
+            rate, off = _with_interval(mine)
+            size = [row["key"]["learned_from"] for row in mine]
+            color = style.robot_color(number)
+            left.errorbar(size, rate, off, fmt="o-", capsize=3.0, color=color, label=name)
+        first = [row for row in rows if row["key"]["planner"] == names[0]]
+        size = [row["key"]["learned_from"] for row in first]
+        right.plot(size, [row["loss"] for row in first], "o-", color=style.INK)
+        left.set_ylabel("robots that arrive, %")
+        right.set_ylabel("loss on worlds held back")
+        for axes in (left, right):
+            axes.set_xscale("log")
+            axes.set_xlabel("worlds learned from")
+            axes.grid(visible=True)
+        left.legend()
+        return style.save(figure, file, palette=128)
+
+
+def _with_interval(rows: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Arrivals [n] in per cent, and how far their intervals reach down and up [2, n]."""
+    each = [row["arrived"] for row in rows]
+    rate, low, high = (
+        _PERCENT * np.array([one[k] for one in each]) for k in ("rate", "low", "high")
+    )
+    return rate, np.maximum([rate - low, high - rate], 0.0)

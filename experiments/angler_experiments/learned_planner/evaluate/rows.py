@@ -1,0 +1,107 @@
+"""Who is compared, and where: tables of planners, and seas."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+
+from angler_experiments.learned_planner import examples, planner
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.problem import Problem
+from angler_mjx.scenario.scenario import Scenario
+
+SEED = 2_000_003
+"""Of worlds to be judged in."""
+POINTS = 32
+PLANNERS = ("straight", "drawn", "noise", "learned", "grid", "priority")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sea:
+    """Where planners are compared."""
+
+    label: str
+    preset: str = "reef"
+    robots: int = 8
+    still: bool = True
+    speed: float = 1.0
+    """The current as a multiple of that of `reef_fleet`."""
+
+
+SEAS = {
+    sea.label: sea
+    for sea in (
+        Sea(label="reef"),
+        Sea(label="dense", preset="dense"),
+        Sea(label="reef, 16 robots", robots=16),
+        Sea(label="dense, 16 robots", preset="dense", robots=16),
+        Sea(label="reef, sea", still=False),
+        Sea(label="reef, current x 1.5", still=False, speed=1.5),
+        Sea(label="shifted", preset="dense", robots=16, still=False, speed=1.5),
+    )
+}
+"""By their labels; ``shifted`` is dense rock, 16 robots and a stronger current at once."""
+
+
+class Straight:
+    """The straight line at cruise speed, whatever is in between."""
+
+    def plan_batch(self, problems: Problem) -> Trajectory:
+        """Paths [world, robot]."""
+        team = problems.team
+        far = jnp.sqrt(jnp.sum((team.goal_m - team.start_m) ** 2, axis=-1))
+        end = far / (0.999 * team.cruise_speed_mps)
+        row = jnp.arange(POINTS) > 0
+        place = jnp.where(row[:, None], team.goal_m[..., None, :], team.start_m[..., None, :])
+        return Trajectory(
+            time_s=jnp.where(row, end[..., None], 0.0),
+            position_m=place,
+            found=jnp.ones(far.shape, bool),
+        )
+
+
+def table(name: str, **settings: Any) -> dict[str, Any]:
+    """Table ``planner`` of a row.
+
+    Planners of this package are named by their files, so that nothing needs to be installed.
+
+    Args:
+        name: one of `PLANNERS`.
+        settings: of the learned one, in the rows that take them.
+
+    Raises:
+        ConfigError: there is no such row.
+    """
+    drawing = {"drawn": {"repair": False}, "noise": {"draw": "noise"}, "learned": {}}
+    if name in drawing:
+        chosen = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
+        return {"name": chosen, "LearnedPlanner": settings | drawing[name]}
+    if name not in PLANNERS:
+        raise ConfigError(f"row {name!r}: there is {', '.join(PLANNERS)}")
+    return {"name": f"{Path(__file__).resolve()}:Straight" if name == "straight" else name}
+
+
+def sea(label: str) -> Sea:
+    """By its label.
+
+    Raises:
+        ConfigError: there is no such sea.
+    """
+    if label not in SEAS:
+        raise ConfigError(f"sea {label!r}: there is {'; '.join(SEAS)}")
+    return SEAS[label]
+
+
+def scenario(sea: Sea, planner: dict[str, Any], worlds: int) -> Scenario:
+    """Of one row."""
+    return examples.scenario(
+        preset=sea.preset,
+        robots=sea.robots,
+        still=sea.still,
+        speed=sea.speed,
+        worlds=worlds,
+        planner=planner | {"points": POINTS},
+        seed=SEED,
+    )

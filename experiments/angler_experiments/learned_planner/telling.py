@@ -1,0 +1,20 @@
+"""Progress for people, each line with the time since the beginning."""
+
+import time
+
+
+class Clock:
+    """Tells lines, with seconds since it was made."""
+
+    def __init__(self) -> None:
+        """Begin to count."""
+        self._begun = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Since the beginning."""
+        return time.perf_counter() - self._begun
+
+    def __call__(self, text: str) -> None:
+        """Print a line at once."""
+        print(f"[{self.seconds:6.1f} s] {text}", flush=True)
