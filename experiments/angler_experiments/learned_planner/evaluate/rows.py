@@ -6,7 +6,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner import examples, planner
+from angler_experiments.learned_planner import planner
+from angler_experiments.learned_planner.training import examples
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
@@ -74,7 +75,11 @@ def table(name: str, **settings: Any) -> dict[str, Any]:
     Raises:
         ConfigError: there is no such row.
     """
-    drawing = {"drawn": {"repair": False}, "noise": {"draw": "noise"}, "learned": {}}
+    drawing: dict[str, dict[str, Any]] = {
+        "drawn": {"repair": False},
+        "noise": {"draw": "noise"},
+        "learned": {},
+    }
     if name in drawing:
         chosen = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
         return {"name": chosen, "LearnedPlanner": settings | drawing[name]}
