@@ -24,7 +24,7 @@ def curve(
     steps: int | None = None,
     minutes: float | None = None,
     worlds: int = 128,
-    rows: tuple[str, ...] = ("drawn", "learned"),
+    planners: tuple[str, ...] = ("drawn", "learned"),
     samples: int = 16,
     seas: tuple[str, ...] = ("reef",),
     examples: Path | None = None,
@@ -38,7 +38,7 @@ def curve(
         steps: Instead of the config's; the same for all sizes.
         minutes: Of each training, by the pace of this machine: fewer steps, the same for all.
         worlds: That each is judged in.
-        rows: Planners.
+        planners: By their names.
         samples: Ways drawn for each robot.
         seas: To be judged in.
         examples: File of examples, as of `train`; read if it is there, otherwise written.
@@ -62,7 +62,7 @@ def curve(
         for size in sizes:
             file = (out / str(size) / loop.WEIGHTS).absolute()
             loss[size] = checkpoint.load(file).about["loss"]
-            for name in rows:
+            for name in planners:
                 of = {"learned_from": size, "steps": chosen.steps, "samples": samples}
                 one = f"{name}, {size}"
                 keys[one] = {"sea": label, "planner": name, "worlds": worlds} | of
