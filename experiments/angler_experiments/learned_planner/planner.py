@@ -1,6 +1,7 @@
 """What scenarios call learned: ways drawn by a network, repaired and chosen in closed form."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +22,8 @@ AT_ONCE_ELSEWHERE = 64
 
 _HOLDS = 6
 """Times at which a robot may set off."""
+_TEAMS, _WORSE = 7, 0.3
+"""Number of the lot by which teams are drawn, and how much worse it makes arrivals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,13 +99,27 @@ class LearnedPlanner:
             raise ConfigError(
                 f"planner learned: takes at most 32 cells along z, this grid has {shape[-1]}"
             )
-        robots = problems.team.radius_m.shape[-1]
-        at_once = AT_ONCE.get(jax.default_backend(), AT_ONCE_ELSEWHERE)
-        batch = max(1, min(shape[0], at_once // robots))
-        paths: Trajectory = jax.lax.map(self._one, problems, batch_size=batch)
+        paths: Trajectory = jax.tree.map(lambda leaf: leaf[:, 0], self.plan_teams(problems, 1))
         return paths
 
-    def _one(self, problem: Problem) -> Trajectory:
+    def plan_teams(self, problems: Problem, teams: int) -> Trajectory:
+        """Several answers to each problem, to be judged by who can fly them.
+
+        Args:
+            problems: [world] leading.
+            teams: how many; the first is that of `plan_batch`, the others are chosen from the same
+                candidates with arrivals made worse at random. Without repair all are one.
+
+        Returns:
+            Paths [world, team, robot].
+        """
+        robots = problems.team.radius_m.shape[-1]
+        at_once = AT_ONCE.get(jax.default_backend(), AT_ONCE_ELSEWHERE)
+        batch = max(1, min(problems.team.radius_m.shape[0], at_once // robots))
+        paths: Trajectory = jax.lax.map(partial(self._one, teams), problems, batch_size=batch)
+        return paths
+
+    def _one(self, teams: int, problem: Problem) -> Trajectory:
         settings, frames = self.settings, lines(problem)
         drawn = self._drawn(problem)
         if settings.repair:
@@ -113,7 +130,12 @@ class LearnedPlanner:
                 rounds=settings.rounds,
             )
             given = repair.candidates(problem, frames, drawn, config)
-            found = repair.choose(problem, given, config)
+            shape = given.paths.time_s.shape[:2]
+            key = jax.random.fold_in(jax.random.key(problem.seed), _TEAMS)
+            worse = 1.0 + _WORSE * jnp.abs(jax.random.normal(key, (teams - 1, *shape)))
+            worse = jnp.concatenate([jnp.ones((1, *shape)), worse])
+            choose = partial(repair.choose, problem, given, config)
+            found = jax.vmap(choose)(worse)
         else:
             team = problem.team
             place = jax.vmap(ways.points)(drawn[0], frames, team.goal_m)
@@ -124,12 +146,13 @@ class LearnedPlanner:
             found = Trajectory(
                 time_s=time, position_m=place, found=time[:, -1] <= problem.horizon_s
             )
-        path = jax.vmap(lambda one: ways.padded(one, settings.points))(found)
+            found = jax.tree.map(lambda leaf: jnp.stack([leaf] * teams), found)
+        path = jax.vmap(jax.vmap(lambda one: ways.padded(one, settings.points)))(found)
         start = problem.team.start_m[:, None]
         return replace(
             path,
-            time_s=jnp.where(path.found[:, None], path.time_s, 0.0),
-            position_m=jnp.where(path.found[:, None, None], path.position_m, start),
+            time_s=jnp.where(path.found[..., None], path.time_s, 0.0),
+            position_m=jnp.where(path.found[..., None, None], path.position_m, start),
         )
 
     def _drawn(self, problem: Problem) -> jax.Array:

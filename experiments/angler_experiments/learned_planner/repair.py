@@ -172,8 +172,18 @@ def _passes(bodies: Traffic, path: Trajectory) -> jax.Array:
     return jnp.all(legs)
 
 
-def choose(problem: Problem, given: Candidates, config: RepairConfig) -> Trajectory:
-    """Paths [R] of one team, no two of which meet; ``found`` is who has one."""
+def choose(
+    problem: Problem, given: Candidates, config: RepairConfig, worse: jax.Array | None = None
+) -> Trajectory:
+    """Paths [R] of one team, no two of which meet; ``found`` is who has one.
+
+    Args:
+        problem: of the world.
+        given: what its robots may take.
+        config: static.
+        worse: [R, C] by which arrivals are multiplied before the first of them is taken; nothing
+            if left out.
+    """
     team = problem.team
     robots, _, count = given.paths.time_s.shape
     reach = team.radius_m[:, None] + team.radius_m + config.margin_m
@@ -182,6 +192,7 @@ def choose(problem: Problem, given: Candidates, config: RepairConfig) -> Traject
     needs = length / team.cruise_speed_mps
     meets = partial(meets_starts, horizon_s=problem.horizon_s)
     alone = ~jnp.eye(robots, dtype=bool)
+    cost = given.paths.time_s[..., -1] * (1.0 if worse is None else worse)
 
     def place(
         number: int, state: tuple[Trajectory, jax.Array, jax.Array]
@@ -197,7 +208,7 @@ def choose(problem: Problem, given: Candidates, config: RepairConfig) -> Traject
         )
         met = jax.vmap(lambda path: jnp.any(met_by(path, traffic)))(mine)
         fits = mine.found & ~met
-        best = jnp.argmin(jnp.where(fits, mine.time_s[:, -1], jnp.inf))
+        best = jnp.argmin(jnp.where(fits, cost[i], jnp.inf))
         path = jax.tree.map(lambda leaf: leaf[best], mine)
         none = jax.tree.map(lambda leaf: leaf[i], held)
         path = jax.tree.map(lambda a, b: jnp.where(fits[best], a, b), path, none)

@@ -2,8 +2,8 @@ import jax
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner import examples
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
+from angler_experiments.learned_planner.training import examples
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner import examples, flow, network
+from angler_experiments.learned_planner import flow, network
 from angler_experiments.learned_planner.scene import Scene, scene
 from angler_experiments.learned_planner.shapes import Width
+from angler_experiments.learned_planner.training import examples
 
 pytestmark = pytest.mark.nightly(
     by="tests/experiments/learned_planner/test_plans.py, whose plans come of the shipped network"

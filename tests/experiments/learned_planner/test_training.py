@@ -4,8 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner import checkpoint, examples, sources
+from angler_experiments.learned_planner import checkpoint
 from angler_experiments.learned_planner.shapes import Width
+from angler_experiments.learned_planner.training import examples, stored
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
 
@@ -21,7 +22,7 @@ def several(made):
 def test_an_interruption_changes_no_number(several, tmp_path):
     pytest.importorskip("optax", reason="needs the extra learn")
     pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
-    from angler_experiments.learned_planner import train
+    from angler_experiments.learned_planner.training import loop as train
 
     config = train.TrainConfig(
         width=Width(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
@@ -49,6 +50,6 @@ def test_an_interruption_changes_no_number(several, tmp_path):
 )
 def test_examples_of_a_run_are_those_of_its_worlds(simulator, made, tmp_path):
     run = rollout(simulator.scenario, out=tmp_path / "run", simulator=simulator)
-    read = examples.joined(list(sources.of_run(run.path, tile=4)))
+    read = examples.joined(list(stored.of_run(run.path, tile=4)))
     for a, b in zip(jax.tree.leaves(read), jax.tree.leaves(made), strict=True):
         np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), atol=1e-3)

@@ -1,6 +1,7 @@
 """What the learned planner is worth: whole flights in worlds that nobody learned from.
 
     python -m angler_experiments.learned_planner.evaluate arrivals --worlds 128
+    python -m angler_experiments.learned_planner.evaluate samples --worlds 128
     python -m angler_experiments.learned_planner.evaluate curve --out runs/curve
 
 Rows: ``straight`` flies the straight line; ``drawn`` the first way that the network draws, not
@@ -11,7 +12,7 @@ and ``priority`` search.
 
 import tyro
 
-from angler_experiments.learned_planner.evaluate.arrivals import arrivals
+from angler_experiments.learned_planner.evaluate.arrivals import arrivals, samples
 from angler_experiments.learned_planner.evaluate.curve import curve
 
-tyro.extras.subcommand_cli_from_dict({"arrivals": arrivals, "curve": curve})
+tyro.extras.subcommand_cli_from_dict({"arrivals": arrivals, "curve": curve, "samples": samples})

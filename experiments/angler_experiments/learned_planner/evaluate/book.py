@@ -10,7 +10,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.storage.atomic import whole
 
 _HEAD = (
-    "| sea | planner | have a path, % | arrive, % (95 %) | path / line | paths end, s | worlds/s |"
+    "| sea | planner | samples | have a path, % | arrive, % (95 %) "
+    "| path / line | paths end, s | worlds/s |"
 )
 
 
@@ -62,8 +63,13 @@ def head() -> str:
 def line(row: dict[str, Any]) -> str:
     """A row of a table for people."""
     key = row["key"]
+    drawn = f"{key['samples']}" if "samples" in key else ""
     return (
-        f"| {key['sea']} | {key['planner']} | {100 * row['found']['rate']:.1f} | "
-        f"{shown(row['arrived'])} | {row['detour']:.2f} | {row['planned_s']:.1f} | "
+        f"| {key['sea']} | {key['planner']} | {drawn} | {100 * row['found']['rate']:.1f} | "
+        f"{shown(row['arrived'])} | {_number(row['detour'])} | {_number(row['planned_s'])} | "
         f"{key['worlds'] / row['planning_s']:.3g} |"
     )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"

@@ -2,14 +2,20 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
+from angler_experiments.learned_planner.evaluate.ahead import Ahead
 from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, scenario
+from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
+from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.planner import Path, PathShape
+from angler_mjx.planning.problem import Problem
+from angler_mjx.sim.knowledge import Level
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.simulator.compiling import Program, Together
 from angler_mjx.simulator.on_device import device_planner
@@ -32,9 +38,9 @@ class Row:
     """Of all worlds, once compiled; the least of some calls."""
     compile_s: float
     flight_s: float
-    detour: float
+    detour: float | None
     """Length of the paths over that of the straight lines, in the mean of robots that have one."""
-    planned_s: float
+    planned_s: float | None
     """When paths end, in the mean of robots that have one."""
     ended: Mapping[str, float]
     """Share of robots by how they ended."""
@@ -77,6 +83,30 @@ class Course:
         program = jax.jit(plan, compiler_options=NO_AUTOTUNING)
         return together.begin(program, self.drawn, self.problems)
 
+    def fly_ahead(self, settings: dict[str, Any], teams: int, told: Level) -> Row:
+        """The row of the learned planner where several of its answers are flown ahead.
+
+        Args:
+            settings: its own.
+            teams: answers to each problem.
+            told: how much of the current is known to the flight ahead, not to the planner;
+                predicted would be flown as the truth.
+        """
+        chosen = scenario(self.sea, {"name": "grid"}, self.worlds)
+        knows = replace(chosen.planner.knows.knows(), current=told)
+        _, told_to_flight = self.simulator.asked(0, knows=knows)
+        planner = LearnedPlanner(LearnedSettings(points=POINTS, **settings))
+        begun = time.perf_counter()
+        answer = jax.jit(partial(planner.plan_teams, teams=teams), compiler_options=NO_AUTOTUNING)
+        program = answer.lower(self.problems).compile()
+        compile_s = time.perf_counter() - begun
+        ahead = Ahead(chosen)
+
+        def plan(worlds: World, problems: Problem) -> Trajectory:
+            return ahead.best(worlds, program(problems), told_to_flight)
+
+        return self._row(plan, compile_s)
+
     def _row(self, plan: Callable[..., Path], compile_s: float) -> Row:
         jax.block_until_ready(plan(self.drawn, self.problems))
         times = [time.perf_counter()]
@@ -92,15 +122,14 @@ class Course:
         straight = np.linalg.norm(np.asarray(team.goal_m) - np.asarray(team.start_m), axis=-1)
         legs = np.diff(np.asarray(path.position_m), axis=-2)
         length = np.linalg.norm(legs, axis=-1).sum(axis=-1)
-        some = found if found.any() else np.ones_like(found)
         return Row(
             found=rates[0],
             arrived=rates[1],
             planning_s=float(np.diff(times).min()),
             compile_s=compile_s,
             flight_s=flown - planned,
-            detour=float((length / straight)[some].mean()),
-            planned_s=float(np.asarray(path.time_s)[..., -1][some].mean()),
+            detour=_mean((length / straight)[found]),
+            planned_s=_mean(np.asarray(path.time_s)[..., -1][found]),
             ended={one.name.lower(): float((outcome == one).mean()) for one in Outcome},
         )
 
@@ -112,6 +141,10 @@ class Course:
             if not np.asarray(running).any():
                 break
         return np.asarray(state.tally.outcome)
+
+
+def _mean(values: np.ndarray) -> float | None:
+    return float(values.mean()) if values.size else None
 
 
 def _rate(yes: np.ndarray) -> Rate:

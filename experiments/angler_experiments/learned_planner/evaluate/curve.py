@@ -1,15 +1,20 @@
 """What a larger training set is worth."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from angler_experiments.learned_planner import checkpoint, keeping, train
+from angler_experiments.learned_planner import checkpoint, train
 from angler_experiments.learned_planner.evaluate import figure
 from angler_experiments.learned_planner.evaluate.book import Book, head, line
 from angler_experiments.learned_planner.evaluate.course import Course
 from angler_experiments.learned_planner.evaluate.rows import sea, table
 from angler_experiments.learned_planner.telling import Clock
+from angler_experiments.learned_planner.training import keeping, loop
+
+_WITH_HELD = 20.0 / 19.0
+"""Worlds in all for each that is learned from."""
 
 
 def curve(
@@ -19,7 +24,7 @@ def curve(
     steps: int | None = None,
     minutes: float | None = None,
     worlds: int = 128,
-    rows: tuple[str, ...] = ("drawn", "learned"),
+    planners: tuple[str, ...] = ("drawn", "learned"),
     samples: int = 16,
     seas: tuple[str, ...] = ("reef",),
     examples: Path | None = None,
@@ -33,7 +38,7 @@ def curve(
         steps: Instead of the config's; the same for all sizes.
         minutes: Of each training, by the pace of this machine: fewer steps, the same for all.
         worlds: That each is judged in.
-        rows: Planners.
+        planners: By their names.
         samples: Ways drawn for each robot.
         seas: To be judged in.
         examples: File of examples, as of `train`; read if it is there, otherwise written.
@@ -41,22 +46,23 @@ def curve(
     tell = Clock()
     chosen = train.CONFIGS[config]
     chosen = replace(chosen, steps=steps or chosen.steps)
-    whole = keeping.examples(chosen.sources, max(sizes), examples, tell)
-    if whole.count < max(sizes):
-        tell(f"there are {whole.count} worlds, less than the {max(sizes)} of the largest size")
+    whole = keeping.examples(chosen.sources, math.ceil(max(sizes) * _WITH_HELD), examples, tell)
+    learned, held = loop.divided(whole)
+    if learned.count < max(sizes):
+        tell(f"there are {learned.count} worlds to learn from, less than {max(sizes)}")
     if minutes is not None:
-        chosen = train.paced(chosen, whole, out, 60.0 * minutes, tell)
+        chosen = loop.paced(chosen, learned, out, 60.0 * minutes, tell)
     for size in sizes:
         tell(f"training on {size} worlds, {chosen.steps} steps")
-        train.train(chosen, whole, out / str(size), tell, size=size)
+        loop.train(chosen, learned, out / str(size), tell, size=size, held=held)
     book, shown = Book(out / "curve.json"), []
     for label in seas:
         keys: dict[str, dict[str, Any]] = {}
         left, loss = {}, {}
         for size in sizes:
-            file = (out / str(size) / train.WEIGHTS).absolute()
+            file = (out / str(size) / loop.WEIGHTS).absolute()
             loss[size] = checkpoint.load(file).about["loss"]
-            for name in rows:
+            for name in planners:
                 of = {"learned_from": size, "steps": chosen.steps, "samples": samples}
                 one = f"{name}, {size}"
                 keys[one] = {"sea": label, "planner": name, "worlds": worlds} | of

@@ -13,13 +13,13 @@ _PERCENT = 100.0
 def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
     """Bars of arrivals with their intervals, planners side by side in each sea."""
     seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
-    names = list(dict.fromkeys(row["key"]["planner"] for row in rows))
+    names = list(dict.fromkeys(_name(row) for row in rows))
     with style.styled():
-        figure = style.new_figure(2.2 + 1.9 * len(seas), 3.6)
+        figure = style.new_figure(3.4 + 1.9 * len(seas), 3.6)
         axes = figure.add_subplot()
         wide = 0.8 / len(names)
         for number, name in enumerate(names):
-            mine = [row for row in rows if row["key"]["planner"] == name]
+            mine = [row for row in rows if _name(row) == name]
             at = [seas.index(row["key"]["sea"]) + (number + 0.5) * wide - 0.4 for row in mine]
             rate, off = _with_interval(mine)
             axes.bar(at, rate, 0.9 * wide, color=style.robot_color(number), label=name)
@@ -29,6 +29,11 @@ def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
         axes.set_ylabel("robots that arrive, %")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         return style.save(figure, file, palette=128)
+
+
+def _name(row: dict[str, Any]) -> str:
+    key = row["key"]
+    return f"{key['planner']}, {key['samples']}" if "samples" in key else str(key["planner"])
 
 
 def curve(rows: list[dict[str, Any]], file: Path) -> Path:

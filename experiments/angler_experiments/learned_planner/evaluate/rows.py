@@ -6,7 +6,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner import examples, planner
+from angler_experiments.learned_planner import planner
+from angler_experiments.learned_planner.training import examples
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
@@ -16,6 +17,14 @@ SEED = 2_000_003
 """Of worlds to be judged in."""
 POINTS = 32
 PLANNERS = ("straight", "drawn", "noise", "learned", "grid", "priority")
+_DRAWING: dict[str, dict[str, Any]] = {
+    "drawn": {"repair": False},
+    "noise, not pushed": {"draw": "noise", "pushes": 0},
+    "learned, not pushed": {"pushes": 0},
+    "noise": {"draw": "noise"},
+    "learned": {},
+}
+"""Settings of rows that draw ways; those not pushed are checked and chosen, but moved by nobody."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,19 +77,28 @@ def table(name: str, **settings: Any) -> dict[str, Any]:
     Planners of this package are named by their files, so that nothing needs to be installed.
 
     Args:
-        name: one of `PLANNERS`.
+        name: one of `PLANNERS`, or of those not pushed.
         settings: of the learned one, in the rows that take them.
 
     Raises:
         ConfigError: there is no such row.
     """
-    drawing = {"drawn": {"repair": False}, "noise": {"draw": "noise"}, "learned": {}}
-    if name in drawing:
+    if name in _DRAWING:
         chosen = f"{Path(planner.__file__).resolve()}:LearnedPlanner"
-        return {"name": chosen, "LearnedPlanner": settings | drawing[name]}
+        return {"name": chosen, "LearnedPlanner": settings | _DRAWING[name]}
     if name not in PLANNERS:
-        raise ConfigError(f"row {name!r}: there is {', '.join(PLANNERS)}")
+        raise ConfigError(f"row {name!r}: there is {'; '.join({*PLANNERS, *_DRAWING})}")
     return {"name": f"{Path(__file__).resolve()}:Straight" if name == "straight" else name}
+
+
+def draws(name: str) -> bool:
+    """Whether a row draws ways."""
+    return name in _DRAWING
+
+
+def learned(name: str) -> bool:
+    """Whether a row depends on the network."""
+    return draws(name) and _DRAWING[name].get("draw") != "noise"
 
 
 def sea(label: str) -> Sea:

@@ -1,10 +1,7 @@
-"""Where training takes its examples from: worlds drawn for it, or folders of runs."""
+"""Examples of datasets and run folders, from their files alone."""
 
-import math
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,117 +9,72 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_experiments.learned_planner import examples as made_of
-from angler_experiments.learned_planner.examples import Examples
+from angler_experiments.learned_planner.training import examples as made_of
+from angler_experiments.learned_planner.training.examples import Examples
+from angler_mjx import datasets
 from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.datasets import manifest
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.asking import team
 from angler_mjx.planning.problem import Problem
 from angler_mjx.sim import fleet, knowledge
-from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import environments
 from angler_mjx.storage.folder import Run
 
-EXPERT = "priority"
-TRAINING_SEED = 1_000_003
-"""Of worlds to learn from: no other seed has any of them."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Worlds of one kind."""
-
-    worlds: int
-    preset: str = "reef"
-    robots: int = 8
-    still: bool = True
-    tile: int = 256
-
-
-def of_sources(sources: Sequence[Source], worlds: int | None = None) -> Iterator[Examples]:
-    """Examples drawn and planned on the device, a tile at a time.
+def of_folder(path: Path, split: str, tell: Callable[[str], None]) -> Iterator[Examples]:
+    """Examples of a dataset's split, or of a run folder, all of which is ``train``.
 
     Args:
-        sources: of them.
-        worlds: in all, in the shares of the sources; theirs if left out.
+        path: of the folder.
+        split: of the dataset.
+        tell: which parts have nothing to learn from.
+
+    Raises:
+        ConfigError: as `of_run`, or the dataset has faults.
     """
-    total = sum(source.worlds for source in sources)
-    share = 1.0 if worlds is None else worlds / total
-    left = [_of_source(source, max(1, math.ceil(share * source.worlds))) for source in sources]
-    # In turn, so that who stops early has some of all; and their programs compile side by side.
-    with ThreadPoolExecutor(len(left)) as threads:
-        while left:
-            tiles = list(threads.map(_next, left))
-            left = [part for part, tile in zip(left, tiles, strict=True) if tile is not None]
-            yield from (tile for tile in tiles if tile is not None)
+    if not (path / manifest.MANIFEST).is_file():
+        if split == "train":
+            yield from of_run(path)
+        return
+    if split not in set(datasets.open(path).index["split"].to_pylist()):
+        return
+    chosen = datasets.open(path, split=split)
+    part, world = (chosen.index[name].to_numpy() for name in ("part", "world"))
+    for number in np.unique(part):
+        place = chosen.parts[number]
+        why = _no_lines(chosen.run(number))
+        if why:
+            tell(f"{place}: {why}; left out")
+        else:
+            yield from of_run(place, worlds=world[part == number])
 
 
-def _of_source(source: Source, count: int) -> Iterator[Examples]:
-    scenario = made_of.scenario(
-        preset=source.preset,
-        robots=source.robots,
-        still=source.still,
-        worlds=min(source.tile, count),
-        planner={"name": EXPERT},
-        seed=TRAINING_SEED,
-    )
-    yield from made_of.drawn(Simulator(scenario), count)
+def _no_lines(run: Run) -> str:
+    """Why there is nothing to be learned of a run; empty if there is."""
+    if run.scenario.policy.name != "none":
+        return "a policy flew it, there are no plans"
+    if "plan_yaw_rad" in run.trajectories:
+        return "its plans have headings; examples are taken of lines only"
+    return ""
 
 
-def _next(part: Iterator[Examples]) -> Examples | None:
-    return next(part, None)
-
-
-def of_folders(folders: Iterable[Path]) -> Iterator[Examples]:
-    """Examples of run folders, one after the other."""
-    for folder in folders:
-        yield from of_run(folder)
-
-
-def gathered(
-    parts: Iterable[Examples],
-    worlds: int | None,
-    tell: Callable[[str], None],
-    seconds: float | None = None,
-) -> Examples:
-    """All examples on the device, in an order that mixes their sources.
-
-    Args:
-        parts: of them.
-        worlds: the most that are taken; all if left out.
-        tell: progress.
-        seconds: after which no more parts are asked for.
-    """
-    kept: list[Examples] = []
-    begun = time.perf_counter()
-    for part in parts:
-        kept.append(part)
-        count = sum(one.count for one in kept)
-        took = time.perf_counter() - begun
-        if len(kept) % 4 == 0:
-            tell(f"{count} worlds")
-        if (worlds is not None and count >= worlds) or (seconds is not None and took > seconds):
-            break
-    whole = made_of.joined(kept)
-    order = np.random.default_rng(0).permutation(whole.count)[:worlds]
-    mixed: Examples = jax.tree.map(lambda leaf: leaf[order], whole)
-    return mixed
-
-
-def of_run(path: Path, tile: int = 64) -> Iterator[Examples]:
+def of_run(path: Path, tile: int = 64, worlds: np.ndarray | None = None) -> Iterator[Examples]:
     """Examples of a run folder, from its files alone.
 
     Args:
         path: of the folder, with trajectories (``--record-hz 1`` is enough).
         tile: worlds at a time.
+        worlds: of it; all if left out.
 
     Raises:
         ConfigError: the folder is damaged, stored no trajectories, or its plans are no lines.
     """
     run = Run(path)
     group, chosen = run.trajectories, run.scenario
-    if "plan_yaw_rad" in group:
-        raise ConfigError(f"{path}: its plans have headings; examples are taken of lines only")
+    why = _no_lines(run)
+    if why:
+        raise ConfigError(f"{path}: {why}; name another folder")
     kinds = fleet.build(chosen.members(), multibody=False)
     variants = {
         (v.vehicle, v.parameter_set): i for i, v in enumerate(fleet.variants(chosen.members()))
@@ -171,11 +123,20 @@ def of_run(path: Path, tile: int = 64) -> Iterator[Examples]:
     plan_time, plan_m = (jnp.asarray(group[name]) for name in ("plan_time_s", "plan_m"))
     for low in range(0, len(variant), tile):
         part = slice(low, low + tile)
+        here = np.arange(len(variant))[part]
+        wanted = np.arange(len(here)) if worlds is None else np.flatnonzero(np.isin(here, worlds))
+        if not len(wanted):
+            continue
         environment = environments.read(places, part)
         plans = Trajectory(
             time_s=plan_time[part], position_m=plan_m[part], found=jnp.asarray(planned[part])
         )
-        yield make(environment, variant[part], plans)
+        made = make(environment, variant[part], plans)
+        yield jax.tree.map(partial(_taken, wanted), made)
+
+
+def _taken(rows: np.ndarray, leaf: jax.Array) -> jax.Array:
+    return leaf[rows]
 
 
 def _variant(variants: dict[tuple[str, str], int], vehicle: str, chosen: str) -> int:
