@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from angler_mjx.datasets import croissant
-from angler_mjx.datasets.manifest import Manifest
+from angler_mjx.datasets.manifest import SPLITS, Manifest
+from angler_mjx.datasets.sampling import DIFFICULTIES, FAILED, is_of
 from angler_mjx.errors import size
 from angler_mjx.storage import atomic, folder, results
 
@@ -93,6 +94,7 @@ def text(
         "",
         *_split_table(table),
         "",
+        *_chosen(manifest, table),
         "## Who flew, and how it ended",
         "",
         *_outcome_table(outcomes),
@@ -140,17 +142,42 @@ def _split_table(table: pa.Table) -> list[str]:
     split = np.array(table["split"].to_pylist())
     rock = np.array(table["environment"].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
+    chosen = table["chosen"].to_numpy(zero_copy_only=False)
     lines = [
-        "| split | episodes | environments | whole teams that arrive, % |",
-        "|---|---|---|---|",
+        "| split | episodes | chosen | environments | whole teams that arrive, % |",
+        "|---|---|---|---|---|",
     ]
     for name in sorted(set(split.tolist())):
         mine = split == name
         lines.append(
-            f"| {name} | {mine.sum():,} | {len(set(rock[mine].tolist())):,} | "
-            f"{100 * success[mine].mean():.1f} |"
+            f"| {name} | {mine.sum():,} | {chosen[mine].sum():,} | "
+            f"{len(set(rock[mine].tolist())):,} | {100 * success[mine].mean():.1f} |"
         )
     return lines
+
+
+def _chosen(manifest: Manifest, table: pa.Table) -> list[str]:
+    """What was wished of the chosen episodes, and what they have."""
+    if not manifest.sample.asks:
+        return []
+    thinned = table.filter(pc.is_in(table["split"], pa.array(SPLITS)))
+    lines = [
+        "Readers are given the chosen episodes: of train, val and test each as many as have the "
+        "shares that were wished. The others lie there too (`chosen=None`).",
+        "",
+        "| share | wished | flown, % | chosen, % |",
+        "|---|---|---|---|",
+    ]
+    chosen = thinned["chosen"].to_numpy(zero_copy_only=False)
+    for kind in (*DIFFICULTIES, FAILED):
+        flown = is_of(thinned, kind)
+        shares = " | ".join(_percent(flown[which]) for which in (slice(None), chosen))
+        lines.append(f"| {kind} | {manifest.sample.said(kind)} | {shares} |")
+    return [*lines, ""]
+
+
+def _percent(values: np.ndarray) -> str:
+    return f"{100 * values.mean():.1f}" if values.size else "-"
 
 
 def _outcome_table(outcomes: dict[str, Counter[str]]) -> list[str]:

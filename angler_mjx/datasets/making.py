@@ -4,10 +4,7 @@ It is built like a run, in a hidden folder beside its place; the manifest comes 
 was broken off is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
-import datetime
 import gc
-import shlex
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,17 +13,15 @@ from typing import Any, Protocol
 
 import jax
 
-from angler_mjx.datasets import card, index, manifest, sums
+from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets import parts as flown
 from angler_mjx.datasets.config import DatasetConfig
-from angler_mjx.datasets.manifest import ArrayEntry, Manifest, PartEntry
 from angler_mjx.datasets.parts import Part
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.simulator.simulator import default_tile
-from angler_mjx.storage import claims, folder, inputs, layout
+from angler_mjx.storage import claims, folder
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.damage import read_table
 from angler_mjx.storage.recorder import Shape
@@ -112,6 +107,7 @@ def make(
     """
     parts = asked.parts
     _require_one_recording(parts, asked.source)
+    _require_crossings(asked.config, parts, asked.source)
     claimed = _again(asked, out) if resume else _begin(asked, parts, out)
     with _released(claimed):
         for number, part in enumerate(parts):
@@ -140,6 +136,16 @@ def _require_one_recording(parts: Sequence[Part], source: str) -> None:
                     f"{source}: scene {part.scene!r}, {name}: {b} is not {a} as in scene "
                     f"{parts[0].scene!r}; a dataset is recorded in one way"
                 )
+
+
+def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str) -> None:
+    """Refuse crossings where no two robots are."""
+    wished = config.sample.at_least.get("crossing", 0.0)
+    if wished > 0.0 and all(part.robots < 2 for part in parts if part.split is None):
+        raise ConfigError(
+            f"{source}: sample.at_least.crossing = {wished:g}: every team that is not of a shifted "
+            "scene is one robot, which crosses nobody; give teams of two or more"
+        )
 
 
 def _begin(asked: Asked, parts: Sequence[Part], out: Path) -> Claim:
@@ -223,11 +229,9 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
     """Index, sums, card and, last, the manifest; then the folder gets its name."""
     place = claimed.building
     try:
-        made = describe(asked, parts, place)
+        made = describing.describe(asked.config, parts, place)
         table = index.of_manifest(place, made)
-        splits = table["split"].to_pylist()
-        counts = {name: splits.count(name) for name in sorted(set(splits))}
-        made = made.model_copy(update={"episodes": len(table), "splits": counts})
+        made = describing.counted(made, table)
         index.write(place, table)
         card.write(place, made, table)
         (place / MAKING).unlink()
@@ -238,82 +242,3 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
             f"whole in {place}: make room and go on with --resume"
         ) from error
     claimed.publish()
-
-
-def describe(asked: Asked, parts: Sequence[Part], place: Path) -> Manifest:
-    """The manifest of a dataset, but for its splits and the sums of its files."""
-    runs = [folder.Run(place / part.path) for part in parts]
-    first = runs[0]
-    config = asked.config
-    return Manifest(
-        name=config.name,
-        description=config.description,
-        licence=config.licence,
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=shlex.join(["angler", *sys.argv[1:]]),
-        episodes=asked.episodes,
-        splits={},
-        split_shares=config.split.model_dump(),
-        parts=tuple(
-            PartEntry(
-                path=part.path,
-                scene=part.scene,
-                expert=part.expert,
-                robots=part.robots,
-                worlds=run.scenario.worlds,
-                seed=run.scenario.seed,
-                split=part.split,
-                digest=run.scenario.digest(),
-                tile=run.scenario.tile or run.scenario.worlds,
-                kernels=run.scenario.kernels,
-            )
-            for part, run in zip(parts, runs, strict=True)
-        ),
-        conventions={
-            key: str(value)
-            for key, value in dict(first.trajectories.attrs).items()
-            if isinstance(value, str)
-        },
-        arrays=_arrays(first),
-        time={
-            "record_hz": first.scenario.time.record_hz,
-            "control_dt_s": first.scenario.time.control_dt_s,
-            "physics_dt_s": first.scenario.time.physics_dt_s,
-        },
-        seeds={
-            "dataset": config.seed,
-            "keys": str(jax.config.jax_default_prng_impl),
-            "of_parts": "first 31 bits of SHA-256 of 'angler dataset SEED part NUMBER'",
-            "of_worlds": "the part's key folded with the world's index",
-        },
-        parameter_sets=_parameter_sets(runs),
-        environment=describe_environment(),
-        sums="0" * 64,
-    )
-
-
-def _arrays(run: folder.Run) -> dict[str, ArrayEntry]:
-    stored: Any = run.trajectories
-    found = {}
-    for name, kind in layout.ARRAYS.items():
-        if name in stored:
-            stepped = kind.dims[:1] == ("time",) and kind.dtype is not None
-            step = run.scenario.store.step(kind.unit, kind.dims) if stepped else None
-            found[name] = ArrayEntry(
-                dims=("world", *kind.dims),
-                unit=kind.unit,
-                description=kind.text,
-                dtype=str(stored[name].dtype),
-                step=step if str(stored[name].dtype) == "float32" else None,
-            )
-    return found
-
-
-def _parameter_sets(runs: Sequence[folder.Run]) -> dict[str, str]:
-    """Sums of the vehicle and thruster files of all parts."""
-    found: dict[str, str] = {}
-    for run in runs:
-        for one in inputs.read_inputs(run.path):
-            if one.role in (inputs.VEHICLE, inputs.THRUSTER):
-                found[one.named] = one.sha256
-    return dict(sorted(found.items()))

@@ -87,6 +87,12 @@ def _report(place: Path, found: "Manifest") -> None:
     console = Console()
     console.print(shown)
     console.print(", ".join(f"{name}: {count:,}" for name, count in found.splits.items()))
+    if found.sample.asks:
+        said = (
+            f"{name}: {found.chosen.get(name, 0):,} of {count:,}"
+            for name, count in found.splits.items()
+        )
+        console.print(f"chosen of {', '.join(said)}")
     console.print(str(place), highlight=False, soft_wrap=True)
 
 
@@ -202,7 +208,8 @@ def stats(
         return
     console = Console()
     console.print(
-        f"{found['name']}: {found['episodes']:,} episodes, {found['robots']:,} robots, "
+        f"{found['name']}: {found['episodes']:,} episodes, {found['chosen']:,} of them chosen, "
+        f"{found['robots']:,} robots, "
         f"{size(found['bytes'])}"
     )
     for column, values in found["by"].items():
