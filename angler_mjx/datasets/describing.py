@@ -88,15 +88,16 @@ def counted(made: Manifest, table: pa.Table) -> Manifest:
     return made.model_copy(
         update={
             "episodes": len(table),
-            "splits": _counts(table),
-            "chosen": _counts(table.filter(table["chosen"])),
+            "splits": counts(table, "split"),
+            "chosen": counts(table.filter(table["chosen"]), "split"),
         }
     )
 
 
-def _counts(table: pa.Table) -> dict[str, int]:
-    counts = table["split"].value_counts().to_pylist()
-    return dict(sorted((one["values"], one["counts"]) for one in counts))
+def counts(table: pa.Table, column: str) -> dict[str, int]:
+    """How often each value of a column of text occurs, by value."""
+    found = table[column].value_counts().to_pylist()
+    return dict(sorted((one["values"], one["counts"]) for one in found))
 
 
 def _arrays(run: folder.Run) -> dict[str, ArrayEntry]:
