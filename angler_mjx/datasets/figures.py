@@ -36,7 +36,8 @@ _MEASURES = (
     ("path_ratio", "shortest way around rock over straight line", "episodes"),
 )
 """Distributions: column of the index or of the runs, what it is, and of what."""
-_BINS = 40
+_BINS = (10, 40)
+"""At least and at most."""
 
 
 def draw(place: Path, manifest: Manifest, table: pa.Table) -> None:
@@ -181,7 +182,8 @@ def _distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, experts: 
         panel.text(0.5, 0.5, "there is none", ha="center", transform=panel.transAxes)
         return
     low, high = np.quantile(values[known], [0.01, 0.99])
-    edges = np.linspace(low, max(high, low + 1e-3), _BINS + 1)
+    bins = int(np.clip(2.0 * np.sqrt(known.sum() / experts), *_BINS))
+    edges = np.linspace(low, max(high, low + 1e-3), bins + 1)
     for i in range(experts):
         mine = np.clip(values[known & (expert == i)], edges[0], edges[-1])
         if mine.size:

@@ -66,7 +66,7 @@ class SpotCheck(FileModel):
     """Where the autopilots learned their position."""
     flown: tuple[Checked, ...] = Field(min_length=1)
     left_out: tuple[str, ...] = ()
-    """Parts that a policy commanded, which autopilots cannot fly."""
+    """Parts of which nothing was flown: too few episodes, or a policy commanded them."""
     rows: tuple[GapRow, ...]
 
 
@@ -97,7 +97,7 @@ def text(found: SpotCheck | None) -> list[str]:
             "sample on ArduSub and says here how far that is from the dataset.",
         ]
     episodes = sum(len(one.worlds) for one in found.flown)
-    left_out = f" Left out, for a policy commanded them: {', '.join(found.left_out)}."
+    left_out = f" Nothing was flown of {', '.join(found.left_out)}."
     return [
         f"{episodes} episodes of {len(found.flown)} parts, flown with the same plans by ArduSub "
         f"{found.autopilot}, positions by {found.source} (`{found.command}`, {found.created}). "

@@ -5,8 +5,8 @@ was broken off is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
 import gc
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +19,7 @@ from angler_mjx.datasets.config import DatasetConfig
 from angler_mjx.datasets.parts import Part
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout
+from angler_mjx.runs.processes import OneOfMany, OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress
 from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.storage import claims, folder
@@ -86,6 +87,7 @@ def make(
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
+    processes: Processes | None = None,
 ) -> Path | None:
     """Make a dataset, or go on with one.
 
@@ -96,6 +98,8 @@ def make(
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
         workers: processes that plan, where a planner is one of the host.
+        processes: that share the making, part by part; each calls this with the same arguments,
+            and they leave each other afterwards.
 
     Returns:
         Its folder; None after an interruption (Ctrl-C): what was finished is kept, to go on with.
@@ -103,21 +107,36 @@ def make(
     Raises:
         ConfigError: the folder is taken, or what is asked for cannot be flown, or is not what was
             begun there.
-        RunError: the disk or the device gave out.
+        RunError: the disk or the device gave out, or another process did.
     """
+    together = processes or OneProcess()
+    with telling(together):
+        return _make(asked, out, told, together, resume, {"devices": devices, "workers": workers})
+
+
+def _make(
+    asked: Asked, out: Path, told: Told, together: Processes, resume: bool, how: Mapping[str, Any]
+) -> Path | None:
     parts = asked.parts
     _require_one_recording(parts, asked.source)
     _require_crossings(asked.config, parts, asked.source)
-    claimed = _again(asked, out) if resume else _begin(asked, parts, out)
-    with _released(claimed):
+    building = claims.partial_path(out)
+    with ExitStack() as stack:
+        claimed = None
+        if together.index == 0:
+            claimed = _again(asked, out) if resume else _begin(asked, parts, out)
+            stack.callback(claimed.release)
+        together.meet("dataset")
         for number, part in enumerate(parts):
             told.part(number, len(parts), part.path)
-            if not _fly(part, claimed.building / part.path, told, devices, workers):
+            if not _fly(part, building / part.path, told, OneOfMany(together, part.path), how):
                 return None
             # Programs of many parts together would use up the memory maps of a process.
             jax.clear_caches()
             gc.collect()
-        _close(asked, parts, claimed)
+        if claimed is not None:
+            _close(asked, parts, claimed)
+        together.meet("whole")
     return out
 
 
@@ -184,26 +203,26 @@ def _again(asked: Asked, out: Path) -> Claim:
     return claimed
 
 
-@contextmanager
-def _released(claimed: Claim) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        claimed.release()
-
-
-def _fly(part: Part, place: Path, told: Told, devices: int | None, workers: int | None) -> bool:
+def _fly(part: Part, place: Path, told: Told, together: Processes, how: Mapping[str, Any]) -> bool:
     """Fly a part, or what is left of it; whether it is whole now."""
-    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
+    found = together.meet("stands", _stands(place) if together.index == 0 else None)[0]
+    if found == "whole":
         return True
-    how: dict[str, Any] = {"progress": told, "devices": devices, "workers": workers, "chunk": 1}
-    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
-    if (begun / folder.CONFIG).is_file():
-        run = rollout.resume(place, **how)
+    shared: dict[str, Any] = {"progress": told, "processes": together, "chunk": 1, **how}
+    if found == "begun":
+        run = rollout.resume(place, **shared)
     else:
         scenario = part.scenario.model_copy(update={"tile": tile_of(part)})
-        run = rollout.rollout(scenario, out=place, **how)
+        run = rollout.rollout(scenario, out=place, **shared)
     return bool(run.summary["complete"])
+
+
+def _stands(place: Path) -> str:
+    """How far a part is: whole, begun or none."""
+    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
+        return "whole"
+    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
+    return "begun" if (begun / folder.CONFIG).is_file() else "none"
 
 
 def tile_of(part: Part) -> int:

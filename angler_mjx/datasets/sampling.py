@@ -134,7 +134,7 @@ def thinned(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndar
             inside = int(kept[cells].sum())
             room = _room(int(kept.sum()) - inside, share)
             if inside > room:
-                kept[cells] = _in_proportion(kept[cells], room)
+                kept[cells] = in_proportion(kept[cells], room)
         if kept.sum() == before:
             return kept
 
@@ -146,8 +146,13 @@ def _room(outside: int, share: float) -> int:
     return int(np.floor(outside * share / (1.0 - share) + 1e-9))
 
 
-def _in_proportion(counts: np.ndarray, total: int) -> np.ndarray:
-    """Numbers of a sum as near to the proportions of counts as whole numbers can be."""
+def in_proportion(counts: np.ndarray, total: int) -> np.ndarray:
+    """Numbers of a sum as near to the proportions of counts as whole numbers can be.
+
+    Args:
+        counts: int [c].
+        total: that they come to; at most their sum.
+    """
     exact = counts * (total / max(int(counts.sum()), 1))
     down = np.floor(exact).astype(np.int64)
     first = np.lexsort((np.arange(len(counts)), down - exact))
