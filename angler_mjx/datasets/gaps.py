@@ -62,6 +62,9 @@ class SpotCheck(FileModel):
     created: str
     """UTC, ISO 8601."""
     seed: int
+    """Of the draw of episodes."""
+    stratify: str
+    """outcome: rare outcomes were drawn on purpose; none: they were not."""
     source: str
     """Where the autopilots learned their position."""
     flown: tuple[Checked, ...] = Field(min_length=1)
@@ -101,8 +104,7 @@ def text(found: SpotCheck | None) -> list[str]:
     return [
         f"{episodes} episodes of {len(found.flown)} parts, flown with the same plans by ArduSub "
         f"{found.autopilot}, positions by {found.source} (`{found.command}`, {found.created}). "
-        "Rare outcomes were drawn on purpose, so this is no sample of how often robots arrive."
-        f"{left_out if found.left_out else ''}",
+        f"{_DRAWN.get(found.stratify, '')}{left_out if found.left_out else ''}",
         "",
         "| flown by | against | same outcome | both or neither arrived | track, m | way, m | "
         "endpoint, m | arrival, s | clearance, m | effort |",
@@ -121,6 +123,11 @@ def text(found: SpotCheck | None) -> list[str]:
         "the other's way, whenever it was there; each: median, and nine of ten below. Effort: "
         "ratio of signals beside neutral.",
     ]
+
+
+_DRAWN = {
+    "outcome": "Rare outcomes were drawn on purpose, so it is no sample of how often robots arrive."
+}
 
 
 def _two(pair: Pair) -> str:

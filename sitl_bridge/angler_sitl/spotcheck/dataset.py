@@ -134,6 +134,7 @@ def _record(
         command=provenance["command"],
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         seed=settings.seed,
+        stratify=settings.stratify,
         source=settings.source,
         flown=tuple(
             Checked(part=part.path, worlds=tuple(pick.world for pick in one.picks))
