@@ -61,8 +61,10 @@ def make(
     from angler_mjx.cli.shared.given import at_least_one
     from angler_mjx.cli.shared.progress import DatasetBar
     from angler_mjx.datasets import making, manifest
+    from angler_mjx.runs.processes import telling
 
-    asked = making.ask(config, episodes)
+    with telling(shared):
+        asked = making.ask(config, episodes)
     place = out or Path("datasets") / asked.config.name
     with DatasetBar(quiet=shared.index > 0) as bar:
         made = making.make(

@@ -180,7 +180,7 @@ def test_two_processes_make_the_same_dataset_also_when_one_was_lost(file, made, 
             time.sleep(0.1)
         started[1].send_signal(signal.SIGKILL)
         _, said = started[0].communicate(timeout=300)
-        assert started[0].returncode == 1
+        assert started[0].returncode == 2
         assert "process 1 is gone" in " ".join(said.split())
         assert "--resume" in said
         assert building.is_dir()

@@ -157,7 +157,8 @@ def test_the_gap_is_written_into_the_dataset_which_stays_whole(place, asked, tmp
 
 
 def test_damage_is_not_hidden_by_a_spot_check(place, asked, tmp_path):
-    (shard,) = (place / "runs" / "000_near" / "trajectories.zarr" / "nu").rglob("c/0/*/*/*")
+    shards = (place / "runs" / "000_near" / "trajectories.zarr" / "q").rglob("c/**/0")
+    shard = next(path for path in shards if path.is_file())
     shard.write_bytes(shard.read_bytes() + b"x")
     dataset.check(place, SETTINGS, tmp_path / "check", None)
     assert [one.where for one in files(place)] == [shard.relative_to(place).as_posix()]
