@@ -8,8 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from angler_mjx.datasets import croissant
-from angler_mjx.datasets.manifest import Manifest
+from angler_mjx.datasets import croissant, figures, gaps
+from angler_mjx.datasets.manifest import SPLITS, Manifest
+from angler_mjx.datasets.parts import RUNS
+from angler_mjx.datasets.sampling import DIFFICULTIES, FAILED, is_of
 from angler_mjx.errors import size
 from angler_mjx.storage import atomic, folder, results
 
@@ -17,14 +19,34 @@ README, CROISSANT = "README.md", "croissant.json"
 
 
 def write(place: Path, manifest: Manifest, table: pa.Table) -> None:
-    """Write both, of what lies in a dataset's folder.
+    """Write both, and the figures, of what lies in a dataset's folder.
+
+    Args:
+        place: of the dataset.
+        manifest: of it; what its sums are does not matter.
+        table: its index.
 
     Raises:
+        ConfigError: a run is damaged.
+        RunError: a figure cannot be written.
         OSError: the disk gave out.
     """
-    outcomes = _outcomes(place, manifest)
-    atomic.write_text(place / README, text(manifest, table, outcomes, _bytes(place)))
+    figures.draw(place, manifest, table)
+    write_text(place, manifest, table)
     folder.write_json(place / CROISSANT, croissant.table(place, manifest))
+
+
+def write_text(place: Path, manifest: Manifest, table: pa.Table) -> None:
+    """Write the card alone; what else it names lies there.
+
+    Raises:
+        ConfigError: a run or the spot check is damaged.
+        OSError: the disk gave out.
+    """
+    said = text(
+        manifest, table, _outcomes(place, manifest), _bytes(place), gaps.text(gaps.read(place))
+    )
+    atomic.write_text(place / README, said)
 
 
 def _outcomes(place: Path, manifest: Manifest) -> dict[str, Counter[str]]:
@@ -37,11 +59,16 @@ def _outcomes(place: Path, manifest: Manifest) -> dict[str, Counter[str]]:
 
 
 def _bytes(place: Path) -> int:
-    return sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+    """Of the run folders: what tells of them is written after this."""
+    return sum(path.stat().st_size for path in (place / RUNS).rglob("*") if path.is_file())
 
 
 def text(
-    manifest: Manifest, table: pa.Table, outcomes: dict[str, Counter[str]], n_byte: int
+    manifest: Manifest,
+    table: pa.Table,
+    outcomes: dict[str, Counter[str]],
+    n_byte: int,
+    flown: Sequence[str],
 ) -> str:
     """The card.
 
@@ -49,7 +76,8 @@ def text(
         manifest: of the dataset.
         table: its index.
         outcomes: of robots, by scene and expert.
-        n_byte: of the whole dataset.
+        n_byte: of its run folders.
+        flown: lines on what real autopilots made of it.
     """
     robots = pc.sum(table["robots"]).as_py()
     hours = pc.sum(pc.multiply(table["duration_s"], pc.cast(table["robots"], pa.float32())))
@@ -93,6 +121,9 @@ def text(
         "",
         *_split_table(table),
         "",
+        f"![Counts]({figures.COUNTS})",
+        "",
+        *_chosen(manifest, table),
         "## Who flew, and how it ended",
         "",
         *_outcome_table(outcomes),
@@ -103,6 +134,14 @@ def text(
         "some do; `blocked`: rock alone is in the way.",
         "",
         *_counts(table, "difficulty"),
+        "",
+        f"![Lengths, times and clearances]({figures.LENGTHS})",
+        "",
+        f"![Some flights from above]({figures.FLIGHTS})",
+        "",
+        "## On real autopilots",
+        "",
+        *flown,
         "",
         "## Conventions",
         "",
@@ -140,17 +179,42 @@ def _split_table(table: pa.Table) -> list[str]:
     split = np.array(table["split"].to_pylist())
     rock = np.array(table["environment"].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
+    chosen = table["chosen"].to_numpy(zero_copy_only=False)
     lines = [
-        "| split | episodes | environments | whole teams that arrive, % |",
-        "|---|---|---|---|",
+        "| split | episodes | chosen | environments | whole teams that arrive, % |",
+        "|---|---|---|---|---|",
     ]
     for name in sorted(set(split.tolist())):
         mine = split == name
         lines.append(
-            f"| {name} | {mine.sum():,} | {len(set(rock[mine].tolist())):,} | "
-            f"{100 * success[mine].mean():.1f} |"
+            f"| {name} | {mine.sum():,} | {chosen[mine].sum():,} | "
+            f"{len(set(rock[mine].tolist())):,} | {100 * success[mine].mean():.1f} |"
         )
     return lines
+
+
+def _chosen(manifest: Manifest, table: pa.Table) -> list[str]:
+    """What was wished of the chosen episodes, and what they have."""
+    if not manifest.sample.asks:
+        return []
+    thinned = table.filter(pc.is_in(table["split"], pa.array(SPLITS)))
+    lines = [
+        "Readers are given the chosen episodes: of train, val and test each as many as have the "
+        "shares that were wished. The others lie there too (`chosen=None`).",
+        "",
+        "| share | wished | flown, % | chosen, % |",
+        "|---|---|---|---|",
+    ]
+    chosen = thinned["chosen"].to_numpy(zero_copy_only=False)
+    for kind in (*DIFFICULTIES, FAILED):
+        flown = is_of(thinned, kind)
+        shares = " | ".join(_percent(flown[which]) for which in (slice(None), chosen))
+        lines.append(f"| {kind} | {manifest.sample.said(kind)} | {shares} |")
+    return [*lines, ""]
+
+
+def _percent(values: np.ndarray) -> str:
+    return f"{100 * values.mean():.1f}" if values.size else "-"
 
 
 def _outcome_table(outcomes: dict[str, Counter[str]]) -> list[str]:

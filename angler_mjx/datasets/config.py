@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from angler_mjx.benchmark.config import PlannerEntry
+from angler_mjx.datasets.sampling import SampleConfig
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import SchemaVersion
 
@@ -74,6 +75,8 @@ class DatasetConfig(FileModel):
     set: dict[str, Any] = Field(default_factory=dict)
     """Keys of the scenario that are otherwise in this dataset; tables are merged."""
     split: SplitConfig = SplitConfig()
+    sample: SampleConfig = SampleConfig()
+    """What is chosen of what was flown."""
     scene: tuple[DatasetScene, ...] = Field(min_length=1, max_length=256)
     expert: tuple[Expert, ...] = Field(min_length=1, max_length=64)
 

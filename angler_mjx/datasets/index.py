@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.datasets.config import SplitConfig
 from angler_mjx.datasets.manifest import INDEX, SPLITS, Manifest
+from angler_mjx.datasets.sampling import chosen
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage import atomic, layout
 from angler_mjx.storage.damage import reading
@@ -45,6 +46,7 @@ _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("free_lines", pa.int32(), "1", "robots whose straight line to the goal meets no rock"),
     ("crossings", pa.int32(), "1", "pairs of robots whose straight lines pass within 1.5 m"),
     ("difficulty", pa.string(), "", "trivial: all lines free and none cross; blocked; crossing"),
+    ("chosen", pa.bool_(), "1", "whether it is given to readers that do not ask for all"),
 )
 
 SCHEMA = pa.schema(
@@ -62,7 +64,7 @@ CROSSING_M = 1.5
 def rows(
     place: Path, part: int, entry: Mapping[str, Any], shares: SplitConfig, first: int
 ) -> pa.Table:
-    """Rows of a part.
+    """Rows of a part, all of them chosen.
 
     Args:
         place: run folder of the part.
@@ -128,6 +130,7 @@ def rows(
         "free_lines": free.astype(np.int32),
         "crossings": crossings.astype(np.int32),
         "difficulty": np.where(trivial, "trivial", np.where(crossings > 0, "crossing", "blocked")),
+        "chosen": np.ones(count, bool),
     }
     return pa.table(columns, schema=SCHEMA)
 
@@ -230,7 +233,9 @@ def of_manifest(place: Path, manifest: Manifest) -> pa.Table:
         entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
         tables.append(rows(place / part.path, number, entry, shares, first))
         first += len(tables[-1])
-    return pa.concat_tables(tables)
+    whole = pa.concat_tables(tables)
+    at = SCHEMA.get_field_index("chosen")
+    return whole.set_column(at, SCHEMA.field(at), pa.array(chosen(whole, manifest.sample, SPLITS)))
 
 
 def shared_environment(table: pa.Table) -> tuple[str, str, str] | None:

@@ -4,29 +4,25 @@ It is built like a run, in a hidden folder beside its place; the manifest comes 
 was broken off is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
-import datetime
 import gc
-import shlex
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import jax
 
-from angler_mjx.datasets import card, index, manifest, sums
+from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets import parts as flown
 from angler_mjx.datasets.config import DatasetConfig
-from angler_mjx.datasets.manifest import ArrayEntry, Manifest, PartEntry
 from angler_mjx.datasets.parts import Part
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout
+from angler_mjx.runs.processes import OneOfMany, OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.simulator.simulator import default_tile
-from angler_mjx.storage import claims, folder, inputs, layout
+from angler_mjx.storage import claims, folder
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.damage import read_table
 from angler_mjx.storage.recorder import Shape
@@ -91,6 +87,7 @@ def make(
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
+    processes: Processes | None = None,
 ) -> Path | None:
     """Make a dataset, or go on with one.
 
@@ -101,6 +98,8 @@ def make(
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
         workers: processes that plan, where a planner is one of the host.
+        processes: that share the making, part by part; each calls this with the same arguments,
+            and they leave each other afterwards.
 
     Returns:
         Its folder; None after an interruption (Ctrl-C): what was finished is kept, to go on with.
@@ -108,20 +107,36 @@ def make(
     Raises:
         ConfigError: the folder is taken, or what is asked for cannot be flown, or is not what was
             begun there.
-        RunError: the disk or the device gave out.
+        RunError: the disk or the device gave out, or another process did.
     """
+    together = processes or OneProcess()
+    with telling(together):
+        return _make(asked, out, told, together, resume, {"devices": devices, "workers": workers})
+
+
+def _make(
+    asked: Asked, out: Path, told: Told, together: Processes, resume: bool, how: Mapping[str, Any]
+) -> Path | None:
     parts = asked.parts
     _require_one_recording(parts, asked.source)
-    claimed = _again(asked, out) if resume else _begin(asked, parts, out)
-    with _released(claimed):
+    _require_crossings(asked.config, parts, asked.source)
+    building = claims.partial_path(out)
+    with ExitStack() as stack:
+        claimed = None
+        if together.index == 0:
+            claimed = _again(asked, out) if resume else _begin(asked, parts, out)
+            stack.callback(claimed.release)
+        together.meet("dataset")
         for number, part in enumerate(parts):
             told.part(number, len(parts), part.path)
-            if not _fly(part, claimed.building / part.path, told, devices, workers):
+            if not _fly(part, building / part.path, told, OneOfMany(together, part.path), how):
                 return None
             # Programs of many parts together would use up the memory maps of a process.
             jax.clear_caches()
             gc.collect()
-        _close(asked, parts, claimed)
+        if claimed is not None:
+            _close(asked, parts, claimed)
+        together.meet("whole")
     return out
 
 
@@ -140,6 +155,16 @@ def _require_one_recording(parts: Sequence[Part], source: str) -> None:
                     f"{source}: scene {part.scene!r}, {name}: {b} is not {a} as in scene "
                     f"{parts[0].scene!r}; a dataset is recorded in one way"
                 )
+
+
+def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str) -> None:
+    """Refuse crossings where no two robots are."""
+    wished = config.sample.at_least.get("crossing", 0.0)
+    if wished > 0.0 and all(part.robots < 2 for part in parts if part.split is None):
+        raise ConfigError(
+            f"{source}: sample.at_least.crossing = {wished:g}: every team that is not of a shifted "
+            "scene is one robot, which crosses nobody; give teams of two or more"
+        )
 
 
 def _begin(asked: Asked, parts: Sequence[Part], out: Path) -> Claim:
@@ -178,26 +203,26 @@ def _again(asked: Asked, out: Path) -> Claim:
     return claimed
 
 
-@contextmanager
-def _released(claimed: Claim) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        claimed.release()
-
-
-def _fly(part: Part, place: Path, told: Told, devices: int | None, workers: int | None) -> bool:
+def _fly(part: Part, place: Path, told: Told, together: Processes, how: Mapping[str, Any]) -> bool:
     """Fly a part, or what is left of it; whether it is whole now."""
-    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
+    found = together.meet("stands", _stands(place) if together.index == 0 else None)[0]
+    if found == "whole":
         return True
-    how: dict[str, Any] = {"progress": told, "devices": devices, "workers": workers, "chunk": 1}
-    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
-    if (begun / folder.CONFIG).is_file():
-        run = rollout.resume(place, **how)
+    shared: dict[str, Any] = {"progress": told, "processes": together, "chunk": 1, **how}
+    if found == "begun":
+        run = rollout.resume(place, **shared)
     else:
         scenario = part.scenario.model_copy(update={"tile": tile_of(part)})
-        run = rollout.rollout(scenario, out=place, **how)
+        run = rollout.rollout(scenario, out=place, **shared)
     return bool(run.summary["complete"])
+
+
+def _stands(place: Path) -> str:
+    """How far a part is: whole, begun or none."""
+    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
+        return "whole"
+    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
+    return "begun" if (begun / folder.CONFIG).is_file() else "none"
 
 
 def tile_of(part: Part) -> int:
@@ -223,11 +248,9 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
     """Index, sums, card and, last, the manifest; then the folder gets its name."""
     place = claimed.building
     try:
-        made = describe(asked, parts, place)
+        made = describing.describe(asked.config, parts, place)
         table = index.of_manifest(place, made)
-        splits = table["split"].to_pylist()
-        counts = {name: splits.count(name) for name in sorted(set(splits))}
-        made = made.model_copy(update={"episodes": len(table), "splits": counts})
+        made = describing.counted(made, table)
         index.write(place, table)
         card.write(place, made, table)
         (place / MAKING).unlink()
@@ -238,82 +261,3 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
             f"whole in {place}: make room and go on with --resume"
         ) from error
     claimed.publish()
-
-
-def describe(asked: Asked, parts: Sequence[Part], place: Path) -> Manifest:
-    """The manifest of a dataset, but for its splits and the sums of its files."""
-    runs = [folder.Run(place / part.path) for part in parts]
-    first = runs[0]
-    config = asked.config
-    return Manifest(
-        name=config.name,
-        description=config.description,
-        licence=config.licence,
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        command=shlex.join(["angler", *sys.argv[1:]]),
-        episodes=asked.episodes,
-        splits={},
-        split_shares=config.split.model_dump(),
-        parts=tuple(
-            PartEntry(
-                path=part.path,
-                scene=part.scene,
-                expert=part.expert,
-                robots=part.robots,
-                worlds=run.scenario.worlds,
-                seed=run.scenario.seed,
-                split=part.split,
-                digest=run.scenario.digest(),
-                tile=run.scenario.tile or run.scenario.worlds,
-                kernels=run.scenario.kernels,
-            )
-            for part, run in zip(parts, runs, strict=True)
-        ),
-        conventions={
-            key: str(value)
-            for key, value in dict(first.trajectories.attrs).items()
-            if isinstance(value, str)
-        },
-        arrays=_arrays(first),
-        time={
-            "record_hz": first.scenario.time.record_hz,
-            "control_dt_s": first.scenario.time.control_dt_s,
-            "physics_dt_s": first.scenario.time.physics_dt_s,
-        },
-        seeds={
-            "dataset": config.seed,
-            "keys": str(jax.config.jax_default_prng_impl),
-            "of_parts": "first 31 bits of SHA-256 of 'angler dataset SEED part NUMBER'",
-            "of_worlds": "the part's key folded with the world's index",
-        },
-        parameter_sets=_parameter_sets(runs),
-        environment=describe_environment(),
-        sums="0" * 64,
-    )
-
-
-def _arrays(run: folder.Run) -> dict[str, ArrayEntry]:
-    stored: Any = run.trajectories
-    found = {}
-    for name, kind in layout.ARRAYS.items():
-        if name in stored:
-            stepped = kind.dims[:1] == ("time",) and kind.dtype is not None
-            step = run.scenario.store.step(kind.unit, kind.dims) if stepped else None
-            found[name] = ArrayEntry(
-                dims=("world", *kind.dims),
-                unit=kind.unit,
-                description=kind.text,
-                dtype=str(stored[name].dtype),
-                step=step if str(stored[name].dtype) == "float32" else None,
-            )
-    return found
-
-
-def _parameter_sets(runs: Sequence[folder.Run]) -> dict[str, str]:
-    """Sums of the vehicle and thruster files of all parts."""
-    found: dict[str, str] = {}
-    for run in runs:
-        for one in inputs.read_inputs(run.path):
-            if one.role in (inputs.VEHICLE, inputs.THRUSTER):
-                found[one.named] = one.sha256
-    return dict(sorted(found.items()))

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from angler_mjx.datasets.sampling import SampleConfig
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse, read_json
 from angler_mjx.storage import folder
@@ -69,6 +70,10 @@ class Manifest(FileModel):
     episodes: int = Field(ge=1)
     splits: dict[str, int]
     """Episodes of each."""
+    sample: SampleConfig = SampleConfig()
+    """Shares that the chosen ones of train, val and test were to have."""
+    chosen: dict[str, int] = Field(default_factory=dict)
+    """Chosen episodes of each split."""
     split_shares: dict[str, float]
     """Of environments, in scenes that are not shifted."""
     parts: tuple[PartEntry, ...] = Field(min_length=1)

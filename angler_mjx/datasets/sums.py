@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -44,6 +44,26 @@ def write(place: Path) -> str:
         OSError: the disk gave out.
     """
     lines = [f"{digest}  {name}\n" for name, digest in of_files(place, files(place))]
+    atomic.write_text(place / SUMS, "".join(lines))
+    return of_file(place / SUMS)
+
+
+def renew(place: Path, said: Mapping[str, str], names: Iterable[str]) -> str:
+    """Write the sums anew for some files that were written, as they were for all others.
+
+    Args:
+        place: the dataset.
+        said: sums as they were; see `read`.
+        names: of the files.
+
+    Returns:
+        The sum of the file of sums.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    whole = {**said, **{name: of_file(place / name) for name in names}}
+    lines = [f"{digest}  {name}\n" for name, digest in sorted(whole.items())]
     atomic.write_text(place / SUMS, "".join(lines))
     return of_file(place / SUMS)
 

@@ -9,6 +9,8 @@ import atexit
 import json
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import jax
@@ -58,6 +60,53 @@ class Processes(Protocol):
     def leave(self) -> None:
         """Go apart after the last meeting; the coordinator goes last."""
         ...
+
+
+class OneOfMany:
+    """Processes that share one run of several, one run after another; see `Processes`.
+
+    What is met for is told apart by the run's name, and nobody leaves at the end of one.
+    """
+
+    def __init__(self, processes: Processes, name: str) -> None:
+        """The same processes, at one of their runs."""
+        self.index, self.count = processes.index, processes.count
+        self._all, self._name = processes, name
+
+    @property
+    def stopping(self) -> bool:
+        """See `Processes`."""
+        return self._all.stopping
+
+    def check(self) -> None:
+        """See `Processes`."""
+        self._all.check()
+
+    def meet(self, name: str, value: Any = None) -> list[Any]:
+        """See `Processes`."""
+        return self._all.meet(f"{self._name}/{name}", value)
+
+    def stop(self) -> None:
+        """See `Processes`."""
+        self._all.stop()
+
+    def fail(self, reason: str) -> None:
+        """See `Processes`."""
+        self._all.fail(reason)
+
+    def leave(self) -> None:
+        """Nothing: the other runs are still to come."""
+
+
+@contextmanager
+def telling(processes: Processes) -> Iterator[None]:
+    """Tell the other processes if this one cannot go on, and part from them."""
+    try:
+        yield
+    except BaseException as error:
+        processes.fail(str(error) or type(error).__name__)
+        processes.leave()
+        raise
 
 
 class OneProcess:

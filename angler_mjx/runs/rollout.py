@@ -5,8 +5,7 @@ interrupted with all finished tiles in it. An interrupted run can be taken up ag
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
-from angler_mjx.runs.processes import OneProcess, Processes
+from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.scenario.scenario import Scenario
@@ -83,7 +82,7 @@ def rollout(
             process of the run failed.
     """
     place, processes = Path(out), processes or OneProcess()
-    with _telling(processes), ExitStack() as stack:
+    with telling(processes), ExitStack() as stack:
         if processes.index == 0:
             folder.require_none(place)
         found = None if plans is None else open_plans(Path(plans), scenario)
@@ -150,7 +149,7 @@ def resume(
     """
     place, processes = Path(out), processes or OneProcess()
     told = progress or Silent()
-    with _telling(processes), ExitStack() as stack:
+    with telling(processes), ExitStack() as stack:
         claimed = None
         if processes.index == 0:
             if scenario is not None:
@@ -189,17 +188,6 @@ def _commands(building: Path, policy: Policy | None) -> Policy | None:
     if not (building / folder.CONFIG).exists():
         return policy
     return scenario_policy.policy_of(folder.read_scenario(building), policy)
-
-
-@contextmanager
-def _telling(processes: Processes) -> Iterator[None]:
-    """Tell the other processes if this one cannot go on, and part from them."""
-    try:
-        yield
-    except BaseException as error:
-        processes.fail(str(error) or type(error).__name__)
-        processes.leave()
-        raise
 
 
 class _Rollout:

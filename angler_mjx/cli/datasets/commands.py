@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
 from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ def make(
     device: Device | None = None,
     devices: int | None = None,
     workers: int | None = None,
+    distributed: bool = False,
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
 ) -> None:
     """Fly the episodes of a dataset file, and write them with all that is to be known of them.
 
@@ -39,16 +43,30 @@ def make(
             byte of the results.
         workers: Processes that plan, where a planner is one of the host; one for each processor if
             left out. Changes no byte of the results.
+        distributed: Share the flights with other processes, here or on other hosts; each is started
+            with the same arguments and sees the same folders. Changes no byte of the results.
+        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
+        processes: How many processes there are; Slurm and Open MPI tell it.
+        process: Index of this one, from 0; Slurm and Open MPI tell it.
     """
-    choose(device, distributed=False)
+    choose(device, distributed=distributed)
     keep_all_programs()
+    shared = join(
+        device,
+        distributed=distributed,
+        coordinator=coordinator,
+        processes=processes,
+        process=process,
+    )
     from angler_mjx.cli.shared.given import at_least_one
     from angler_mjx.cli.shared.progress import DatasetBar
     from angler_mjx.datasets import making, manifest
+    from angler_mjx.runs.processes import telling
 
-    asked = making.ask(config, episodes)
+    with telling(shared):
+        asked = making.ask(config, episodes)
     place = out or Path("datasets") / asked.config.name
-    with DatasetBar() as bar:
+    with DatasetBar(quiet=shared.index > 0) as bar:
         made = making.make(
             asked,
             place,
@@ -56,11 +74,14 @@ def make(
             resume=resume,
             devices=devices,
             workers=at_least_one("workers", workers),
+            processes=shared,
         )
+    shared.leave()
     if made is None:
         print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
         sys.exit(130)
-    _report(made, manifest.read(made))
+    if shared.index == 0:
+        _report(made, manifest.read(made))
 
 
 def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
@@ -87,6 +108,12 @@ def _report(place: Path, found: "Manifest") -> None:
     console = Console()
     console.print(shown)
     console.print(", ".join(f"{name}: {count:,}" for name, count in found.splits.items()))
+    if found.sample.asks:
+        said = (
+            f"{name}: {found.chosen.get(name, 0):,} of {count:,}"
+            for name, count in found.splits.items()
+        )
+        console.print(f"chosen of {', '.join(said)}")
     console.print(str(place), highlight=False, soft_wrap=True)
 
 
@@ -202,7 +229,8 @@ def stats(
         return
     console = Console()
     console.print(
-        f"{found['name']}: {found['episodes']:,} episodes, {found['robots']:,} robots, "
+        f"{found['name']}: {found['episodes']:,} episodes, {found['chosen']:,} of them chosen, "
+        f"{found['robots']:,} robots, "
         f"{size(found['bytes'])}"
     )
     for column, values in found["by"].items():

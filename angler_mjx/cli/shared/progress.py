@@ -101,9 +101,9 @@ class Bar(Shown):
 class DatasetBar(Bar):
     """The same for a dataset, part by part; a `datasets.making.Told`."""
 
-    def __init__(self) -> None:
-        """A bar."""
-        super().__init__(quiet=False)
+    def __init__(self, *, quiet: bool = False) -> None:
+        """A bar, or nothing at all if ``quiet``."""
+        super().__init__(quiet=quiet)
 
     def part(self, number: int, of: int, name: str) -> None:
         """See `Told`."""

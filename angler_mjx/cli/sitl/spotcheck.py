@@ -1,4 +1,4 @@
-"""`angler spotcheck`: episodes of a batch run flown again by real ArduSub autopilots."""
+"""`angler spotcheck`: episodes of a run or a dataset flown again by real ArduSub autopilots."""
 
 import sys
 from importlib.util import find_spec
@@ -34,16 +34,17 @@ def spotcheck(
     resume: bool = False,
     isolate: bool = False,
 ) -> None:
-    """Fly episodes of a batch run again with real ArduSub autopilots, and report the gap.
+    """Fly episodes of a run or a dataset again with real ArduSub autopilots, and report the gap.
 
     Worlds are made again from the run's scenario and seed, and compared with what it recorded. The
     same plans are flown at each level; where the run made them anew in flight, that is done again,
     from what the autopilots believe. The folder holds report.md with figures, gaps.csv, and every
-    flight.
+    flight. Of a dataset episodes of all parts are flown, each part in a folder of its own, and what
+    they come to is written into the dataset: spotcheck.json, and its card.
 
     Args:
-        run: Run folder of angler rollout, with trajectories.
-        episodes: How many worlds.
+        run: Run folder of angler rollout, with trajectories; or a dataset.
+        episodes: How many worlds, of all parts of a dataset together.
         stratify: outcome draws worlds so that rare outcomes are there; none draws any.
         against: Fly them again in the batch simulator too, with the surrogate of ArduSub, the
             cascade, or both. What the run recorded is always compared.
@@ -66,8 +67,10 @@ def spotcheck(
         isolation.isolate()
     choose(None)
     keep_all_programs()
+    from angler_mjx.datasets.manifest import MANIFEST
     from angler_sitl.scene.motion import compute_inline
     from angler_sitl.spotcheck import checking, page
+    from angler_sitl.spotcheck import dataset as of_dataset
     from angler_sitl.spotcheck.found import Settings
 
     compute_inline()
@@ -83,15 +86,41 @@ def spotcheck(
         binary=ardusub,
     )
     place = out or run.with_name(f"{run.resolve().name}-spotcheck")
+    if (run / MANIFEST).is_file():
+        with _Bar() as bar:
+            made = of_dataset.check(run, settings, place, bar, resume=resume)
+        for row in () if made is None else made.rows:
+            _say(
+                f"{row.flown_by}, against {row.against}",
+                (row.agree, row.robots),
+                row.track_rms_m[0],
+                row.path_rms_m[0],
+            )
+        _end(place, complete=made is not None)
+        return
     with _Bar() as bar:
         found = checking.check(run, settings, place, bar, resume=resume)
     for name, count, reference, one in page.rows(found):
-        print(
-            f"{name}, {count} robots, against {reference}: {one.agree} of {one.robots} ended the "
-            f"same way; track {one.track_rms_m[0]:.2f} m, way {one.path_rms_m[0]:.2f} m (medians)"
+        _say(
+            f"{name}, {count} robots, against {reference}",
+            (one.agree, one.robots),
+            one.track_rms_m[0],
+            one.path_rms_m[0],
         )
+    _end(place, complete=found.complete)
+
+
+def _say(what: str, agree: tuple[int, int], track_m: float | None, path_m: float | None) -> None:
+    """One line: of how many robots how many ended alike, and two medians."""
+    track, way = ("-" if value is None else f"{value:.2f} m" for value in (track_m, path_m))
+    print(
+        f"{what}: {agree[0]} of {agree[1]} ended the same way; track {track}, way {way} (medians)"
+    )
+
+
+def _end(place: Path, *, complete: bool) -> None:
     print(place)
-    if not found.complete:
+    if not complete:
         print("interrupted: go on with --resume", file=sys.stderr)
         sys.exit(130)
 

@@ -36,6 +36,7 @@ def stats(place: Path, most: int = 1000) -> dict[str, Any]:
     return {
         "name": found.name,
         "episodes": found.episodes,
+        "chosen": sum(found.chosen.values()),
         "robots": int(np.sum(table["robots"].to_numpy())),
         "bytes": n_byte,
         "outcomes": outcomes,

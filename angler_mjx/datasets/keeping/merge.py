@@ -5,14 +5,14 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from angler_mjx.datasets import card, index, manifest, sums
+from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets.index import of_manifest, shared_environment
 from angler_mjx.datasets.manifest import Manifest, PartEntry
 from angler_mjx.datasets.parts import RUNS
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.storage import claims
 
-SAME = ("arrays", "time", "conventions", "split_shares", "licence")
+SAME = ("arrays", "time", "conventions", "split_shares", "sample", "licence")
 """What datasets must have in common."""
 
 
@@ -42,9 +42,7 @@ def merge(places: Sequence[Path], out: Path, name: str | None = None) -> Path:
                 "a shifted scene of one is in another's train, val or test"
             )
         index.write(claimed.building, table)
-        splits = table["split"].to_pylist()
-        counts = {split: splits.count(split) for split in sorted(set(splits))}
-        whole = whole.model_copy(update={"episodes": len(table), "splits": counts})
+        whole = describing.counted(whole, table)
         card.write(claimed.building, whole, table)
         digest = sums.write(claimed.building)
         manifest.write(claimed.building, whole.model_copy(update={"sums": digest}))

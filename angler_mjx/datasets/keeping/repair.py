@@ -8,7 +8,7 @@ from pathlib import Path
 
 import jax
 
-from angler_mjx.datasets import index, manifest, sums
+from angler_mjx.datasets import card, gaps, index, manifest, sums
 from angler_mjx.datasets.manifest import Manifest, PartEntry
 from angler_mjx.datasets.verifying import again
 from angler_mjx.errors import ConfigError, RunError
@@ -79,7 +79,7 @@ def repair(place: Path, told: Progress, *, accept: bool = False) -> Repaired:
             f"{place}: {len(other)} files came out otherwise than they were, {other[0]} first, "
             "though device and versions are the same; keep them with --accept"
         )
-    _close(place, found)
+    _close(place, found, damaged)
     return Repaired(
         damaged=tuple(damaged), parts=tuple(part.path for part in parts), other=tuple(other)
     )
@@ -126,10 +126,14 @@ def _fly(place: Path, damaged: Sequence[str], part: PartEntry, told: Progress) -
         raise RunError(f"{place}: was interrupted; mend it again, and it goes on")
 
 
-def _close(place: Path, found: Manifest) -> None:
-    """Index and sums of what is there now."""
+def _close(place: Path, found: Manifest, damaged: Sequence[str]) -> None:
+    """Index, card and sums of what is there now; a spot check that was damaged is lost."""
     try:
-        index.write(place, index.of_manifest(place, found))
+        if gaps.FILE in damaged:
+            (place / gaps.FILE).unlink(missing_ok=True)
+        table = index.of_manifest(place, found)
+        index.write(place, table)
+        card.write(place, found, table)
         manifest.write(place, found.model_copy(update={"sums": sums.write(place)}))
     except OSError as error:
         raise RunError(f"{place}: cannot be written ({error.strerror or error})") from error

@@ -232,6 +232,7 @@ def open_dataset(
     split: str | Sequence[str] | None = None,
     fields: Sequence[str] = FIELDS,
     success: bool | None = None,
+    chosen: bool | None = True,
 ) -> Dataset:
     """Open a dataset, or a run folder as one.
 
@@ -240,6 +241,8 @@ def open_dataset(
         split: train, val, test, test_NAME, or several; all if None.
         fields: arrays of episodes and windows, by their names in the runs.
         success: only episodes in which the whole team arrived, or only the others; all if None.
+        chosen: only episodes that the dataset's ``[sample]`` chose, or only the others; all if
+            None.
 
     Raises:
         ConfigError: there is no such dataset, split or array, or it is damaged.
@@ -265,6 +268,14 @@ def open_dataset(
         table = table.filter(pc.is_in(table["split"], pa.array(wanted)))
     if success is not None:
         table = table.filter(pc.equal(table["success"], success))
+    if chosen is not None:
+        before = len(table)
+        table = table.filter(pc.equal(table["chosen"], chosen))
+        if before and not len(table):
+            raise ConfigError(
+                f"{place}: none of these {before} episodes is{' not' * (not chosen)} chosen; give "
+                "chosen=None to read them all"
+            )
     if not len(table):
         raise ConfigError(f"{place}: no episode is left of that split and success")
     return Dataset(place, table, parts, fields)

@@ -65,7 +65,7 @@ def check(
             trajectories, a vehicle without a frame, no ArduSub, or a folder that cannot be used.
         RunError: a world cannot be made again, or an autopilot ended. What was flown stays.
     """
-    found = _plan(run_path, settings)
+    found = plan(run_path, settings)
     if resume:
         found = _taken_up(found, folder.reopen(out, _asked(found)))
     else:
@@ -91,11 +91,38 @@ def check(
     return found
 
 
-def _plan(run_path: Path, settings: Settings) -> Found:
-    """Everything that can be refused before anything is computed."""
+def load(run_path: Path, settings: Settings, out: Path) -> Found:
+    """A spot check that was done before, whole or as far as it came.
+
+    Args:
+        run_path: folder of its run.
+        settings: that it was asked with.
+        out: its folder.
+
+    Raises:
+        ConfigError: there is none, it is damaged, or was asked something else.
+    """
+    found = plan(run_path, settings)
+    table = folder.read(out)
+    folder.require_asked(out, table, _asked(found))
+    found = _taken_up(found, table)
+    return replace(found, flights=_flights(found, out), complete=table["complete"])
+
+
+def flies_plans(run: Run) -> bool:
+    """Whether robots of a run flew plans, as autopilots can, and were not commanded otherwise."""
+    return run.scenario.online or not (run.path / POLICY).exists()
+
+
+def plan(run_path: Path, settings: Settings) -> Found:
+    """What is to be done, with everything refused that can be before anything is computed.
+
+    Raises:
+        ConfigError: as in `check`.
+    """
     run = Run(run_path)
     scenario = run.scenario
-    if (run.path / POLICY).exists() and not scenario.online:
+    if not flies_plans(run):
         raise ConfigError(
             f"{run.path / POLICY}: a policy commanded the robots of this run, and autopilots fly "
             "plans, not that; give a run of plans, flown as they are or made anew in flight"

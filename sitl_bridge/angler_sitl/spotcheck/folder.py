@@ -53,13 +53,27 @@ def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
     table = read(out)
     if table["complete"]:
         raise ConfigError(f"--resume {out}: this spot check is complete; nothing is left to do")
+    require_asked(out, table, asked)
+    return table
+
+
+def require_asked(out: Path, table: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Refuse to go on with a spot check that was asked something else.
+
+    Args:
+        out: its folder.
+        table: what it knows; see `read`.
+        asked: what is asked for now.
+
+    Raises:
+        ConfigError: naming what differs.
+    """
     for key, value in asked.items():
         if table["asked"].get(key) != value:
             raise ConfigError(
                 f"--resume {out}: was begun with {key} = {table['asked'].get(key)}, not {value}; "
                 "give the same arguments"
             )
-    return table
 
 
 def read(out: Path) -> dict[str, Any]:

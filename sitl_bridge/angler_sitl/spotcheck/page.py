@@ -58,17 +58,21 @@ def rows(found: Found) -> list[tuple[str, int, str, Sum]]:
     The batch simulator's own flights are held against what was recorded, to tell how much of the
     gap is a matter of controllers alone.
     """
-    settings = found.settings
-    pairs: list[tuple[str, str]] = [
-        (level, other) for level in settings.levels for other in settings.references
-    ]
-    pairs += [(against, RECORDED) for against in settings.against]
     return [
         (name, count, reference, gaps.add_up(listed))
-        for name, reference in pairs
+        for name, reference in pairs(found)
         for count in found.counts
         if (listed := found.gaps(name, count, reference))
     ]
+
+
+def pairs(found: Found) -> list[tuple[str, str]]:
+    """Who flew, and what that is held against."""
+    settings = found.settings
+    levels: list[tuple[str, str]] = [
+        (level, other) for level in settings.levels for other in settings.references
+    ]
+    return levels + [(against, RECORDED) for against in settings.against]
 
 
 def text(found: Found, pictures: Sequence[tuple[int, int, str]]) -> str:

@@ -1,0 +1,174 @@
+"""Which episodes of a dataset are chosen, so that its shares are those that were wished for.
+
+All that was flown stays. Of train, val and test each, what there is too much of is thinned until
+every share holds: whole kinds of episodes in proportion, and of a kind those of the highest ticket,
+a number that is drawn from the part's seed and the world's index alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, Self, get_args
+
+import numpy as np
+import pyarrow as pa
+from pydantic import Field, model_validator
+
+from angler_mjx.files import FileModel
+
+type Kind = Literal["trivial", "crossing", "blocked", "failed"]
+"""Values of the index's ``difficulty``; ``failed``: not all of the team arrived."""
+
+DIFFICULTIES: tuple[Kind, ...] = ("trivial", "crossing", "blocked")
+"""Each episode is one of them."""
+FAILED: Kind = "failed"
+
+
+class SampleConfig(FileModel):
+    """Shares of the chosen episodes that each kind is to have, at least and at most."""
+
+    at_least: dict[Kind, float] = Field(default_factory=dict)
+    at_most: dict[Kind, float] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        for key, shares in (("at_least", self.at_least), ("at_most", self.at_most)):
+            for kind, share in shares.items():
+                if not 0.0 <= share <= 1.0:
+                    raise ValueError(f"{key}.{kind} = {share:g}: must be from 0 to 1")
+        for kind in self.at_least.keys() & self.at_most.keys():
+            if self.at_least[kind] > self.at_most[kind]:
+                raise ValueError(
+                    f"at_least.{kind} = {self.at_least[kind]:g} is more than at_most.{kind} = "
+                    f"{self.at_most[kind]:g}; no dataset has such a share"
+                )
+        least = sum(self.at_least.get(kind, 0.0) for kind in DIFFICULTIES)
+        most = sum(self.at_most.get(kind, 1.0) for kind in DIFFICULTIES)
+        if least > 1.0 + 1e-9:
+            raise ValueError(
+                f"at_least: {' + '.join(DIFFICULTIES)} = {least:g}: must be 1 or less, for an "
+                "episode is one of them"
+            )
+        if most < 1.0 - 1e-9:
+            raise ValueError(
+                f"at_most: {' + '.join(DIFFICULTIES)} = {most:g}: must be 1 or more, for every "
+                "episode is one of them"
+            )
+        return self
+
+    @property
+    def asks(self) -> bool:
+        """Whether any share is bounded."""
+        return bool(self.at_least or self.at_most)
+
+    def said(self, kind: Kind) -> str:
+        """What is wished of a kind, in words."""
+        bounds = (("at least", self.at_least), ("at most", self.at_most))
+        words = [f"{word} {100 * of[kind]:g} %" for word, of in bounds if kind in of]
+        return ", ".join(words) or "any"
+
+    def caps(self) -> list[tuple[np.ndarray, float]]:
+        """Every bound as cells of `CELLS` and the share that they may have at most."""
+        most = [(CELLS[kind], share) for kind, share in self.at_most.items()]
+        return most + [(~CELLS[kind], 1.0 - share) for kind, share in self.at_least.items()]
+
+
+CELLS: Mapping[Kind, np.ndarray] = {
+    **{
+        kind: np.repeat([one == kind for one in DIFFICULTIES], 2)
+        for kind in get_args(Kind.__value__)
+    },
+    "failed": np.tile([False, True], len(DIFFICULTIES)),
+}
+"""Bool [6]: which kinds of episodes, by difficulty and whether they failed, each name holds."""
+
+
+def is_of(table: pa.Table, kind: Kind) -> np.ndarray:
+    """Which episodes of an index are of a kind; bool [episode]."""
+    found: np.ndarray
+    if kind == FAILED:
+        found = ~table["success"].to_numpy(zero_copy_only=False)
+    else:
+        found = np.asarray(table["difficulty"]) == kind
+    return found
+
+
+def chosen(table: pa.Table, wished: SampleConfig, thin: Sequence[str]) -> np.ndarray:
+    """Which episodes of an index are chosen; bool [episode].
+
+    All of other splits are: shifted scenes test what is as it is there.
+
+    Args:
+        table: the index, with all its columns but this one.
+        wished: shares.
+        thin: splits in which they are to hold, in each by itself.
+    """
+    keep = np.ones(len(table), bool)
+    if not wished.asks:
+        return keep
+    level = sum(i * is_of(table, kind) for i, kind in enumerate(DIFFICULTIES))
+    cell = 2 * level + is_of(table, FAILED)
+    ticket = tickets(table["seed"].to_numpy(), table["world"].to_numpy())
+    splits = np.asarray(table["split"])
+    for split in thin:
+        mine = np.flatnonzero(splits == split)
+        if not mine.size:
+            continue
+        counts = np.bincount(cell[mine], minlength=2 * len(DIFFICULTIES))
+        kept = thinned(counts, wished.caps())
+        ordered = mine[np.lexsort((ticket[mine], cell[mine]))]
+        place = np.arange(mine.size) - np.repeat(np.cumsum(counts) - counts, counts)
+        keep[ordered] = place < np.repeat(kept, counts)
+    return keep
+
+
+def thinned(counts: np.ndarray, caps: list[tuple[np.ndarray, float]]) -> np.ndarray:
+    """How many of each cell stay, so that no cap is exceeded.
+
+    Args:
+        counts: int [c], what there is.
+        caps: cells, bool [c], and the share of all that stay which they may have at most.
+    """
+    kept = counts.astype(np.int64)
+    while True:
+        before = kept.sum()
+        for cells, share in caps:
+            inside = int(kept[cells].sum())
+            room = _room(int(kept.sum()) - inside, share)
+            if inside > room:
+                kept[cells] = in_proportion(kept[cells], room)
+        if kept.sum() == before:
+            return kept
+
+
+def _room(outside: int, share: float) -> int:
+    """How many there may be so that they are a share of themselves and the others at most."""
+    if share >= 1.0:
+        return int(np.iinfo(np.int64).max)
+    return int(np.floor(outside * share / (1.0 - share) + 1e-9))
+
+
+def in_proportion(counts: np.ndarray, total: int) -> np.ndarray:
+    """Numbers of a sum as near to the proportions of counts as whole numbers can be.
+
+    Args:
+        counts: int [c].
+        total: that they come to; at most their sum.
+    """
+    exact = counts * (total / max(int(counts.sum()), 1))
+    down = np.floor(exact).astype(np.int64)
+    first = np.lexsort((np.arange(len(counts)), down - exact))
+    down[first[: total - int(down.sum())]] += 1
+    return down
+
+
+def tickets(seed: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """A number of each world of a seed, uint64 [episode], as good as drawn.
+
+    The mixer of SplitMix64 (G. Steele, D. Lea, C. Flood, Fast splittable pseudorandom number
+    generators, 2014).
+    """
+    with np.errstate(over="ignore"):
+        x = seed.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + world.astype(np.uint64)
+        for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+            x = (x ^ (x >> np.uint64(shift))) * np.uint64(factor)
+        mixed: np.ndarray = x ^ (x >> np.uint64(31))
+    return mixed
