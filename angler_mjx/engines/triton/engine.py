@@ -66,11 +66,8 @@ class TritonEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
-        """See `Engine.control_step`; kernels have one time, plain JAX one for each world."""
-        if rows is not None:
-            plain = FusedEngine().control_step
-            return plain(spec, fleet, worlds, state, command, policy, rows)
-        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy)
+        """See `Engine.control_step`."""
+        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy, rows)
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
     def segment(
@@ -110,6 +107,7 @@ class TritonEngine:
         steps_per_sample: int,
         command: Command | None,
         policy: Policy | None,
+        rows: jax.Array | None = None,
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
         count = state.step.shape[0]
@@ -118,15 +116,16 @@ class TritonEngine:
         def fill(leaf: jax.Array) -> jax.Array:
             return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
 
-        given = worlds
-        worlds, state, command = jax.tree.map(fill, (worlds, state, command))
+        here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
         policy = aboard.asked(policy, command)
         watched = aboard.watches(policy)
-        tell, told = partial(aboard.tell_tile, spec, policy, worlds), None
+        tell, told = partial(aboard.tell_tile, spec, policy, flying), None
         if aboard.tells(spec, policy):
             bodies = state.obstacles if watched else None
-            _, told = jax.eval_shape(tell, Minds.of(state), state.step[0], state.vehicles, bodies)
-        tile = Tile(fleet, worlds)
+            number = state.step[0] if rows is None else state.step
+            _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies)
+        tile = Tile(fleet, flying if rows is None else worlds, rows)
         ahead = 1 if watched else AHEAD
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
@@ -139,7 +138,7 @@ class TritonEngine:
         else:
             end = _fly(kernels, part)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
-        return after, nearness.all_completed(spec, given, samples)
+        return after, nearness.all_completed(spec, here, samples)
 
 
 def _tell(
@@ -155,9 +154,10 @@ def _tell(
     Where a policy has obstacles ``watched``, they are not ahead of the robots yet.
     """
     tile, count = part.tile, base[0] + k[0]
+    number = (part.first if tile.some_rows else part.first[0]) + count
     vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], (tile.worlds, tile.robots))
     bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
-    minds, told = tell(x.minds, part.first[0] + count, vehicles, bodies)
+    minds, told = tell(x.minds, number, vehicles, bodies)
     place, is_sample = count // part.every, count % part.every == 0
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:

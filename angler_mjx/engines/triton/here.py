@@ -24,18 +24,20 @@ from angler_mjx.sim.state import SimSpec
 class Program(OnLanes):
     """Lanes of a program of a kernel: constants are loaded when they are asked for."""
 
-    def __init__(self, spec: SimSpec, part: Segment, data: Any, lane: Any, at: Any) -> None:
-        """Nothing is loaded yet.
+    def __init__(self, spec: SimSpec, part: Segment, data: Any, row: Any, at: Any) -> None:
+        """Nothing is loaded yet but whose constants these are.
 
         Args:
             spec: settings.
             part: where things lie.
             data: references to the constants of the tile.
-            lane: numbers of the bodies.
+            row: which bodies of their worlds they are.
             at: numbers of their worlds.
         """
-        self._part, self._data, self._lane, self._at = part, data, lane, at
+        self._part, self._data, self._row, self._at = part, data, row, at
         self._tile = part.tile
+        self._lane = row * part.tile.worlds + at
+        self._world = part.tile.world(data, at)
         self.spec, self.shape = spec, part.tile.grid
 
     @contextmanager
@@ -54,11 +56,11 @@ class Program(OnLanes):
     @cached_property
     def cells(self) -> Cells:
         """See `OnLanes`."""
-        return self._tile.ground(self._data, self._water, self._at)
+        return self._tile.ground(self._data, self._water, self._world)
 
     @cached_property
     def _water(self) -> Any:
-        return self._tile.water(self._data, self._at)
+        return self._tile.water(self._data, self._world)
 
 
 class Bodies(Program):
@@ -72,7 +74,8 @@ class Bodies(Program):
     @cached_property
     def obstacles(self) -> Any:
         """See `OnLanes`."""
-        return self._tile.body(self._data, self._lane, lambda x: x.given)
+        place = self._tile.body_of(self._row, self._world)
+        return self._tile.body(self._data, place, lambda x: x.given)
 
 
 class OfGroup(Program):
@@ -87,7 +90,6 @@ class OfGroup(Program):
         data: Any,
         *,
         row: Any,
-        lane: Any,
         at: Any,
         first: Any,
         count: Any,
@@ -101,13 +103,12 @@ class OfGroup(Program):
             places: references to the slots, by name.
             data: references to the constants of the tile.
             row: which robots of their worlds they are.
-            lane: numbers of the robots.
             at: numbers of their worlds.
-            first: control steps taken before the segment.
+            first: control steps taken before the segment, by all or by each lane's world.
             count: and in it.
         """
-        super().__init__(spec, part, data, lane, at)
-        self._group, self._places, self._row, self._count = group, places, row, count
+        super().__init__(spec, part, data, row, at)
+        self._group, self._places, self._count = group, places, count
         self.t = part.time(first + count, spec)
 
     def slot(self, name: str) -> Any:
@@ -117,7 +118,7 @@ class OfGroup(Program):
 
     @cached_property
     def _constants(self) -> RobotConstants:
-        return self._tile.robot(self._data, self._lane)
+        return self._tile.robot(self._data, self._tile.body_of(self._row, self._world))
 
     @cached_property
     def params(self) -> ControlParams:
@@ -157,15 +158,16 @@ class OfGroup(Program):
 
         def load(i: jax.Array) -> Met:
             place = (other.first + i) * tile.worlds + at
+            mine = tile.body_of(other.first + i, self._world)
             layout = self._part.layouts["vehicle"]
             state = partial(layout.read, triton.loader(robots), place)
 
             def details() -> Any:
                 q, nu = state(lambda x: (x.q, x.nu))
-                hull = lane_judge.hull_of(tile.params_at(data, other, place).vehicle)
+                hull = lane_judge.hull_of(tile.params_at(data, other, mine).vehicle)
                 return hull, q, lane_judge.velocity(q, nu)
 
-            reach = tile.params_at(data, other, place).vehicle.radius_m[()]
+            reach = tile.params_at(data, other, mine).vehicle.radius_m[()]
             return Met(p=state(lambda x: x.p), reach=reach, details=details)
 
         return Others(count=other.count, load=load, first=other.first)
@@ -175,15 +177,15 @@ class OfGroup(Program):
         tile, data, at = self._tile, self._data, self._at
 
         def load(i: jax.Array) -> Met:
-            place = i * tile.worlds + at
+            place, mine = i * tile.worlds + at, tile.body_of(i, self._world)
             drift = partial(
                 self._part.drift.read, triton.loader(track), self._part.ring(self._count) + place
             )
 
             def details() -> Any:
-                return tile.body(data, place, lambda x: x.given), *drift(lambda x: (x.q, x.v))
+                return tile.body(data, mine, lambda x: x.given), *drift(lambda x: (x.q, x.v))
 
-            reach = tile.body(data, place, lambda x: x.reach)[()]
+            reach = tile.body(data, mine, lambda x: x.reach)[()]
             return Met(p=drift(lambda x: x.p), reach=reach, details=details)
 
         return Others(count=tile.obstacles if tile.some_obstacle else 0, load=load)

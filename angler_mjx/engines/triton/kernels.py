@@ -90,9 +90,8 @@ class Kernels:
                 places,
                 data,
                 row=row,
-                lane=lane,
                 at=at,
-                first=first[0],
+                first=part.taken(first, at),
                 count=count,
             )
             slots = {slot: here.slot(slot) for slot in phase.reads}
@@ -122,12 +121,13 @@ class Kernels:
             state, track, seen = refs[-3:]
             row, lane, at, store = self._place(0)
             count = base[0] + k[0]
-            here = Bodies(self._spec, part, data, lane, at)
+            here = Bodies(self._spec, part, data, row, at)
             here.load()
+            taken = part.taken(first, at)
 
             def one(i: jax.Array, now: Any) -> Any:
                 step = count + i
-                here.t = part.time(first[0] + step, self._spec)
+                here.t = part.time(taken + step, self._spec)
                 done = OBSTACLES.run(here, {"obstacles": now})
 
                 def write_record() -> None:

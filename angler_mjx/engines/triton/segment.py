@@ -59,7 +59,7 @@ class Segment:
         steps: how many control steps.
         every: control steps from one sample to the next.
         ahead: control steps that obstacles are moved ahead of the robots.
-        first: int32 [1] control steps taken before.
+        first: int32 [1] control steps taken before; [W] where lanes look up which world they are.
         start: arrays at the beginning.
         layouts: of the slots, by name.
         bodies, drift: layouts of the obstacles.
@@ -94,7 +94,7 @@ class Segment:
         self.ahead = ahead
         self.tile, self._state = tile, state
         self._samples, self.every, self.steps = n_sample, every, n_sample * every
-        self.first = state.step[:1]
+        self.first = state.step if tile.some_rows else state.step[:1]
         given = {"vehicle": state.vehicles, "memory": state.carry, "tally": state.tally}
         if command is not None:
             given["command"] = command
@@ -131,6 +131,10 @@ class Segment:
         """The slot that one is read from, and its layout: what is known may be the truth."""
         name = "vehicle" if slot == "known" and slot not in self.layouts else slot
         return name, self.layouts[name]
+
+    def taken(self, first: Any, at: Any) -> Any:
+        """Control steps that worlds number ``at`` took before, of `first` in a kernel."""
+        return first[at] if self.tile.some_rows else first[0]
 
     def time(self, count: Any, spec: SimSpec) -> jax.Array:
         """[] s when so many control steps were taken."""

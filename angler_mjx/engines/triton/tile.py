@@ -56,10 +56,14 @@ class BodyConstants:
 
 
 class Tile:
-    """Constants of worlds [W] in flat arrays, and where their parts lie.
+    """Constants of worlds in flat arrays, and where their parts lie.
+
+    Worlds [W] that fly are those whose constants are given, or some of them: lanes then look up
+    which one they are.
 
     Attributes:
         worlds, robots, obstacles: numbers of them; obstacles [in each world] include padding.
+        some_rows: whether lanes look up which world they are.
         some_obstacle: whether any row of obstacles can be more than padding.
         grid: cells along x, y and z.
         groups: of the fleet.
@@ -67,11 +71,19 @@ class Tile:
         arrays: what kernels are given: see ``read_*`` for what is in them.
     """
 
-    def __init__(self, fleet: Fleet, worlds: World) -> None:
-        """Pack a tile."""
+    def __init__(self, fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> None:
+        """Pack a tile.
+
+        Args:
+            fleet: of the worlds.
+            worlds: [B] of which there are constants.
+            rows: int32 [W] which of them fly; all, in order, if left out.
+        """
         environment = worlds.environment
         self.dtype = environment.start_m.dtype
-        self.worlds, self.robots = environment.start_yaw_rad.shape
+        self._stored, self.robots = environment.start_yaw_rad.shape
+        self.worlds = self._stored if rows is None else rows.shape[0]
+        self.some_rows = rows is not None
         self.obstacles = environment.obstacles.kind.shape[1]
         self.some_obstacle = bool(environment.obstacles.kinds)
         self.grid = grid_shape(environment)
@@ -104,7 +116,8 @@ class Tile:
         radius = jax.vmap(jax.vmap(bounding_radius))(given.kind, given.size_m)
         reach = jnp.where(given.exists, radius, -jnp.inf)
         self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
-        self.arrays = bank, robot, water, body, neighbours.reshape(-1)
+        which = jnp.zeros(1, jnp.int32) if rows is None else rows
+        self.arrays = bank, robot, water, body, neighbours.reshape(-1), which
 
     def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
@@ -128,8 +141,16 @@ class Tile:
             layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
         )
 
+    def world(self, refs: Any, at: Any) -> Any:
+        """Whose constants those of worlds number ``at`` are, in a kernel given ``arrays``."""
+        return refs[5][at] if self.some_rows else at
+
+    def body_of(self, row: Any, world: Any) -> Any:
+        """Number of the constants of bodies number ``row`` of ``world``, robots or obstacles."""
+        return row * self._stored + world
+
     def robot(self, refs: Any, lane: Any) -> RobotConstants:
-        """Constants of robots number ``lane``, in a kernel that was given ``arrays`` as refs."""
+        """Constants of robots number ``lane``; see `body_of`."""
         found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
         return found
 

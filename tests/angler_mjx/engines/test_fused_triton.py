@@ -3,6 +3,7 @@
 That they lower for CUDA is asked in `test_fused`.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -75,6 +76,28 @@ def test_control_step_takes_signals(scenes, deviation):
     np.testing.assert_array_equal(ends[0][1], ends[1][1])
     np.testing.assert_array_equal(ends[0][2].pwm_us, signals[-1].astype(np.float32))
     assert np.abs(ends[0][0].nu).max() > 0.1
+
+
+@pytest.mark.nightly(by="a control step of these kernels is, in test_control_step_takes_signals")
+def test_worlds_of_a_bank_at_their_own_times(scenes, deviation):
+    """One control step of five worlds of three, in any order and each at a time of its own."""
+    build, members, obstacles = scenes
+    scene = build(3, members=members("bluerov2"), config=obstacles["all"])
+    rows = jnp.array([2, 0, 1, 2, 0], jnp.int32)
+    start = quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
+    state = jax.tree.map(lambda leaf: leaf[rows], start)
+    state = replace(state, step=jnp.array([0, 7, 300, 41, 2], jnp.int32))
+    ends = []
+    for engine in (TritonEngine(lanes=2, interpret=True), FusedEngine()):
+        step = quickly(partial(engine.control_step, scene.spec))
+        after = step(scene.fleet, scene.worlds, state, None, None, rows)
+        ends.append(jax.device_get(after))
+    assert_close(deviation, "triton.rows", *ends, 4e-6)
+    # Time tells: the third world's obstacles drift in another current than at its beginning.
+    plain = quickly(partial(FusedEngine().control_step, scene.spec))
+    alone = plain(scene.fleet, scene.worlds, start, None)[0]
+    assert np.abs(alone.vehicles.nu[1] - ends[0][0].vehicles.nu[2]).max() > 1e-6
+    np.testing.assert_array_equal(ends[0][0].step, state.step + 1)
 
 
 def test_chosen_by_name():
