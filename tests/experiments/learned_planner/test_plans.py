@@ -1,12 +1,14 @@
 """What the planner hands out, judged by an independent reading in NumPy."""
 
 import itertools
+from functools import partial
 
 import jax
 import numpy as np
 import pytest
 
 from angler_experiments.learned_planner import ways
+from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
 from angler_experiments.learned_planner.scene import lines
 
 STEP_S = 0.05
@@ -109,3 +111,15 @@ def test_a_way_of_a_path_leads_back_near_to_it(planned, robot):
     time, _ = ways.timed(place, ways.delays_s(way), np.float32(0.0), speed)
     # Corners are cut, so it is not later than the path; delays are kept.
     assert 0.8 * path.time_s[-1] < time[-1] < path.time_s[-1] + 0.5
+
+
+@pytest.mark.nightly(
+    by="tests/experiments/learned_planner/test_plans.py::test_no_two_paths_meet_whoever_stands"
+)
+def test_the_first_of_several_answers_is_the_one_that_is_given(planned, answered):
+    planner = LearnedPlanner(LearnedSettings(samples=4, steps=2, rounds=2))
+    teams = jax.jit(partial(planner.plan_teams, teams=3))(planned[1])
+    assert teams.found.shape == (4, 3, 4)
+    np.testing.assert_array_equal(teams.found[:, 0], answered.found)
+    np.testing.assert_allclose(teams.position_m[:, 0], answered.position_m, atol=1e-4)
+    assert np.abs(np.asarray(teams.position_m[:, 1:] - teams.position_m[:, :1])).max() > 0.1

@@ -28,10 +28,10 @@ def test_an_interruption_changes_no_number(several, tmp_path):
         width=Width(units=8, blocks=1), sources=(), steps=4, batch=2, rate=1e-2, call=2
     )
     told = []
-    whole = train.train(config, several, tmp_path / "whole", told.append)
-    train.train(config, several, tmp_path / "parts", told.append, stop=2)
+    whole = train.train(config, several, tmp_path / "whole", told.append, held=several)
+    train.train(config, several, tmp_path / "parts", told.append, stop=2, held=several)
     assert not (tmp_path / "parts" / "weights.npz").exists()
-    parts = train.train(config, several, tmp_path / "parts", told.append)
+    parts = train.train(config, several, tmp_path / "parts", told.append, held=several)
     assert "goes on after step 2" in told
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
         np.testing.assert_array_equal(a, b)
@@ -43,6 +43,37 @@ def test_an_interruption_changes_no_number(several, tmp_path):
     other = train.TrainConfig(**{**vars(config), "seed": 1})
     with pytest.raises(ConfigError, match="another --out"):
         train.train(other, several, tmp_path / "whole", told.append)
+
+
+def test_the_rate_goes_up_and_then_down_over_the_steps_there_will_be():
+    pytest.importorskip("optax", reason="needs the extra learn")
+    pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
+    from angler_experiments.learned_planner.training import loop
+
+    config = loop.TrainConfig(
+        width=Width(units=8, blocks=1), sources=(), steps=7, batch=2, rate=0.01
+    )
+    for steps, warm in ((4000, 300), (40, 10)):
+        rates = [float(loop.rate(config, np.int32(k), np.int32(steps))) for k in range(steps + 1)]
+        np.testing.assert_allclose(rates[warm], 0.01, rtol=1e-5)
+        np.testing.assert_allclose(rates[warm // 2], 0.005, rtol=1e-5)
+        np.testing.assert_allclose(rates[(warm + steps) // 2], 0.00505, rtol=1e-3)
+        np.testing.assert_allclose(rates[-1], 0.0001, rtol=1e-4)
+
+
+def test_a_time_decides_the_steps_once(tmp_path, monkeypatch):
+    pytest.importorskip("optax", reason="needs the extra learn")
+    pytest.importorskip("orbax.checkpoint", reason="needs the extra learn")
+    from angler_experiments.learned_planner.training import loop
+
+    config = loop.TrainConfig(
+        width=Width(units=8, blocks=1), sources=(), steps=9000, batch=2, rate=0.01
+    )
+    paces = iter([1500, 250])
+    monkeypatch.setattr(loop, "affordable", lambda *_: next(paces))
+    assert loop.paced(config, None, tmp_path / "out", 60.0).steps == 1500
+    assert loop.paced(config, None, tmp_path / "out", 60.0).steps == 1500
+    assert loop.paced(config, None, tmp_path / "other", 60.0).steps == 250
 
 
 @pytest.mark.nightly(

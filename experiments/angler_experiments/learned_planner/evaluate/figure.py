@@ -14,6 +14,7 @@ def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
     """Bars of arrivals with their intervals, planners side by side in each sea."""
     seas = list(dict.fromkeys(row["key"]["sea"] for row in rows))
     names = list(dict.fromkeys(_name(row) for row in rows))
+    shade = _shades(rows)
     with style.styled():
         figure = style.new_figure(3.4 + 1.9 * len(seas), 3.6)
         axes = figure.add_subplot()
@@ -22,13 +23,28 @@ def arrivals(rows: list[dict[str, Any]], file: Path) -> Path:
             mine = [row for row in rows if _name(row) == name]
             at = [seas.index(row["key"]["sea"]) + (number + 0.5) * wide - 0.4 for row in mine]
             rate, off = _with_interval(mine)
-            axes.bar(at, rate, 0.9 * wide, color=style.robot_color(number), label=name)
+            color, depth = shade[name]
+            axes.bar(at, rate, 0.9 * wide, color=color, alpha=depth, label=name)
             axes.errorbar(at, rate, off, fmt="none", ecolor=style.INK, elinewidth=0.9)
         axes.set_xticks(range(len(seas)), seas)
         axes.set_ylim(0.0, 105.0)
         axes.set_ylabel("robots that arrive, %")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         return style.save(figure, file, palette=128)
+
+
+def _shades(rows: list[dict[str, Any]]) -> dict[str, tuple[str, float]]:
+    """Colour of each name by its planner, and depth by its samples: more of them are darker."""
+    planners = list(dict.fromkeys(row["key"]["planner"] for row in rows))
+    counts = sorted({row["key"]["samples"] for row in rows if "samples" in row["key"]})
+    step = 0.65 / max(len(counts) - 1, 1)
+    made = {}
+    for row in rows:
+        key = row["key"]
+        fewer = len(counts) - 1 - counts.index(key["samples"]) if "samples" in key else 0
+        color = style.robot_color(planners.index(key["planner"]))
+        made[_name(row)] = color, 1.0 - step * fewer
+    return made
 
 
 def _name(row: dict[str, Any]) -> str:

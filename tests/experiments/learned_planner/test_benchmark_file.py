@@ -1,0 +1,19 @@
+"""The benchmark in which the learned planner stands beside the others."""
+
+from pathlib import Path
+
+from angler_experiments import benchmarks
+from angler_mjx.benchmark import questions
+
+FILE = Path(benchmarks.__file__).with_name("learned.toml")
+
+
+def test_all_are_asked_in_distribution_and_shifted():
+    made = questions.read(FILE)
+    asked = {}
+    for setting in made.settings:
+        where = (setting.scene, setting.robots)
+        asked.setdefault(where, set()).update(one.label for one in made.asked(setting))
+    assert {("reef still", 8), ("reef moving", 8), ("dense stronger", 16)} <= set(asked)
+    for labels in asked.values():
+        assert {"learned", "grid", "RRTConnect, one by one", "current", "mppi"} <= labels
