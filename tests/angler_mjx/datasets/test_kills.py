@@ -34,7 +34,9 @@ def command(file, out, *more):
     )
 
 
-@pytest.mark.nightly(by="tests/angler_mjx/datasets/test_making.py::test_a_broken_off_making_goes_on_to_the_same_bytes")
+@pytest.mark.nightly(
+    by="tests/angler_mjx/datasets/test_making.py::test_a_broken_off_making_goes_on_to_the_same_bytes"
+)
 def test_fifty_kills_lose_nothing(file, tmp_path):
     whole = tmp_path / "whole"
     begun_at = time.monotonic()
