@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from angler_mjx import datasets
 from angler_mjx.cli import main
-from angler_mjx.datasets import index, making, manifest, sampling
+from angler_mjx.datasets import card, describing, index, making, manifest, sampling
 from angler_mjx.datasets.sampling import DIFFICULTIES, SampleConfig
 from angler_mjx.errors import ConfigError
 
@@ -137,23 +137,27 @@ def test_crossings_of_single_robots_are_refused_before_anything_is_flown(file, t
 
 def test_readers_are_given_the_chosen_ones(copy, capsys):
     """As if it had been made with that wish: nothing of a flight depends on it."""
-    wished = {"at_most": {"failed": 0.0}, "at_least": {}}
+    wished = {"at_most": {"trivial": 0.5}, "at_least": {}}
     table = json.loads((copy / manifest.MANIFEST).read_text()) | {"sample": wished}
     (copy / manifest.MANIFEST).write_text(json.dumps(table))
-    index.write(copy, index.of_manifest(copy, manifest.read(copy)))
-    rows = index.read(copy).to_pylist()
-    assert not all(row["chosen"] for row in rows)
-    for row in rows:
-        assert row["chosen"] == (row["success"] or row["split"] == "test_there")
-    everything = datasets.open(copy, chosen=None)
-    assert len(everything) == len(rows)
-    if any(row["chosen"] for row in rows):
-        assert len(datasets.open(copy)) == sum(row["chosen"] for row in rows)
-    lost = [row for row in rows if not row["chosen"]]
-    assert len(datasets.open(copy, chosen=False)) == len(lost)
-    split = lost[0]["split"]
-    if not any(row["chosen"] for row in rows if row["split"] == split):
-        with pytest.raises(ConfigError, match="chosen=None"):
-            datasets.open(copy, split=split)
+    found = index.of_manifest(copy, manifest.read(copy))
+    index.write(copy, found)
+    drawn = [(row["split"], row["difficulty"]) for row in found.to_pylist()[:4]]
+    assert sorted(drawn) == [("train", "blocked"), *[("train", "trivial")] * 2, ("val", "trivial")]
+    # Of the two trivial ones of train one is too many, and of val the only one.
+    assert len(datasets.open(copy, split="train")) == 2
+    assert len(datasets.open(copy, split="train", chosen=False)) == 1
+    assert len(datasets.open(copy, split="train", chosen=None)) == 3
+    assert len(datasets.open(copy, split="test_there")) == 2
+    with pytest.raises(ConfigError, match="none of these 1 episodes is chosen; give chosen=None"):
+        datasets.open(copy, split="val")
+    whole = describing.counted(manifest.read(copy), found)
+    manifest.write(copy, whole)
+    assert whole.chosen == {"test_there": 2, "train": 2}
     main.main(["dataset", "show", str(copy)])
-    assert "chosen of" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "chosen of test_there: 2 of 2, train: 2 of 3, val: 0 of 1" in said
+    card.write_text(copy, whole, found)
+    text = (copy / card.README).read_text()
+    assert "| trivial | at most 50 % | 75.0 | 50.0 |" in text
+    assert "| failed | any | 100.0 | 100.0 |" in text
