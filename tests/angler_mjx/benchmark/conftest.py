@@ -1,9 +1,13 @@
 """One small benchmark, interrupted twice and gone on with, for all tests of its results."""
 
+import json
+
 import pytest
 
 from angler_mjx.benchmark import running
 from angler_mjx.planning.host.workers import Workers
+
+from ..sharing import alone, shared_folder
 
 PLANNERS = '''
 import numpy as np
@@ -87,17 +91,28 @@ def workers():
 
 @pytest.fixture(scope="session")
 def source(tmp_path_factory, scenario_file):
-    folder = tmp_path_factory.mktemp("benchmark")
-    (folder / "small.toml").write_text(scenario_file.read_text())
-    (folder / "planners.py").write_text(PLANNERS)
+    folder = shared_folder(tmp_path_factory, "benchmark")
     file = folder / "benchmark.toml"
-    file.write_text(FILE)
+    with alone(folder):
+        if not file.exists():
+            (folder / "small.toml").write_text(scenario_file.read_text())
+            (folder / "planners.py").write_text(PLANNERS)
+            file.write_text(FILE)
     return file
 
 
 @pytest.fixture(scope="session")
 def made(source):
     """A results folder, and what its database held when it was interrupted first."""
+    with alone(source.parent):
+        notes = source.parent / "kept.json"
+        if not notes.exists():
+            notes.write_text(json.dumps(_interrupted(source)))
+    return source.parent / "results", [tuple(row) for row in json.loads(notes.read_text())]
+
+
+def _interrupted(source):
+    """Make the results; what its database held when it was interrupted first."""
     benchmark, out = running.read(source), source.parent / "results"
     with pytest.raises(KeyboardInterrupt):
         running.run(benchmark, source, out, workers=workers, told=Interrupting(5))
@@ -108,7 +123,7 @@ def made(source):
         running.run(benchmark, source, out, workers=workers, resume=True, told=again)
     last = Interrupting(None)
     running.run(running.read(source), source, out, workers=workers, resume=True, told=last)
-    return out, kept
+    return kept
 
 
 def rows(path, query):

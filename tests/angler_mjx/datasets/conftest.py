@@ -1,13 +1,12 @@
 """One small dataset, made once by the command itself, for all tests of datasets."""
 
-import fcntl
-import os
 import shutil
-from contextlib import contextmanager
 
 import pytest
 
 from angler_mjx.cli import main
+
+from ..sharing import alone, shared_folder
 
 FILE = """
 schema_version = 1
@@ -61,19 +60,9 @@ count = 2
 """
 
 
-@contextmanager
-def alone(folder):
-    """One of the processes that share the tests at a time."""
-    with (folder / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
 @pytest.fixture(scope="session")
 def file(tmp_path_factory):
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "dataset"
-    folder.mkdir(exist_ok=True)
+    folder = shared_folder(tmp_path_factory, "dataset")
     with alone(folder):
         for name, text in (("scenario.toml", SCENARIO), ("small.toml", FILE)):
             if not (folder / name).exists():

@@ -93,7 +93,7 @@ def place(scenes):
 
 @pytest.fixture(scope="module")
 def double(place):
-    """In float64: the scene, its start, and how mjx flies the trajectories of a policy.
+    """In float64: the scene, its start, and how it flies the trajectories of a policy.
 
     Under a law that wants the current and the wrench that was realised.
     """
@@ -102,25 +102,31 @@ def double(place):
         keys = jax.random.key_data(jax.random.split(jax.random.key(6), WORLDS))
         scene = replace(scene, worlds=replace(scene.worlds, policy_key=keys))
         start = begin(scene, Pilot())
-        return scene, start, fly(MjxEngine(), scene, start, policy=Pilot())
+        return scene, start, fly(FusedEngine(), scene, start, policy=Pilot())
 
 
+@pytest.mark.nightly(
+    by="test_each_robot_is_told_what_it_is_to_be_told; that engines fly alike, in test_fused.py"
+)
 def test_the_fused_engine_tells_the_same_and_flies_it_alike(double):
-    scene, start, theirs = double
+    scene, start, ours = double
     with jax.enable_x64(True):
-        ours = fly(FusedEngine(), scene, start, policy=Pilot())
+        theirs = fly(MjxEngine(), scene, start, policy=Pilot())
     # As for all of an engine in float64: rounding has no room to grow.
     assert_close(ours, theirs, 1e-9)
+
+
+def test_what_is_told_is_followed_and_has_the_declared_shapes(double):
+    scene, _, (after, seen) = double
     n_obstacle = scene.worlds.environment.obstacles.kind.shape[-1]
     sizes = {"robot": 4, "thruster": 6, "obstacle": n_obstacle}
-    declared.check(ours[1], (WORLDS, SAMPLES), sizes, told=True)
-    after, _ = theirs
+    declared.check(seen, (WORLDS, SAMPLES), sizes, told=True)
     assert np.abs(after.carry.realised.tau).max() > 1.0
     # Followed, not the path: a line from way-point to way-point is the same, but not the heading.
     assert np.all(after.carry.stages[0].clock_s > 0.5)
 
 
-@pytest.mark.nightly(by="test_the_fused_engine_tells_the_same_and_flies_it_alike")
+@pytest.mark.nightly(by="test_each_robot_is_told_what_it_is_to_be_told")
 def test_kernels_tell_the_same(double):
     scene, start, (_, theirs) = double
     with jax.enable_x64(True):
