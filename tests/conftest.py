@@ -16,8 +16,14 @@ LONG = (
     "simulator/",
     "storage/",
     "speed/",
+    "benchmark/test_results.py",
+    "datasets/test_exports.py",
+    "tests/test_readme.py",
 )
-"""Files that take minutes come first, so that no worker is left alone with one at the end."""
+"""Files that take long come first, so that no worker is left alone with one at the end.
+
+So does the one that makes what a file beside it asks for too, lest a worker wait for the other.
+"""
 
 deviation = deviations.deviation
 pytest_addoption = deviations.pytest_addoption

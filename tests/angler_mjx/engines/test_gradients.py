@@ -1,6 +1,6 @@
 """Gradients of a closed-loop rollout against finite differences and against mjx's, in float64."""
 
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -24,10 +24,15 @@ def scene(scenes):
 
 @pytest.fixture(scope="module")
 def costs(scene, engines_by_name):
-    """For each engine, a function gains -> (cost, gradient), and the gains."""
+    """For each engine, a function gains -> (cost, gradient), and the gains.
+
+    An engine that nobody asks is not compiled.
+    """
 
     def of(engine):
-        start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+        @cache
+        def start():
+            return quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
 
         @quickly
         def both(gains, kinds, worlds, start):
@@ -35,7 +40,7 @@ def costs(scene, engines_by_name):
                 gains, engine, scene.spec, kinds, worlds, start, control_steps=STEPS
             )
 
-        return lambda gains: both(gains, scene.fleet, scene.worlds, start)
+        return lambda gains: both(gains, scene.fleet, scene.worlds, start())
 
     with jax.enable_x64(True):
         gains = jax.tree.map(jnp.asarray, scene.spec.gains)
