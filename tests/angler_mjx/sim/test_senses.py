@@ -222,6 +222,7 @@ def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
         cell_m=jnp.asarray(9.0),
     )
     world = SimpleNamespace(
+        factors=None,
         environment=SimpleNamespace(grid=grid, floor_z_m=jnp.asarray(-20.0)),
         sensing_key=jax.random.key_data(jax.random.split(jax.random.key(0), n)),
     )
