@@ -102,8 +102,10 @@ def test_every_module_in_a_block_exists():
     modules = {words[1] for _, words in _commands("python") if words[:1] == ["-m"]}
     folders = ("", "kernels", "sitl_bridge", "experiments")
     for module in modules:
-        path = module.replace(".", "/") + ".py"
-        assert any((ROOT / folder / path).is_file() for folder in folders), module
+        path = module.replace(".", "/")
+        files = (f"{path}.py", f"{path}/__main__.py")
+        there = [(ROOT / folder / file).is_file() for folder in folders for file in files]
+        assert any(there), module
 
 
 @pytest.mark.parametrize("kind", ["scenario", "vehicle"])

@@ -44,7 +44,12 @@ def write_text(place: Path, manifest: Manifest, table: pa.Table) -> None:
         OSError: the disk gave out.
     """
     said = text(
-        manifest, table, _outcomes(place, manifest), _bytes(place), gaps.text(gaps.read(place))
+        manifest,
+        table,
+        _outcomes(place, manifest),
+        _bytes(place),
+        drawn=_randomised(place, manifest),
+        flown=gaps.text(gaps.read(place)),
     )
     atomic.write_text(place / README, said)
 
@@ -58,6 +63,27 @@ def _outcomes(place: Path, manifest: Manifest) -> dict[str, Counter[str]]:
     return found
 
 
+def _randomised(place: Path, manifest: Manifest) -> list[str]:
+    """What was drawn of robots, water and instruments, by scene; nothing where nothing was."""
+    scenes: dict[str, str] = {}
+    for part in manifest.parts:
+        given = folder.Run(place / part.path).scenario.randomise
+        if given.of_vehicles or given.of_worlds:
+            table = given.model_dump(mode="json", exclude_defaults=True)
+            scenes[part.scene] = "; ".join(f"`{key}` {value}" for key, value in table.items())
+    if not scenes:
+        return []
+    return [
+        "## What was drawn",
+        "",
+        "Factors of what the files say, low and high; `variants.json` of each run folder has those "
+        "of every variant, `episodes.parquet` which one a robot was and what its world has.",
+        "",
+        *[f"- {scene}: {said}" for scene, said in scenes.items()],
+        "",
+    ]
+
+
 def _bytes(place: Path) -> int:
     """Of the run folders: what tells of them is written after this."""
     return sum(path.stat().st_size for path in (place / RUNS).rglob("*") if path.is_file())
@@ -68,6 +94,8 @@ def text(
     table: pa.Table,
     outcomes: dict[str, Counter[str]],
     n_byte: int,
+    *,
+    drawn: Sequence[str],
     flown: Sequence[str],
 ) -> str:
     """The card.
@@ -77,6 +105,7 @@ def text(
         table: its index.
         outcomes: of robots, by scene and expert.
         n_byte: of its run folders.
+        drawn: lines on how robots differ from their files.
         flown: lines on what real autopilots made of it.
     """
     robots = pc.sum(table["robots"]).as_py()
@@ -128,6 +157,7 @@ def text(
         "",
         *_outcome_table(outcomes),
         "",
+        *drawn,
         "## How hard",
         "",
         "`trivial`: every straight line is free and none passes another within 1.5 m; `crossing`: "

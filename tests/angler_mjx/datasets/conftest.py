@@ -57,6 +57,11 @@ count = 2
 
 [world.obstacles.dynamic]
 count = 2
+
+[randomise]
+variants = 3
+mass = [0.97, 1.03]
+thrust = [0.9, 1.0]
 """
 
 
