@@ -52,6 +52,7 @@ def test_what_is_made_is_whole(made):
     assert checked.returncode == 0, checked.stderr
     assert not (made / making.MAKING).exists()
     text = (made / "README.md").read_text()
+    assert "- here: `variants` 3; `mass` [0.97, 1.03]; `thrust` [0.9, 1.0]" in text
     assert "test_there" in text
     assert "6 flights" in text
 
