@@ -108,7 +108,7 @@ def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
         turns = replace(place, current=(flow,))
         stays = replace(place, current=(currents.Uniform(velocity_mps=flow.knots_mps[0]),))
 
-        @partial(jax.jit, static_argnums=1)
+        @partial(quickly, static_argnums=1)
         def told(environment, obstacles):
             knows = Knows(obstacles=obstacles, current="predicted")
             return knowledge.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
