@@ -5,6 +5,7 @@ every robot of every world is one, as it is with the sets of a ``parameter_mix``
 hold of a fleet stays as small as the bank. Current and noise are numbers of each world.
 """
 
+import contextlib
 import itertools
 from collections.abc import Sequence
 from typing import Annotated
@@ -142,6 +143,8 @@ class RandomiseConfig(FileModel):
     ) -> None:
         """Refuse ranges with vehicles in them that cannot hold their depth, faults aside.
 
+        A vehicle that cannot by its own file is not looked at: the ranges are not to blame.
+
         Args:
             config: vehicle file.
             parameter_sets: that robots can have.
@@ -153,7 +156,12 @@ class RandomiseConfig(FileModel):
         """
         volts: Sequence[float | None] = self.battery_v or (None,)
         corners = itertools.product(self.mass, self.buoyancy, volts)
-        for (mass, buoyancy, volt), name in itertools.product(corners, parameter_sets):
+        able = []
+        for name in parameter_sets:
+            with contextlib.suppress(ConfigError):
+                require_afloat(config, name, Variation(), battery_v, density_kgpm3)
+                able.append(name)
+        for (mass, buoyancy, volt), name in itertools.product(corners, able):
             least = Variation(
                 mass=mass, buoyancy=buoyancy, battery_v=volt, thrust=(self.thrust[0],)
             )

@@ -72,7 +72,7 @@ class Case:
 
     def but(self, **changed: Any) -> "Case":
         """The same with other top-level keys of the scenario."""
-        return dataclasses.replace(self, scenario={**self.scenario, **changed})
+        return dataclasses.replace(self, scenario=_drawable({**self.scenario, **changed}))
 
 
 def read(path: Path) -> Case:
@@ -119,16 +119,30 @@ def draw(seed: int, number: int, *, worlds: int, horizon_s: float = 60.0) -> Cas
     return Case(scenario=scenario, signals=driver == "signals", vehicles=vehicles)
 
 
+def _drawable(scenario: dict[str, Any]) -> dict[str, Any]:
+    """A scenario without ranges of what is not in it any more."""
+    gone = set()
+    if not scenario["world"].get("currents"):
+        gone.add("current")
+    if all(entry.get("estimate", "truth") == "truth" for entry in scenario["fleet"]):
+        gone.add("sensor_noise")
+    if not gone & scenario.get("randomise", {}).keys():
+        return scenario
+    kept = {key: x for key, x in scenario["randomise"].items() if key not in gone}
+    return {**scenario, "randomise": kept}
+
+
 def _randomise(rng: random.Random, scenario: dict[str, Any]) -> dict[str, Any]:
     """Ranges that leave every vehicle afloat."""
-    spans = {
-        "mass": (0.95, 1.05),
-        "buoyancy": (0.97, 1.03),
-        "damping": (0.5, 2.0),
-        "added_mass": (0.5, 2.0),
-        "thrust": (0.7, 1.1),
-        "battery_v": (12.0, 18.0),
-    }
+    spans = {"damping": (0.5, 2.0), "added_mass": (0.5, 2.0)}
+    if not any(entry["vehicle"].endswith(".toml") for entry in scenario["fleet"]):
+        # Not those with ballast: some just hold their depth.
+        spans |= {
+            "mass": (0.95, 1.05),
+            "buoyancy": (0.97, 1.03),
+            "thrust": (0.7, 1.1),
+            "battery_v": (12.0, 18.0),
+        }
     if scenario["world"].get("currents"):
         spans["current"] = (0.0, 2.0)
     if any(entry.get("estimate", "truth") != "truth" for entry in scenario["fleet"]):

@@ -93,7 +93,7 @@ def place(scenes):
 
 @pytest.fixture(scope="module")
 def double(place):
-    """In float64: the scene, its start, and how it flies the trajectories of a policy.
+    """In float64: the scene, its start, and how mjx flies the trajectories of a policy.
 
     Under a law that wants the current and the wrench that was realised.
     """
@@ -102,16 +102,16 @@ def double(place):
         keys = jax.random.key_data(jax.random.split(jax.random.key(6), WORLDS))
         scene = replace(scene, worlds=replace(scene.worlds, policy_key=keys))
         start = begin(scene, Pilot())
-        return scene, start, fly(FusedEngine(), scene, start, policy=Pilot())
+        return scene, start, fly(MjxEngine(), scene, start, policy=Pilot())
 
 
 @pytest.mark.nightly(
-    by="test_each_robot_is_told_what_it_is_to_be_told; that engines fly alike, in test_fused.py"
+    by="test_each_robot_is_told_what_it_is_to_be_told by mjx; test_watching.py by the fused engine"
 )
 def test_the_fused_engine_tells_the_same_and_flies_it_alike(double):
-    scene, start, ours = double
+    scene, start, theirs = double
     with jax.enable_x64(True):
-        theirs = fly(MjxEngine(), scene, start, policy=Pilot())
+        ours = fly(FusedEngine(), scene, start, policy=Pilot())
     # As for all of an engine in float64: rounding has no room to grow.
     assert_close(ours, theirs, 1e-9)
 

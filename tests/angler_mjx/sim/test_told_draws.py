@@ -39,6 +39,7 @@ def world():
         cell_m=jnp.asarray(10.0),
     )
     return SimpleNamespace(
+        factors=None,
         environment=SimpleNamespace(grid=grid, floor_z_m=jnp.asarray(-10.0)),
         sensing_key=jax.random.key_data(keys),
     )
