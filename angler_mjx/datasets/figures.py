@@ -132,9 +132,8 @@ def _bars(
     if dark is not None:
         panel.barh(at, dark, height=0.66, color=style.ROBOTS[0])
     most = max(values, default=1)
-    for i, value in enumerate(values):
-        whole = dark is None or dark[i] == value
-        said = f"{value:,}" if whole else f"{dark[i]:,} of {value:,}"  # type: ignore[index]
+    for i, (value, part) in enumerate(zip(values, dark or values, strict=True)):
+        said = f"{value:,}" if part == value else f"{part:,} of {value:,}"
         panel.text(value + 0.02 * most, i, said, va="center", fontsize=8.5)
     panel.set_yticks(at, labels)
     panel.tick_params(axis="y", length=0, labelcolor=style.INK)

@@ -274,6 +274,6 @@ def read(place: Path) -> pa.Table:
     if table.schema.names != SCHEMA.names or table.schema.types != SCHEMA.types:
         raise ConfigError(
             f"{path}: holds the columns {', '.join(table.schema.names)}, not those of an index; "
-            "copy it again"
+            "copy it again, or make it again where it is of an earlier version"
         )
     return table

@@ -5,7 +5,6 @@ every robot of every world is one, as it is with the sets of a ``parameter_mix``
 hold of a fleet stays as small as the bank. Current and noise are numbers of each world.
 """
 
-import contextlib
 import itertools
 from collections.abc import Sequence
 from typing import Annotated
@@ -16,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.vehicles.config import VehicleConfig
-from angler_mjx.vehicles.variation import Variation, require_afloat
+from angler_mjx.vehicles.variation import Variation, heave
 
 
 def _rises(span: tuple[float, float]) -> tuple[float, float]:
@@ -38,6 +37,8 @@ type FromNothing = Annotated[float, Field(ge=0.0, le=100.0)]
 type FromNothings = Annotated[tuple[FromNothing, FromNothing], AfterValidator(_rises)]
 
 AS_SAID = (1.0, 1.0)
+SPARE = 0.5
+"""Share of the thrust in heave that a vehicle may need to hold its depth: the rest is to move."""
 
 
 class RandomiseConfig(FileModel):
@@ -103,7 +104,7 @@ class RandomiseConfig(FileModel):
         Conover 1979), so few variants cover it too. Numbers are bits of Philox, which NumPy keeps
         the same for all time; a set's draws hang on nothing but seed, entry and set.
         """
-        words = np.frombuffer(f"{entry}/{parameter_set}".encode().ljust(8, b"\0"), np.uint8)
+        words = np.frombuffer(f"{entry}/{parameter_set}".encode(), np.uint8)
         bits = np.random.Philox(np.random.SeedSequence([self.seed, *words.tolist()]))
         n = self.variants
 
@@ -155,20 +156,26 @@ class RandomiseConfig(FileModel):
             ConfigError: naming the ranges.
         """
         volts: Sequence[float | None] = self.battery_v or (None,)
-        corners = itertools.product(self.mass, self.buoyancy, volts)
-        able = []
+        corners = list(itertools.product(self.mass, self.buoyancy, volts))
         for name in parameter_sets:
-            with contextlib.suppress(ConfigError):
-                require_afloat(config, name, Variation(), battery_v, density_kgpm3)
-                able.append(name)
-        for (mass, buoyancy, volt), name in itertools.product(corners, able):
-            least = Variation(
-                mass=mass, buoyancy=buoyancy, battery_v=volt, thrust=(self.thrust[0],)
-            )
-            try:
-                require_afloat(config, name, least, battery_v, density_kgpm3)
-            except ConfigError as error:
-                raise ConfigError(f"[randomise]: {error}; narrow the ranges") from error
+            lift_n, force_n = heave(config, name, Variation(), battery_v, density_kgpm3)
+            able = abs(lift_n) <= SPARE * force_n
+            for mass, buoyancy, volt in corners:
+                least = Variation(
+                    mass=mass, buoyancy=buoyancy, battery_v=volt, thrust=(self.thrust[0],)
+                )
+                try:
+                    lift_n, force_n = heave(config, name, least, battery_v, density_kgpm3)
+                except ConfigError as error:
+                    raise ConfigError(f"randomise.battery_v: {error}") from error
+                if able and abs(lift_n) > SPARE * force_n:
+                    raise ConfigError(
+                        f"[randomise]: vehicle {config.name!r}, parameter set {name!r}, with "
+                        f"{mass:g} times its mass and {buoyancy:g} times its displaced volume "
+                        f"{'rises' if lift_n > 0 else 'sinks'} with {abs(lift_n):.1f} N, and its "
+                        f"thrusters give {force_n:.1f} N in heave at {volt or battery_v:g} V; half "
+                        "of that may go into holding depth: narrow the ranges"
+                    )
 
 
 def _six(row: np.ndarray) -> tuple[float, float, float, float, float, float]:

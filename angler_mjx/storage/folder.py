@@ -181,9 +181,14 @@ def begin(
     """
     inputs.take(building, [entry.vehicle for entry in scenario.fleet], others or [])
     write_json(building / CONFIG, scenario.model_dump(mode="json"))
+    _write_variants(building, scenario)
+    write_json(building / ENVIRONMENT, environment)
+
+
+def _write_variants(building: Path, scenario: Scenario) -> None:
+    """Say what each variant is, where vehicles are randomised."""
     if scenario.randomise.of_vehicles:
         write_json(building / VARIANTS, {"variants": fleet.described(scenario.members())})
-    write_json(building / ENVIRONMENT, environment)
 
 
 def where(out: Path) -> Path:
@@ -211,7 +216,7 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
     place = where(out)
     if not (place / CONFIG).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
-    read_scenario(place)  # before anything is moved, as the next
+    scenario = read_scenario(place)  # before anything is moved, as the next
     inputs.require_unchanged(place, flag=f"--resume {out}")
     claimed = claims.reclaim(out)
     if claimed is None:
@@ -219,6 +224,7 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
     try:
         _unfold(claimed.building)
         _set_aside(claimed.building, tell)
+        _write_variants(claimed.building, scenario)
     except OSError as error:
         claimed.release()
         raise ConfigError(f"--resume {out}: cannot be written ({error.strerror})") from error

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.errors import ConfigError
 from angler_mjx.vehicles.config import VehicleConfig
 from angler_mjx.vehicles.drive import full_force, wrench_matrix
 from angler_mjx.vehicles.library import load_thruster
@@ -81,18 +80,14 @@ def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(map(float, row)) for row in matrix)
 
 
-SPARE = 0.5
-"""Share of the thrust in heave that a vehicle may need to hold its depth: the rest is to move."""
-
-
-def require_afloat(
+def heave(
     config: VehicleConfig,
     parameter_set: str,
     variation: Variation,
     battery_v: float,
     density_kgpm3: float,
-) -> None:
-    """Refuse a vehicle that cannot hold its depth.
+) -> tuple[float, float]:
+    """What lifts a vehicle under water, and what its thrusters can do about it.
 
     Args:
         config: vehicle file.
@@ -101,22 +96,16 @@ def require_afloat(
         battery_v: where the variation has none.
         density_kgpm3: of the water.
 
+    Returns:
+        Buoyancy less weight, N, and the thrust in heave that is there both ways, N.
+
     Raises:
-        ConfigError: it takes more than `SPARE` of its thrust in heave, or the voltage lies outside
-            the thruster's data.
+        ConfigError: there is no such set, or the voltage lies outside the thruster's data.
     """
     chosen = varied(config, parameter_set, variation).find_set(parameter_set)
     volts = battery_v if variation.battery_v is None else variation.battery_v
     thrust_n, _ = tables_at(load_thruster(config.rotor.model), volts)
-    heave = wrench_matrix(config)[2:3] * np.asarray(variation.thrust or 1.0)
-    force_n = float(full_force(heave, float(thrust_n[0]), float(thrust_n[-1]))[0])
-    lift_n = (density_kgpm3 * chosen.buoyancy.volume_m3 - chosen.rigid_body.mass_kg) * GRAVITY_MPS2
-    if abs(lift_n) > SPARE * force_n:
-        way = "rises" if lift_n > 0 else "sinks"
-        raise ConfigError(
-            f"vehicle {config.name!r}, parameter set {parameter_set!r}, with "
-            f"{variation.mass:g} times its mass and {variation.buoyancy:g} times its displaced "
-            f"volume {way} with "
-            f"{abs(lift_n):.1f} N, and its thrusters give {force_n:.1f} N in heave at {volts:g} V; "
-            "half of that may go into holding depth"
-        )
+    row = wrench_matrix(config)[2:3] * np.asarray(variation.thrust or 1.0)
+    force_n = float(full_force(row, float(thrust_n[0]), float(thrust_n[-1]))[0])
+    displaced_kg = density_kgpm3 * chosen.buoyancy.volume_m3
+    return (displaced_kg - chosen.rigid_body.mass_kg) * GRAVITY_MPS2, force_n

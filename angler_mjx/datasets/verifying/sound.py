@@ -67,6 +67,10 @@ def parts(place: Path, manifest: Manifest) -> Check:
             "digest": (part.digest, scenario.digest()),
             "record_hz": (manifest.time["record_hz"], scenario.time.record_hz),
             "complete": (True, summary.get("complete")),
+            folder.VARIANTS: (
+                "there" if scenario.randomise.of_vehicles else "none",
+                "there" if (place / part.path / folder.VARIANTS).is_file() else "none",
+            ),
             "arrays": (set(), manifest.arrays.keys() - _names(stored)),
         }
         for key, (wanted, found) in said.items():

@@ -126,7 +126,7 @@ class TritonEngine:
             number = state.step[0] if rows is None else state.step
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies)
         tile = Tile(fleet, flying if rows is None else worlds, rows)
-        ahead = 1 if watched else AHEAD
+        ahead = 1 if watched else min(AHEAD, n_sample * steps_per_sample)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
         )

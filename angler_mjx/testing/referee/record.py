@@ -153,7 +153,8 @@ def open_run(path: Path) -> Run:
             "planned_worlds": int(config["worlds"]),
         }
     drawn: Sequence[Mapping[str, Any]] = ()
-    if (path / "variants.json").exists():
+    given = config.get("randomise", {})
+    if given.get("battery_v") or given.get("fault_probability"):  # what powers hang on
         drawn = read_json(path / "variants.json")["variants"]
     with reading(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")

@@ -10,7 +10,7 @@ from angler_mjx.datasets import index, making, manifest, sums
 from angler_mjx.datasets.keeping import counting
 from angler_mjx.datasets.keeping import merge as joining
 from angler_mjx.datasets.keeping import repair as mending
-from angler_mjx.datasets.verifying import judging
+from angler_mjx.datasets.verifying import judging, sound
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.progress import Silent
 
@@ -26,13 +26,16 @@ def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
     shard.write_bytes(data)
     (place / "q" / "c" / "0" / "0" / "0" / "0").unlink()
     (copy / manifest.INDEX).write_bytes(b"none")
+    (copy / part / "variants.json").unlink()
+    (missing,) = sound.parts(copy, manifest.read(copy)).findings
+    assert "variants.json is 'none'" in missing.text
     main.main(["dataset", "repair", str(copy)])
     said = capsys.readouterr().out
-    assert "3 files were damaged or lost" in said
+    assert "4 files were damaged or lost" in said
     assert f"flown again: {part}" in said
     assert "other bytes" not in said
     for name in sums.files(made):
-        if "trajectories.zarr" in name or name.endswith(".parquet"):
+        if "trajectories.zarr" in name or name.endswith((".parquet", "variants.json")):
             assert (copy / name).read_bytes() == (made / name).read_bytes(), name
     assert judging.verify(copy, 0, lambda *_: None).agrees
     assert mending.repair(copy, Silent()).damaged == ()

@@ -1,7 +1,5 @@
 """What is drawn of robots, water and instruments: banks, ranges, refusals, and what flies of it."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,7 +59,8 @@ def test_faults_come_as_often_as_asked():
     bank = variations(drawn(variants=1024, fault_probability=0.25, fault_health=[0.0, 0.5]))
     thrust = np.array([one.thrust for one in bank])
     np.testing.assert_allclose(np.mean(thrust < 1.0, axis=0), 0.25, atol=1e-9)
-    # Which are faulty together is chance: 8 thrusters, each in a quarter of the variants.
+    # Which are faulty together is chance: 8 thrusters, each in a quarter of the variants. A share
+    # of a tenth of 1,024 has a standard deviation of 0.009; four of those.
     assert abs(np.mean(np.sum(thrust < 1.0, axis=1) == 0) - 0.75**8) < 0.04
     assert thrust[thrust < 1.0].max() <= 0.5
     assert thrust.max() == 1.0
@@ -119,7 +118,7 @@ def test_worlds_have_their_own_current_and_noise():
     assert noise.shape == (64, 2)
     assert noise.min() < 0.3
     assert noise.max() > 2.7
-    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.5
+    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.5  # four standard deviations of 64 pairs
     assert len(np.unique(noise)) == 128
 
 
@@ -156,6 +155,7 @@ def test_instruments_with_twice_the_noise_err_twice_as_much():
         ({"buoyancy": [1.0, 9.0]}, ["fleet[0]", "rises", "in heave"]),
         ({"battery_v": [5.0, 16.0]}, ["fleet[0]", "5 V", "10 V"]),
         ({"sensor_noise": [0.5, 2.0]}, ["randomise.sensor_noise", "told the truth", "estimate"]),
+        ({"battery_v": [14.0, 30.0]}, ["randomise.battery_v", "30 V", "20 V"]),
         ({"fault_health": [0.1, 0.5]}, ["fault_health", "fault_probability"]),
         ({"variants": 0}, ["randomise.variants", "1"]),
         ({"wind": [0.0, 1.0]}, ["randomise.wind", "unknown key"]),
@@ -193,4 +193,3 @@ def test_files_say_what_each_variant_is():
             battery_v=row["battery_v"],
         )
         assert again == kind.variation
-        assert replace(again, number=-1) != kind.variation
