@@ -21,7 +21,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Slots, run
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
@@ -240,6 +240,11 @@ class MjxEngine:
         state: WorldState = jax.vmap(one)(worlds.body, worlds)
         return state
 
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """See `Engine.lay_out`: nothing."""
+        del fleet, worlds
+        return ()
+
     def control_step(
         self,
         spec: SimSpec,
@@ -249,6 +254,7 @@ class MjxEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
+        laid: Laid = (),
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if rows is not None:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim.state import World, WorldState
+from angler_mjx.sim.state import Laid, World, WorldState
 from angler_mjx.simulator.simulator import Simulator
 
 
@@ -19,6 +19,8 @@ class Bank:
 
     worlds: World
     begun: WorldState
+    laid: Laid
+    """See `Engine.lay_out`."""
 
     @property
     def count(self) -> int:
@@ -54,7 +56,10 @@ def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None =
 def of(simulator: Simulator, worlds: World, begun: list[WorldState]) -> Bank:
     """A bank of worlds that are there, and their states at t = 0 tile by tile."""
     count = worlds.variant.shape[0]
-    return Bank(worlds=loose(simulator.admitted(worlds)), begun=_joined(begun, count))
+    kept = loose(simulator.admitted(worlds))
+    lay_out = jax.jit(simulator.engine.lay_out)
+    laid = lay_out(loose(simulator.fleet), kept)
+    return Bank(worlds=kept, begun=_joined(begun, count), laid=laid)
 
 
 def loose(tree: Any) -> Any:

@@ -130,7 +130,13 @@ class FleetEnv:
         scaled = wanted * jnp.asarray(rules.action.range, wanted.dtype)
         command = rules.action.make(scaled, before.vehicles, aim_m, yaw)
         after, sample = rules.engine.control_step(
-            rules.spec, self.fleet, self.bank.worlds, before, command, rows=state.row
+            rules.spec,
+            self.fleet,
+            self.bank.worlds,
+            before,
+            command,
+            rows=state.row,
+            laid=self.bank.laid,
         )
         reward, terms = rewards.of(
             rules.weights,
@@ -181,10 +187,18 @@ class FleetEnv:
 
             kept = EnvState(flight=state.flight, row=state.row, action=state.action, key=key)
             both = jax.tree.map(choose, _of_worlds(fresh), _of_worlds(kept))
-            after = EnvState(flight=both[0], row=both[1], action=both[2], key=key)
+            after_key = jnp.where(jnp.any(ended), key, state.key)
+            after = EnvState(flight=both[0], row=both[1], action=both[2], key=after_key)
             return after, choose(self.observed[row], seen)
 
-        after: tuple[EnvState, jax.Array] = jax.lax.cond(jnp.any(ended), put, lambda: (state, seen))
+        def if_any() -> tuple[EnvState, jax.Array]:
+            both: tuple[EnvState, jax.Array] = jax.lax.cond(
+                jnp.any(ended), put, lambda: (state, seen)
+            )
+            return both
+
+        # A branch costs a GPU more than the copies that it saves.
+        after: tuple[EnvState, jax.Array] = jax.lax.platform_dependent(cuda=put, default=if_any)
         return after
 
     def _aim(self, rows: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -18,6 +18,9 @@ from angler_mjx.sim.policy import PolicyMemory
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 
+type Laid = tuple[jax.Array, ...]
+"""A bank's constants as an engine reads them; see `Engine.lay_out`."""
+
 
 class Outcome(IntEnum):
     """How a robot's episode ended; the names are those of the results table."""

@@ -77,7 +77,7 @@ def example(given: Example) -> Figure | None:
     across = min(len(given.ways), 4)
     down = -(-len(given.ways) // across)
     with look.styled():
-        figure = style.new_figure(max(3.1 * across, 7.5), 3.3 * down + 1.1, headline_in=0.65)
+        figure = style.new_figure(max(3.1 * across, 7.5), 3.7 * down + 1.1, headline_in=0.65)
         style.headline(figure, given.title, "from above; a colour a robot; lighter rock is higher")
         for axes, way in zip(look.panels(figure, len(given.ways), across), given.ways, strict=True):
             axes.set_title(way.planner, fontsize=10.5)

@@ -43,7 +43,7 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Phase, Slots, run
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Belief, Sample
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
@@ -61,6 +61,11 @@ class FusedEngine:
         state: WorldState = jax.vmap(one)(worlds.control.vehicle, worlds)
         return state
 
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """See `Engine.lay_out`: nothing."""
+        del fleet, worlds
+        return ()
+
     def control_step(
         self,
         spec: SimSpec,
@@ -70,6 +75,7 @@ class FusedEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
+        laid: Laid = (),
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         scene = scene_of(fleet, worlds, rows)

@@ -28,7 +28,7 @@ from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 
 UNROLLED = 10
 """Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
@@ -56,6 +56,10 @@ class TritonEngine:
         """See `Engine.reset`."""
         return FusedEngine().reset(spec, fleet, worlds, policy)
 
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """See `Engine.lay_out`: constants in flat arrays."""
+        return Tile(fleet, worlds).arrays[:-1]
+
     def control_step(
         self,
         spec: SimSpec,
@@ -65,9 +69,10 @@ class TritonEngine:
         command: Command | None,
         policy: Policy | None = None,
         rows: jax.Array | None = None,
+        laid: Laid = (),
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy, rows)
+        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy, rows, laid)
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
     def segment(
@@ -108,6 +113,7 @@ class TritonEngine:
         command: Command | None,
         policy: Policy | None,
         rows: jax.Array | None = None,
+        laid: Laid = (),
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
         count = state.step.shape[0]
@@ -125,7 +131,7 @@ class TritonEngine:
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies)
-        tile = Tile(fleet, flying if rows is None else worlds, rows)
+        tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         ahead = 1 if watched else min(AHEAD, n_sample * steps_per_sample)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also

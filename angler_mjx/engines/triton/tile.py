@@ -16,7 +16,7 @@ from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.bank import Bank
 from angler_mjx.sim.fleet import Fleet, Group
-from angler_mjx.sim.state import World
+from angler_mjx.sim.state import Laid, World
 from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles.types import bounding_radius
 
@@ -71,13 +71,16 @@ class Tile:
         arrays: what kernels are given: see ``read_*`` for what is in them.
     """
 
-    def __init__(self, fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> None:
+    def __init__(
+        self, fleet: Fleet, worlds: World, rows: jax.Array | None = None, laid: Laid = ()
+    ) -> None:
         """Pack a tile.
 
         Args:
             fleet: of the worlds.
             worlds: [B] of which there are constants.
             rows: int32 [W] which of them fly; all, in order, if left out.
+            laid: ``arrays`` but for the last, of the same fleet and worlds, where they are there.
         """
         environment = worlds.environment
         self.dtype = environment.start_m.dtype
@@ -117,7 +120,8 @@ class Tile:
         reach = jnp.where(given.exists, radius, -jnp.inf)
         self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
         which = jnp.zeros(1, jnp.int32) if rows is None else rows
-        self.arrays = bank, robot, water, body, neighbours.reshape(-1), which
+        laid = laid or (bank, robot, water, body, neighbours.reshape(-1))
+        self.arrays = (*laid, which)
 
     def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
