@@ -41,6 +41,8 @@ class OneWorld:
     """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
     given: Command | None = None
     """Instead of the paths."""
+    finished: jax.Array | None = None
+    """See `phase.Here`."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @property
@@ -64,6 +66,11 @@ class OneWorld:
     def goal_m(self) -> jax.Array:
         """See `phase.Here`."""
         return self.world.environment.goal_m
+
+    @property
+    def fails_at_s(self) -> jax.Array | None:
+        """See `phase.Here`."""
+        return self.world.fails_at_s
 
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
@@ -173,6 +180,7 @@ def control_step(
         t=t,
         engine=engine,
         given=told.command if command is None else command,
+        finished=told.finished,
     )
     slots = {
         "vehicle": state.vehicles,
@@ -259,7 +267,7 @@ class MjxEngine:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        one = partial(control_step, spec, policy=policy, number=_number(state, policy))
+        one = partial(control_step, spec, policy=policy, number=_number(spec, state, policy))
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
@@ -280,7 +288,9 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
+        fly: Any = partial(
+            segment, spec, policy=policy, number=_number(spec, state, policy), **count
+        )
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return fly(_multibody(spec, fleet, worlds), world, state, command=command)
@@ -290,9 +300,9 @@ class MjxEngine:
         return after, nearness.all_completed(spec, worlds, samples)
 
 
-def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:
-    """Control steps that all worlds have taken, where a policy wants to know."""
-    return None if policy is None else state.step[0]
+def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
+    """Control steps that all worlds have taken, where a policy or a task wants to know."""
+    return None if policy is None and not spec.by_task else state.step[0]
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:

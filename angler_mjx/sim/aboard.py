@@ -5,7 +5,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -158,8 +158,20 @@ class Told:
     """Of their own motion."""
     command: Any = None
     """By a policy."""
+    finished: jax.Array | None = None
+    """bool [R] whose part of the task is done; None where each robot has a goal of its own."""
+    loaded: jax.Array | None = None
+    """bool [R] who carries a load; None where there are none."""
     record: dict[str, Any] = field(default_factory=dict)
     """Of the phases of worlds."""
+
+    def given(self) -> dict[str, Any]:
+        """What there is of it for the phases of robots, by the names of their slots."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name != "record" and getattr(self, field.name) is not None
+        }
 
 
 @jax.tree_util.register_dataclass
@@ -169,11 +181,12 @@ class Minds:
 
     senses: Any
     policy: Any
+    task: Any
 
     @classmethod
     def of(cls, state: WorldState) -> "Minds":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy)
+        return cls(senses=state.senses, policy=state.policy, task=state.task)
 
 
 def asked(policy: Policy | None, command: Any) -> Policy | None:
@@ -183,7 +196,7 @@ def asked(policy: Policy | None, command: Any) -> Policy | None:
 
 def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
-    return bool(spec.instrumented) or policy is not None
+    return bool(spec.instrumented) or policy is not None or spec.by_task
 
 
 def watches(policy: Policy | None) -> bool:
@@ -221,7 +234,14 @@ def tell(
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
-    return after, Told(known=now.get("known"), command=now.get("command"), record=record)
+    told = Told(
+        known=now.get("known"),
+        command=now.get("command"),
+        finished=now.get("finished"),
+        loaded=now.get("loaded"),
+        record=record,
+    )
+    return after, told
 
 
 def tell_tile(

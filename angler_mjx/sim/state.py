@@ -33,6 +33,7 @@ class Outcome(IntEnum):
     OUT_OF_BOUNDS = 5
     TIMEOUT = 6
     DIVERGED = 7
+    FAILED = 8
 
 
 class Touched(IntEnum):
@@ -79,6 +80,13 @@ class SimSpec:
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
+    task: Any = None
+    """What the robots of a world have to do; None where each has a goal of its own."""
+
+    @property
+    def by_task(self) -> bool:
+        """Whether a phase of the worlds says who has finished, not how near a goal is."""
+        return self.task is not None
 
     @property
     def control_dt_s(self) -> float:
@@ -125,6 +133,8 @@ class World:
     """uint32 [2] key of the world's policy; None where the simulator has none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
+    fails_at_s: jax.Array | None = None
+    """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
 
     @property
     def planned(self) -> jax.Array:
@@ -182,3 +192,5 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
+    task: Any = None
+    """Of the task, where there is one."""
