@@ -17,6 +17,7 @@ from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+from angler_mjx.world.routes import Routes
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -125,6 +126,8 @@ class World:
     """uint32 [2] key of the world's policy; None where the simulator has none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
+    routes: Routes | None = None
+    """Ways to the robots' goals; None where no policy asks for them."""
 
     @property
     def planned(self) -> jax.Array:
