@@ -66,8 +66,16 @@ class Aboard:
             goal_m=self.world.environment.goal_m,
             path=self.world.path,
             params=self.world.control,
+            routes=self.world.routes,
+            place=self._place(),
             **self._scenery(),
         )
+
+    def _place(self) -> jax.Array | None:
+        """Which place of the routes each robot is to go to: its goal."""
+        if self.world.routes is None:
+            return None
+        return jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
 
     def _scenery(self) -> dict[str, Any]:
         """What a policy that asks for it is told of the world about the robots."""

@@ -17,6 +17,7 @@ from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+from angler_mjx.world.routes import Routes
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -135,6 +136,8 @@ class World:
     """None where current and noise are as the files say."""
     fails_at_s: jax.Array | None = None
     """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
+    routes: Routes | None = None
+    """Ways to the robots' goals; None where no policy asks for them."""
 
     @property
     def planned(self) -> jax.Array:
