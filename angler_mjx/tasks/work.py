@@ -204,6 +204,14 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     return replace(state, knows=state.knows | known)
 
 
+def counted(spec: TaskSpec, state: TaskState) -> jax.Array:
+    """Jobs that each robot did, int32 [R]; where a tour is not shared, places that it visited."""
+    if not spec.shared:
+        return jnp.sum(bits.unpack(state.knows, spec.jobs), axis=1, dtype=jnp.int32)
+    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
+    return jnp.sum(mine, axis=1, dtype=jnp.int32)
+
+
 def _sent(
     spec: TaskSpec,
     task: TaskWorld,
