@@ -197,7 +197,7 @@ class Scenario(FileModel):
                 f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
                 "one of them"
             )
-        check_flyable(self.policy.mppi, self.time, self.controller, self.fleet)
+        check_flyable(self.policy, self.time, self.controller, self.fleet)
         return self
 
     @model_validator(mode="after")
