@@ -87,6 +87,13 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _policy_of_task(self) -> Self:
+        """Who flies from place to place, where the file does not say."""
+        if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
+            self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
+        return self
+
+    @model_validator(mode="after")
     def _kernels_of_engine(self) -> Self:
         if self.engine == "mjx" and self.kernels == "triton":
             raise ValueError('kernels = "triton": the mjx engine has none; use engine = "fused"')
@@ -202,7 +209,7 @@ class Scenario(FileModel):
 
     @model_validator(mode="after")
     def _task_can_be_done(self) -> Self:
-        check_flown(self.task, online=self.online)
+        check_flown(self.task, self.policy, online=self.online)
         self.task_spec()
         return self
 

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import FARTHEST_M, Place
+from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, whole
 from angler_mjx.tasks import allocation, sight
 from angler_mjx.tasks.drawing import WHOLE, Places
@@ -250,13 +251,20 @@ def _check_footprint(task: SurveyTask, spec: SurveySpec, cell_m: float) -> None:
         )
 
 
-def check_flown(task: TaskConfig, *, online: bool) -> None:
-    """Refuse what flies plans that lead to one goal.
+def check_flown(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None:
+    """Refuse what flies to one goal alone.
 
     Raises:
         ValueError: naming the keys.
     """
-    if online and not isinstance(task, GoalTask):
+    if isinstance(task, GoalTask):
+        return
+    if policy.name == "mppi":
+        raise ValueError(
+            f"task.type = {task.type!r}: its robots have one place after another to go to, and "
+            'policy.name = "mppi" makes its map for one goal; leave it out, or take "routes"'
+        )
+    if online:
         raise ValueError(
             f"task.type = {task.type!r}: its robots have one place after another to go to, and "
             "planner.replan_hz and execution.order look after plans to one goal; leave them out"
