@@ -22,9 +22,9 @@ from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief, Progress
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.tasks import work as tasks
-from angler_mjx.tasks.spec import TaskSpec, TaskState
+from angler_mjx.tasks.spec import TaskState
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.tasks.work import Scene, counted
+from angler_mjx.tasks.work import Scene
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -183,17 +183,17 @@ def work(here: Aboard, now: Slots) -> Done:
             "finished": state.finished,
             "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
         },
-        record=lambda: {"task": record_task(state, spec)},
+        record=lambda: {"task": record_task(state)},
     )
 
 
-def record_task(state: TaskState, spec: TaskSpec) -> Progress:
+def record_task(state: TaskState) -> Progress:
     """What is recorded of `work`."""
     return Progress(
         share=state.progress,
         target=state.target,
         carrying=state.carrying,
-        done=counted(spec, state),
+        done=state.did,
     )
 
 
