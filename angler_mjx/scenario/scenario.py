@@ -16,6 +16,7 @@ from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
@@ -79,6 +80,7 @@ class Scenario(FileModel):
     randomise: RandomiseConfig = RandomiseConfig()
     task: TaskConfig = GoalTask()
     """What the robots of a world have to do; see `docs/tasks.md`."""
+    breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
@@ -150,6 +152,11 @@ class Scenario(FileModel):
                 )
             except ConfigError as error:
                 raise ValueError(f"fleet[{i}]: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _breaks_down_in_time(self) -> Self:
+        check_breakdowns(self.breakdowns, self.time)
         return self
 
     @model_validator(mode="after")

@@ -5,7 +5,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import knowledge, senses
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
@@ -54,6 +55,8 @@ class Aboard:
     """Now; None where no policy asks for them."""
     outcome: jax.Array | None = None
     """int32 [R] of the robots so far; None where there is no task."""
+    fleet: Fleet | None = None
+    """None where robots carry nothing."""
 
     @property
     def t(self) -> jax.Array:
@@ -201,11 +204,12 @@ def choose(here: Aboard, now: Slots) -> Done:
     """A policy commands the robots of a world."""
     if here.policy is None:
         return Done(slots=nothing)
+    world = carrying(here.fleet, here.world, now.get("loaded"))
     memory, command = policies.step(
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: here.known(now.get("known"), now.get("sent")),
+        lambda: replace(here, world=world).known(now.get("known"), now.get("sent")),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
@@ -295,6 +299,8 @@ def tell(
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
     outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -307,6 +313,7 @@ def tell(
         vehicles: now, [R] leading.
         obstacles: now, [n] leading, where a policy asks (`watches`).
         outcome: int32 [R] of the robots so far, where there is a task.
+        fleet: whose robots may carry loads; if left out they do not.
     """
     here = Aboard(
         spec=spec,
@@ -316,6 +323,7 @@ def tell(
         vehicles=vehicles,
         obstacles=obstacles,
         outcome=outcome,
+        fleet=fleet,
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
@@ -323,7 +331,7 @@ def tell(
         known=now.get("known"),
         command=now.get("command"),
         finished=now.get("finished"),
-        loaded=now.get("loaded"),
+        loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
         record=record,
     )
     return after, told
@@ -338,9 +346,11 @@ def tell_tile(
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
     outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(tell, spec, policy)
+    one = partial(tell, spec, policy, fleet=fleet)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
     after: tuple[Minds, Told] = jax.vmap(one, axes)(
         worlds, minds, number, vehicles, obstacles, outcome
