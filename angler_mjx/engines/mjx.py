@@ -174,7 +174,15 @@ def control_step(
     if aboard.tells(spec, policy):
         count = state.step if number is None else number
         minds, told = aboard.tell(
-            spec, policy, world, minds, count, state.vehicles, state.obstacles, fleet=fleet
+            spec,
+            policy,
+            world,
+            minds,
+            count,
+            state.vehicles,
+            state.obstacles,
+            state.tally.outcome,
+            fleet=fleet,
         )
     here = OneWorld(
         spec=spec,

@@ -15,8 +15,10 @@ from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
+from angler_mjx.tasks.spec import TaskSpec, TaskState, TaskWorld
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+from angler_mjx.world.routes import Routes
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -80,7 +82,7 @@ class SimSpec:
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
-    task: Any = None
+    task: TaskSpec | None = None
     """What the robots of a world have to do; None where each has a goal of its own."""
 
     @property
@@ -135,6 +137,11 @@ class World:
     """None where current and noise are as the files say."""
     fails_at_s: jax.Array | None = None
     """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
+    routes: Routes | None = None
+    """Ways to the robots' goals, or to the places of the task; None where no policy asks for
+    them."""
+    task: TaskWorld | None = None
+    """None where each robot has a goal of its own."""
 
     @property
     def planned(self) -> jax.Array:
@@ -192,5 +199,5 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
-    task: Any = None
+    task: TaskState | None = None
     """Of the task, where there is one."""
