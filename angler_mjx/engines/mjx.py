@@ -259,7 +259,7 @@ class MjxEngine:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        one = partial(control_step, spec, policy=policy, number=_number(state, policy))
+        one = partial(control_step, spec, policy=policy, number=_number(spec, state, policy))
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
@@ -280,7 +280,9 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
+        fly: Any = partial(
+            segment, spec, policy=policy, number=_number(spec, state, policy), **count
+        )
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return fly(_multibody(spec, fleet, worlds), world, state, command=command)
@@ -290,9 +292,9 @@ class MjxEngine:
         return after, nearness.all_completed(spec, worlds, samples)
 
 
-def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:
-    """Control steps that all worlds have taken, where a policy wants to know."""
-    return None if policy is None else state.step[0]
+def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
+    """Control steps that all worlds have taken, where a policy or acoustics want to know."""
+    return None if policy is None and spec.acoustics is None else state.step[0]
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:

@@ -10,6 +10,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from angler_mjx.acoustics.channel import Channel
+from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
@@ -73,6 +75,7 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+    acoustics: AcousticsConfig = AcousticsConfig()
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
 
@@ -184,6 +187,14 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _talks(self) -> Self:
+        try:
+            self.channel()
+        except ValueError as error:
+            raise ValueError(f"acoustics.{error}") from error
+        return self
+
+    @model_validator(mode="after")
     def _flies_by_policy(self) -> Self:
         if self.policy.name == "none":
             return self
@@ -210,6 +221,15 @@ class Scenario(FileModel):
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
         return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
+
+    def channel(self) -> Channel | None:
+        """That robots talk by; None where everybody knows everything."""
+        return self.acoustics.channel(
+            sum(entry.count for entry in self.fleet),
+            resolve(self.world).size_m,
+            self.time.control_dt_s,
+            self.time.horizon_s,
+        )
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
@@ -250,6 +270,7 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
             also=self.store.also,
+            acoustics=self.channel(),
         )
 
 

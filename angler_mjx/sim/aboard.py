@@ -12,7 +12,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from angler_kernels import quaternion
+from angler_mjx.acoustics import channel
+from angler_mjx.acoustics.channel import Now, Others, Said
 from angler_mjx.control import stack
+from angler_mjx.errors import ConfigError
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import knowledge, senses
 from angler_mjx.sim import policy as policies
@@ -54,11 +58,12 @@ class Aboard:
         )
         return flow
 
-    def known(self, belief: Belief | None) -> Known:
+    def known(self, belief: Belief | None, others: Others | None = None) -> Known:
         """What the robots know, for a policy.
 
         Args:
             belief: what they are told of their motion; None for the truth.
+            others: what they have heard of each other; None where everybody knows everything.
         """
         return Known(
             belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
@@ -66,6 +71,7 @@ class Aboard:
             goal_m=self.world.environment.goal_m,
             path=self.world.path,
             params=self.world.control,
+            others=others,
             **self._scenery(),
         )
 
@@ -126,6 +132,57 @@ def sense(here: Aboard, now: Slots) -> Done:
     )
 
 
+def hear(here: Aboard, now: Slots) -> Done:
+    """Robots understand packets of others, and send theirs."""
+    shared, memory = here.spec.acoustics, now["radio"]
+    if shared is None:
+        return Done(slots=nothing)
+    belief = now.get("known")
+
+    def says() -> Said:
+        told = here.vehicles if belief is None else belief
+        return Said(
+            p_m=told.p,
+            v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
+            time_s=jnp.full(told.p.shape[0], here.t),
+            words=words(here.policy, now["policy"], memory.air.said.words),
+        )
+
+    step = Now(
+        key=jax.random.fold_in(_radio_key(here.world), here.number),
+        number=here.number,
+        p_m=here.vehicles.p,
+        grid=here.world.environment.grid,
+        says=says,
+        kept=lambda said: said["policy"],
+    )
+    after, came = channel.step(shared, memory, step)
+    return Done(slots=lambda: {"radio": after, "heard": came})
+
+
+def _radio_key(world: World) -> jax.Array:
+    if world.radio_key is None:
+        raise ConfigError(
+            "acoustics: the worlds were drawn without keys for it; draw them by a scenario with "
+            "the same table"
+        )
+    key: jax.Array = jax.random.wrap_key_data(world.radio_key)
+    return key
+
+
+def words(policy: Policy | None, memory: Any, before: Any = None) -> dict[str, Any]:
+    """What robots say in a packet beside where they are, [R] leading, by who says it.
+
+    Args:
+        policy: that commands them, if one does.
+        memory: of the policy.
+        before: what they said last; the same again where a command stands in for the policy.
+    """
+    if policy is None:
+        return before or {"policy": None}
+    return {"policy": policy.says(memory.carry)}
+
+
 def choose(here: Aboard, now: Slots) -> Done:
     """A policy commands the robots of a world."""
     if here.policy is None:
@@ -134,18 +191,33 @@ def choose(here: Aboard, now: Slots) -> Done:
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: here.known(now.get("known")),
+        lambda: here.known(now.get("known"), _others(now)),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
 
 
+def _others(now: Slots) -> Others | None:
+    return None if now["radio"] is None else now["radio"].heard
+
+
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
+HEAR = Phase(
+    name="hear",
+    of="world",
+    run=hear,
+    reads=("radio", "known", "policy"),
+    gives=("radio", "heard"),
+)
 POLICY = Phase(
-    name="policy", of="world", run=choose, reads=("policy", "known"), gives=("policy", "command")
+    name="policy",
+    of="world",
+    run=choose,
+    reads=("policy", "known", "radio"),
+    gives=("policy", "command"),
 )
 
-PHASES = (SENSE, POLICY)
+PHASES = (SENSE, HEAR, POLICY)
 """In order."""
 
 
@@ -169,11 +241,12 @@ class Minds:
 
     senses: Any
     policy: Any
+    radio: Any = None
 
     @classmethod
     def of(cls, state: WorldState) -> "Minds":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy)
+        return cls(senses=state.senses, policy=state.policy, radio=state.radio)
 
 
 def asked(policy: Policy | None, command: Any) -> Policy | None:
@@ -183,7 +256,7 @@ def asked(policy: Policy | None, command: Any) -> Policy | None:
 
 def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
-    return bool(spec.instrumented) or policy is not None
+    return bool(spec.instrumented) or policy is not None or spec.acoustics is not None
 
 
 def watches(policy: Policy | None) -> bool:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx.acoustics import channel
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody
 from angler_mjx.sim import aboard, robot, senses
@@ -67,7 +68,13 @@ def reset(
         step=jnp.zeros((), jnp.int32),
         senses=senses.reset(spec, world, vehicles),
     )
-    return state if policy is None else _commanded(spec, world, state, policy)
+    if policy is not None:
+        state = _commanded(spec, world, state, policy)
+    if spec.acoustics is None:
+        return state
+    words = aboard.words(policy, state.policy)
+    radio = channel.begin(spec.acoustics, environment.start_m, words, words["policy"])
+    return replace(state, radio=radio)
 
 
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
@@ -81,5 +88,6 @@ def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -
         obstacles=state.obstacles,
     )
     belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
-    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief))
+    others = None if spec.acoustics is None else channel.unheard(world.environment.start_m)
+    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief, others))
     return replace(state, policy=memory)

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import jax
 
+from angler_mjx.acoustics.channel import Channel, Radio
 from angler_mjx.control import plans, stages
 from angler_mjx.control.measurements import NavigationCarry
 from angler_mjx.control.navigation import NavigationParams
@@ -79,6 +80,8 @@ class SimSpec:
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
+    acoustics: Channel | None = None
+    """That robots talk by; None: everybody knows everything at once."""
 
     @property
     def control_dt_s(self) -> float:
@@ -123,6 +126,8 @@ class World:
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
     """uint32 [2] key of the world's policy; None where the simulator has none."""
+    radio_key: jax.Array | None = None
+    """uint32 [2] key of the channel that its robots share; None where they share none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
 
@@ -182,3 +187,5 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
+    radio: Radio | None = None
+    """Of the channel that the robots share, if they share one."""

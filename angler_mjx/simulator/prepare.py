@@ -39,6 +39,9 @@ H200 a quarter more worlds a second are made 16,384 at once than 4,096."""
 PLANNING = 0x504C414E
 """Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
 
+RADIO = 0x52414449
+"""Likewise for the channel that a world's robots share."""
+
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
 
@@ -233,6 +236,9 @@ def _one_world(
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
         policy_key=jax.random.key_data(of_policy) if policy else None,
+        radio_key=None
+        if scenario.acoustics.model == "perfect"
+        else jax.random.key_data(jax.random.fold_in(key, RADIO)),
         factors=factors,
     )
 
