@@ -186,9 +186,7 @@ def step(channel: Channel, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
     return _by_chance(channel, channel.access, memory, now)
 
 
-def _in_turn(
-    channel: Channel, access: Tdma, memory: Radio, now: Now
-) -> tuple[Radio, jax.Array]:
+def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
     """One packet is on its way at a time: all that is looked at is of its sender."""
     robots = now.p_m.shape[0]
     last = _Columns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
@@ -204,9 +202,7 @@ def _in_turn(
     return replace(memory, air=air), everybody
 
 
-def _by_chance(
-    channel: Channel, access: Aloha, memory: Radio, now: Now
-) -> tuple[Radio, jax.Array]:
+def _by_chance(channel: Channel, access: Aloha, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
     """Anybody may send, now and then."""
     robots, dtype = now.p_m.shape[0], now.p_m.dtype
     everybody = _Columns(first=None, count=robots)
@@ -257,17 +253,19 @@ class _Columns:
 
     def of(self, tree: Any, axis: int) -> Any:
         """Their part of arrays with senders along an axis."""
-        if self.first is None:
+        first = self.first
+        if first is None:
             return tree
         cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=1, axis=axis)
-        return jax.tree.map(lambda leaf: cut(leaf, self.first), tree)
+        return jax.tree.map(lambda leaf: cut(leaf, first), tree)
 
     def put(self, tree: Any, part: Any, axis: int) -> Any:
         """The arrays with another such part."""
-        if self.first is None:
+        first = self.first
+        if first is None:
             return part
         put = partial(jax.lax.dynamic_update_slice_in_dim, axis=axis)
-        return jax.tree.map(lambda leaf, new: put(leaf, new, self.first), tree, part)
+        return jax.tree.map(lambda leaf, new: put(leaf, new, first), tree, part)
 
 
 def _delivered(
@@ -279,9 +277,7 @@ def _delivered(
     came = passes & (arrive + channel.packet_s <= now.time_s(channel))
     said: Said = senders.of(replace(air.said, words=now.kept(air.said.words)), 0)
     old = senders.of(memory.heard, 1)
-    new = Others(
-        p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words
-    )
+    new = Others(p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words)
 
     def put(new: jax.Array, old: jax.Array) -> jax.Array:
         took = came.reshape(robots, senders.count, *(1,) * (old.ndim - 2))

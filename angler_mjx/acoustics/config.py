@@ -17,7 +17,7 @@ LEAST_SUCCESS = 1e-3
 
 
 class AcousticsConfig(FileModel):
-    """How robots tell each other where they are and what they have done; see `docs/acoustics.md`."""
+    """How robots tell each other where they are and how far they are; see `docs/acoustics.md`."""
 
     model: Literal["perfect", "range", "budget"] = "perfect"
     """perfect: everybody knows everything at once. range: packets are heard within `range_m`.
@@ -160,9 +160,7 @@ class AcousticsConfig(FileModel):
             fading=self.fading,
         )
 
-    def _access(
-        self, robots: int, packet_s: float, across_s: float, control_dt_s: float
-    ) -> Access:
+    def _access(self, robots: int, packet_s: float, across_s: float, control_dt_s: float) -> Access:
         if self.guard_s is not None and self.guard_s < across_s:
             raise ValueError(
                 f"guard_s = {self.guard_s:g}: sound takes {across_s:.3g} s across the region, so "
@@ -186,6 +184,6 @@ class AcousticsConfig(FileModel):
             return f"range_m = {link.range_m:g}: no robot is so near to another; give more"
         return (
             f"source_level_db = {self.source_level_db:g}: {link.snr_db:.3g} dB over the noise at "
-            f"1 m, so that of packets of {self.bits} bits not one in a thousand gets through; raise "
+            f"1 m, so that not one in a thousand packets of {self.bits} bits gets through; raise "
             "it, or take fewer bits or less noise"
         )

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -42,5 +41,6 @@ def rock_between_m(grid: Grid, a_m: jax.Array, b_m: jax.Array) -> jax.Array:
     cell = jnp.floor((way - grid.origin_m) / grid.cell_m).astype(jnp.int32)
     inside = jnp.all((cell >= 0) & (cell < jnp.array(shape)), axis=-1)
     x, y, z = jnp.moveaxis(jnp.clip(cell, 0, jnp.array(shape) - 1), -1, 0)
-    length: Any = jnp.sqrt(jnp.sum((b_m - a_m) ** 2))
-    return length * jnp.mean(inside & grid.occupied[x, y, z], dtype=length.dtype)
+    rock = inside & grid.occupied[x, y, z]
+    length = jnp.sqrt(jnp.sum((b_m - a_m) ** 2))
+    return length * jnp.mean(rock, dtype=length.dtype)

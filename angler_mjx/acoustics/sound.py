@@ -26,8 +26,8 @@ def speed_mps(temperature_c: float, salinity_ppt: float, depth_m: float) -> floa
 def thorp_db_per_km(frequency_khz: float) -> float:
     """Absorption in sea water of 4 degrees at 1 km, dB/km.
 
-    Thorp, Analytic description of the low-frequency attenuation coefficient, J. Acoust. Soc. Am. 42,
-    1967, in the form for dB/km of Stojanovic, 2007, eq. 3: good from some hundred Hz to 50 kHz.
+    Thorp, Analytic description of the low-frequency attenuation coefficient, J. Acoust. Soc. Am.
+    42, 1967, in the form for dB/km of Stojanovic, 2007, eq. 3: from some hundred Hz to 50 kHz.
     """
     f2 = frequency_khz**2
     return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
@@ -44,11 +44,11 @@ def francois_garrison_db_per_km(
     f, t, s, z = frequency_khz, temperature_c, salinity_ppt, depth_m
     kelvin = 273.0 + t
     c = 1412.0 + 3.21 * t + 1.19 * s + 0.0167 * z
-    boric = 8.86 / c * 10.0 ** (0.78 * ph - 5.0)
-    f1 = 2.8 * math.sqrt(s / 35.0) * 10.0 ** (4.0 - 1245.0 / kelvin)
+    boric = 8.86 / c * math.pow(10.0, 0.78 * ph - 5.0)
+    f1 = 2.8 * math.sqrt(s / 35.0) * math.pow(10.0, 4.0 - 1245.0 / kelvin)
     sulphate = 21.44 * s / c * (1.0 + 0.025 * t)
     sulphate *= 1.0 - 1.37e-4 * z + 6.2e-9 * z**2
-    f2 = 8.17 * 10.0 ** (8.0 - 1990.0 / kelvin) / (1.0 + 0.0018 * (s - 35.0))
+    f2 = 8.17 * math.pow(10.0, 8.0 - 1990.0 / kelvin) / (1.0 + 0.0018 * (s - 35.0))
     if t <= 20.0:
         water = 4.937e-4 - 2.59e-5 * t + 9.11e-7 * t**2 - 1.50e-8 * t**3
     else:
@@ -103,4 +103,4 @@ def ambient_db(frequency_khz: float, shipping: float, wind_mps: float) -> float:
 
 def added_db(*levels_db: float) -> float:
     """Level of the sum of powers, dB."""
-    return 10.0 * math.log10(sum(10.0 ** (0.1 * level) for level in levels_db))
+    return 10.0 * math.log10(sum(math.pow(10.0, 0.1 * level) for level in levels_db))

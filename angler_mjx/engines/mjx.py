@@ -41,6 +41,8 @@ class OneWorld:
     """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
     given: Command | None = None
     """Instead of the paths."""
+    finished: jax.Array | None = None
+    """See `phase.Here`."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @property
@@ -64,6 +66,11 @@ class OneWorld:
     def goal_m(self) -> jax.Array:
         """See `phase.Here`."""
         return self.world.environment.goal_m
+
+    @property
+    def fails_at_s(self) -> jax.Array | None:
+        """See `phase.Here`."""
+        return self.world.fails_at_s
 
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
@@ -173,6 +180,7 @@ def control_step(
         t=t,
         engine=engine,
         given=told.command if command is None else command,
+        finished=told.finished,
     )
     slots = {
         "vehicle": state.vehicles,
@@ -293,8 +301,9 @@ class MjxEngine:
 
 
 def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
-    """Control steps that all worlds have taken, where a policy or acoustics want to know."""
-    return None if policy is None and spec.acoustics is None else state.step[0]
+    """Control steps that all worlds have taken, where a policy, task or acoustics want to know."""
+    wanted = policy is not None or spec.by_task or spec.acoustics is not None
+    return state.step[0] if wanted else None
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:

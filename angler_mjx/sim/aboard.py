@@ -5,7 +5,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
 
@@ -72,8 +72,16 @@ class Aboard:
             path=self.world.path,
             params=self.world.control,
             others=others,
+            routes=self.world.routes,
+            place=self._place(),
             **self._scenery(),
         )
+
+    def _place(self) -> jax.Array | None:
+        """Which place of the routes each robot is to go to: its goal."""
+        if self.world.routes is None:
+            return None
+        return jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
 
     def _scenery(self) -> dict[str, Any]:
         """What a policy that asks for it is told of the world about the robots."""
@@ -155,6 +163,7 @@ def hear(here: Aboard, now: Slots) -> Done:
         grid=here.world.environment.grid,
         says=says,
         kept=lambda said: said["policy"],
+        silent=None if here.world.fails_at_s is None else here.t >= here.world.fails_at_s,
     )
     after, came = channel.step(shared, memory, step)
     return Done(slots=lambda: {"radio": after, "heard": came})
@@ -230,8 +239,20 @@ class Told:
     """Of their own motion."""
     command: Any = None
     """By a policy."""
+    finished: jax.Array | None = None
+    """bool [R] whose part of the task is done; None where each robot has a goal of its own."""
+    loaded: jax.Array | None = None
+    """bool [R] who carries a load; None where there are none."""
     record: dict[str, Any] = field(default_factory=dict)
     """Of the phases of worlds."""
+
+    def given(self) -> dict[str, Any]:
+        """What there is of it for the phases of robots, by the names of their slots."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name != "record" and getattr(self, field.name) is not None
+        }
 
 
 @jax.tree_util.register_dataclass
@@ -241,12 +262,13 @@ class Minds:
 
     senses: Any
     policy: Any
-    radio: Any = None
+    task: Any
+    radio: Any
 
     @classmethod
     def of(cls, state: WorldState) -> "Minds":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy, radio=state.radio)
+        return cls(senses=state.senses, policy=state.policy, task=state.task, radio=state.radio)
 
 
 def asked(policy: Policy | None, command: Any) -> Policy | None:
@@ -256,7 +278,8 @@ def asked(policy: Policy | None, command: Any) -> Policy | None:
 
 def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
-    return bool(spec.instrumented) or policy is not None or spec.acoustics is not None
+    wanted = policy is not None or spec.by_task or spec.acoustics is not None
+    return bool(spec.instrumented) or wanted
 
 
 def watches(policy: Policy | None) -> bool:
@@ -294,7 +317,14 @@ def tell(
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
-    return after, Told(known=now.get("known"), command=now.get("command"), record=record)
+    told = Told(
+        known=now.get("known"),
+        command=now.get("command"),
+        finished=now.get("finished"),
+        loaded=now.get("loaded"),
+        record=record,
+    )
+    return after, told
 
 
 def tell_tile(

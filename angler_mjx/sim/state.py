@@ -18,6 +18,7 @@ from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+from angler_mjx.world.routes import Routes
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -34,6 +35,7 @@ class Outcome(IntEnum):
     OUT_OF_BOUNDS = 5
     TIMEOUT = 6
     DIVERGED = 7
+    FAILED = 8
 
 
 class Touched(IntEnum):
@@ -82,6 +84,13 @@ class SimSpec:
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
     acoustics: Channel | None = None
     """That robots talk by; None: everybody knows everything at once."""
+    task: Any = None
+    """What the robots of a world have to do; None where each has a goal of its own."""
+
+    @property
+    def by_task(self) -> bool:
+        """Whether a phase of the worlds says who has finished, not how near a goal is."""
+        return self.task is not None
 
     @property
     def control_dt_s(self) -> float:
@@ -130,6 +139,10 @@ class World:
     """uint32 [2] key of the channel that its robots share; None where they share none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
+    fails_at_s: jax.Array | None = None
+    """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
+    routes: Routes | None = None
+    """Ways to the robots' goals; None where no policy asks for them."""
 
     @property
     def planned(self) -> jax.Array:
@@ -189,3 +202,5 @@ class WorldState:
     """Of the policy, where there is one."""
     radio: Radio | None = None
     """Of the channel that the robots share, if they share one."""
+    task: Any = None
+    """Of the task, where there is one."""

@@ -13,6 +13,7 @@ import numpy as np
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.joint_trajectory import hold as hold_joints
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.control.trajectory import hold
 from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import ConfigError, shown
@@ -21,15 +22,19 @@ from angler_mjx.planning.asking import ask
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.planning.routes import fields as fields_of_routes
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.knowledge import Knows, obstacles
+from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import Factors, World
 from angler_mjx.simulator.on_device import GRID, device_planner, foresees, ways_config
 from angler_mjx.world import currents, generate
 from angler_mjx.world.config import WorldRecipe, resolve
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.routes import Routes
 
 AT_ONCE = {"gpu": 16384}
 AT_ONCE_ELSEWHERE = 4096
@@ -71,7 +76,7 @@ def preparer(
     tile: int,
     *,
     shape: PathShape,
-    policy: bool = False,
+    policy: Policy | None = None,
 ) -> Prepare:
     """The function that makes a tile of worlds.
 
@@ -81,7 +86,7 @@ def preparer(
             starts.
         tile: how many at once.
         shape: of the paths.
-        policy: whether a policy is to command them, which needs a key in each.
+        policy: that is to command them, which needs a key in each, and may ask for routes.
     """
     recipe = resolve(scenario.world)
     built_in = (
@@ -183,7 +188,7 @@ def _one_world(
     recipe: WorldRecipe,
     shape: PathShape,
     planner: WayConfig | None,
-    policy: bool,
+    policy: Policy | None,
     kinds: fleet.Fleet,
     seed: jax.Array,
     index: jax.Array,
@@ -235,12 +240,23 @@ def _one_world(
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
-        policy_key=jax.random.key_data(of_policy) if policy else None,
+        policy_key=None if policy is None else jax.random.key_data(of_policy),
         radio_key=None
         if scenario.acoustics.model == "perfect"
         else jax.random.key_data(jax.random.fold_in(key, RADIO)),
         factors=factors,
+        routes=_routes(policy, environment, control),
     )
+
+
+def _routes(
+    policy: Policy | None, environment: Environment, control: ControlParams
+) -> Routes | None:
+    """Ways to the goals, where a policy asks for them; the widest robot can go them."""
+    if policy is None or policy.routes_margin_m is None:
+        return None
+    clearance_m = jnp.max(control.vehicle.radius_m) + policy.routes_margin_m
+    return fields_of_routes.draw(environment, environment.goal_m, clearance_m)
 
 
 def _factors(given: RandomiseConfig, key: jax.Array, robots: int) -> Factors | None:

@@ -140,7 +140,7 @@ class Simulator:
             None if self._planners else self._spec_of_planner,
             self.tile,
             shape=self.paths,
-            policy=policy is not None,
+            policy=policy,
         )
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()

@@ -192,6 +192,8 @@ class OfGroup(Everywhere):
     given: Given
     said: Any = None
     """Instead of their paths."""
+    finished: Any = None
+    """See `phase.Here`."""
     met: Contact | None = None
     """The nearest thing to each robot of the group, when all have moved."""
 
@@ -211,6 +213,11 @@ class OfGroup(Everywhere):
     def goal_m(self) -> Any:
         """See `phase.Here`."""
         return self.given.goal_m
+
+    @property
+    def fails_at_s(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
         """See `phase.Here`."""
@@ -249,7 +256,12 @@ def _control_step(
     met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
     after, records = [], []
     for given, now in zip(scene.groups, groups, strict=True):
-        place = OfGroup(**where, given=given, met=lanes_of_group(met, given.group))
+        place = OfGroup(
+            **where,
+            given=given,
+            finished=to_lanes(of_group(told.finished, given.group), 2),
+            met=lanes_of_group(met, given.group),
+        )
         judged, record = lanes.shared(partial(_run, place, MEETING, now))
         after.append(Robots(**{name: judged[name] for name in KEPT}))
         records.append(record)

@@ -55,6 +55,7 @@ class Given:
     params: ControlParams
     path: Plan
     goal_m: Any
+    fails_at_s: Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -219,6 +220,7 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scen
             params=_params(fleet, group, worlds, rows),
             path=to_lanes(of_group(worlds.path, group), 2, rows),
             goal_m=to_lanes(of_group(environment.goal_m, group), 2, rows),
+            fails_at_s=to_lanes(of_group(worlds.fails_at_s, group), 2, rows),
         )
 
     obstacles = to_lanes(environment.obstacles, 2, rows)

@@ -169,11 +169,8 @@ def _tell(
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
         return kept.at[place].set(jnp.where(is_sample, new, kept[place]))
 
-    given = {"known": told.known, "command": told.command}
     packed = {
-        name: part.layouts[name].pack(tree, tile.dtype)
-        for name, tree in given.items()
-        if tree is not None
+        name: part.layouts[name].pack(tree, tile.dtype) for name, tree in told.given().items()
     }
     return replace(
         x,

@@ -137,6 +137,16 @@ class OfGroup(Program):
         """See `phase.Here`."""
         return self._constants.goal_m
 
+    @property
+    def finished(self) -> Any:
+        """See `phase.Here`."""
+        return self.slot("finished") if "finished" in self._places else None
+
+    @property
+    def fails_at_s(self) -> Any:
+        """See `phase.Here`."""
+        return self._constants.fails_at_s
+
     def contact(self, now: Slots) -> Contact:
         """See `phase.Here`."""
         tile, places = self._tile, self._places

@@ -30,6 +30,7 @@ class RobotConstants:
     path: Plan
     goal_m: Any
     cruise_speed_mps: Any
+    fails_at_s: Any
 
 
 @jax.tree_util.register_dataclass
@@ -100,6 +101,7 @@ class Tile:
                 path=worlds.path,
                 goal_m=environment.goal_m,
                 cruise_speed_mps=worlds.control.cruise_speed_mps,
+                fails_at_s=worlds.fails_at_s,
             ),
             2,
         )
