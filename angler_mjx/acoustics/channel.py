@@ -313,7 +313,7 @@ def _sent(
     rock_db = jnp.zeros_like(distance)
     if channel.rock is not None:
         loss = partial(channel.rock.loss_db, now.grid)
-        rock_db = jax.vmap(jax.vmap(loss, (0, None)), (None, 0), 1)(from_m, now.p_m)
+        rock_db = jax.vmap(jax.vmap(loss, (0, None)), (None, 0))(from_m, now.p_m)
     chance = channel.link.success(distance, rock_db)
     if isinstance(channel.link, Budget):
         luck = jax.random.uniform(now.key, chance.shape, chance.dtype)
