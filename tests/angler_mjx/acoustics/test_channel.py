@@ -264,7 +264,7 @@ def test_packets_that_come_in_together_are_lost_where_they_do():
     """Robots 0 and 1 send together; robot 2, far off, hears one after the other."""
     place = np.array([[0.0, 0.0, 0.0], [3000.0, 0.0, 0.0], [-3000.0, 0.0, 0.0]])
     always = access.Aloha(chance=200, probability=1.0, slotted=True, rests=1, look=5)
-    end, (came, _) = fly(shared(always), place, 190)
+    _, (came, _) = fly(shared(always), place, 190)
     # 0 reaches 2 after 2 s, when that sends no more; 1 reaches it after 4 s.
     assert came[0, :, 2, 0].sum() == 1
     assert came[0, :, 2, 1].sum() == 1
