@@ -39,6 +39,8 @@ class Channel:
     """Duration of a packet."""
     dt_s: float
     """Control period."""
+    lost_after_s: float = 60.0
+    """Who was not heard for so long is taken to be out."""
 
 
 @jax.tree_util.register_dataclass
@@ -74,7 +76,7 @@ class Others:
     known: jax.Array
     """bool [R, R] whether it was heard at all."""
     words: Any = None
-    """What else the policy of the sender said, [R, R] leading; None if it says nothing."""
+    """What else the sender said, [R, R] leading."""
 
     def place_m(self, time_s: jax.Array) -> jax.Array:
         """[R, R, 3] where they are at a time [] if they went straight on."""
@@ -108,14 +110,13 @@ class Radio:
     """int32 [R] packets that each understood."""
 
 
-def begin(channel: Channel, p_m: jax.Array, words: Any = None, kept: Any = None) -> Radio:
+def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> Radio:
     """Nothing said yet.
 
     Args:
         channel: that is shared.
         p_m: [R, 3] where the robots start, in W.
         words: what each would say beside, [R] leading.
-        kept: those of them that others remember.
     """
     n, zero = p_m.shape[0], jnp.zeros_like(p_m)
     nobody, none = jnp.zeros((n, n), bool), jnp.zeros(n, jnp.int32)
@@ -126,7 +127,7 @@ def begin(channel: Channel, p_m: jax.Array, words: Any = None, kept: Any = None)
         loud=None if isinstance(channel.access, Tdma) else nobody,
         sent=none,
     )
-    return Radio(air=air, heard=unheard(p_m, kept), caught=none)
+    return Radio(air=air, heard=unheard(p_m, words), caught=none)
 
 
 def unheard(p_m: jax.Array, words: Any = None) -> Others:
@@ -160,8 +161,6 @@ class Now:
     """Rock."""
     says: Callable[[], Said]
     """What robots say now, worked out where packets begin."""
-    kept: Callable[[Any], Any]
-    """Those of a packet's words that others remember."""
     silent: jax.Array | None = None
     """bool [R] who cannot send."""
 
@@ -275,7 +274,7 @@ def _delivered(
     air, robots = memory.air, memory.caught.shape[0]
     arrive, passes = senders.of((air.arrive_s, air.passes), 1)
     came = passes & (arrive + channel.packet_s <= now.time_s(channel))
-    said: Said = senders.of(replace(air.said, words=now.kept(air.said.words)), 0)
+    said: Said = senders.of(air.said, 0)
     old = senders.of(memory.heard, 1)
     new = Others(p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words)
 

@@ -35,6 +35,9 @@ class AcousticsConfig(FileModel):
     """Of a packet, all of it."""
     bit_rate_bps: float = Field(default=640.0, gt=0.0, le=1e6)
     """Of the modem."""
+    lost_after_s: float = Field(default=60.0, gt=0.0, le=86400.0)
+    """A robot that was not heard for so long is taken to have broken down, and others do its part
+    of a task."""
     sound_mps: float | None = Field(default=None, ge=1300.0, le=1700.0)
     """Speed of sound; by Mackenzie's equation if left out."""
     temperature_c: float = Field(default=10.0, ge=0.0, le=35.0)
@@ -121,6 +124,7 @@ class AcousticsConfig(FileModel):
             sound_mps=speed,
             packet_s=packet_s,
             dt_s=control_dt_s,
+            lost_after_s=self.lost_after_s,
         )
 
     def speed_mps(self) -> float:

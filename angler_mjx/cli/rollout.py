@@ -35,7 +35,7 @@ def rollout(
     replan_hz: float | None = None,
     knows: str | None = None,
     order: Literal["free", "kept"] | None = None,
-    policy: Literal["none", "mppi"] | None = None,
+    policy: Literal["none", "mppi", "routes"] | None = None,
     workers: int | None = None,
     plans: Path | None = None,
     figures: bool = True,

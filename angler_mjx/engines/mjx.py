@@ -173,7 +173,14 @@ def control_step(
     if aboard.tells(spec, policy):
         count = state.step if number is None else number
         minds, told = aboard.tell(
-            spec, policy, world, minds, count, state.vehicles, state.obstacles
+            spec,
+            policy,
+            world,
+            minds,
+            count,
+            state.vehicles,
+            state.obstacles,
+            state.tally.outcome,
         )
     here = OneWorld(
         spec=spec,

@@ -5,7 +5,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -23,10 +23,25 @@ from angler_mjx.sim import policy as policies
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
-from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.record import Belief, Progress
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
+from angler_mjx.tasks import work as tasks
+from angler_mjx.tasks.spec import TaskSpec, TaskState
+from angler_mjx.tasks.travel import Travel
+from angler_mjx.tasks.work import Scene, counted
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Sent:
+    """Where robots are to go, [R] leading."""
+
+    goal_m: jax.Array
+    """[R, 3] in W."""
+    place: jax.Array | None
+    """int32 [R] which place of the world's routes that is; -1: none, it stays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +56,8 @@ class Aboard:
     vehicles: VehicleState
     obstacles: ObstacleState | None = None
     """Now; None where no policy asks for them."""
+    outcome: jax.Array | None = None
+    """int32 [R] of the robots so far; None where there is no task."""
 
     @property
     def t(self) -> jax.Array:
@@ -58,30 +75,35 @@ class Aboard:
         )
         return flow
 
-    def known(self, belief: Belief | None, others: Others | None = None) -> Known:
+    def known(
+        self, belief: Belief | None, others: Others | None = None, sent: Sent | None = None
+    ) -> Known:
         """What the robots know, for a policy.
 
         Args:
             belief: what they are told of their motion; None for the truth.
             others: what they have heard of each other; None where everybody knows everything.
+            sent: where the task sends them; None where each has a goal of its own.
         """
+        to = self._goals() if sent is None else sent
         return Known(
             belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
-            goal_m=self.world.environment.goal_m,
+            goal_m=to.goal_m,
             path=self.world.path,
             params=self.world.control,
             others=others,
             routes=self.world.routes,
-            place=self._place(),
+            place=to.place,
             **self._scenery(),
         )
 
-    def _place(self) -> jax.Array | None:
-        """Which place of the routes each robot is to go to: its goal."""
-        if self.world.routes is None:
-            return None
-        return jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
+    def _goals(self) -> Sent:
+        """Each robot to its goal, which is its place of the routes too."""
+        place = None
+        if self.world.routes is not None:
+            place = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
+        return Sent(goal_m=self.world.environment.goal_m, place=place)
 
     def _scenery(self) -> dict[str, Any]:
         """What a policy that asks for it is told of the world about the robots."""
@@ -153,7 +175,7 @@ def hear(here: Aboard, now: Slots) -> Done:
             p_m=told.p,
             v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
             time_s=jnp.full(told.p.shape[0], here.t),
-            words=words(here.policy, now["policy"], memory.air.said.words),
+            words=words(here.policy, now["policy"], now["task"], memory.air.said.words),
         )
 
     step = Now(
@@ -162,7 +184,6 @@ def hear(here: Aboard, now: Slots) -> Done:
         p_m=here.vehicles.p,
         grid=here.world.environment.grid,
         says=says,
-        kept=lambda said: said["policy"],
         silent=None if here.world.fails_at_s is None else here.t >= here.world.fails_at_s,
     )
     after, came = channel.step(shared, memory, step)
@@ -179,17 +200,75 @@ def _radio_key(world: World) -> jax.Array:
     return key
 
 
-def words(policy: Policy | None, memory: Any, before: Any = None) -> dict[str, Any]:
+def words(
+    policy: Policy | None, memory: Any, task: TaskState | None, before: Any = None
+) -> dict[str, Any]:
     """What robots say in a packet beside where they are, [R] leading, by who says it.
 
     Args:
         policy: that commands them, if one does.
         memory: of the policy.
-        before: what they said last; the same again where a command stands in for the policy.
+        task: what they know of it, if there is one.
+        before: what they said last; the policy's again where a command stands in for it.
     """
-    if policy is None:
-        return before or {"policy": None}
-    return {"policy": policy.says(memory.carry)}
+    of_policy = before and before["policy"]
+    if policy is not None:
+        of_policy = policy.says(memory.carry)
+    return {"policy": of_policy, "task": None if task is None else task.knows}
+
+
+def work(here: Aboard, now: Slots) -> Done:
+    """The task: what was done of it, and where robots go next."""
+    spec, task = here.spec.task, here.world.task
+    if spec is None:
+        return Done(slots=nothing)
+    if here.outcome is None or task is None:
+        raise RuntimeError("an engine does not say how robots ended, or a world has no task")
+    known, outcome = now.get("known"), here.outcome
+    scene = Scene(
+        t=here.t,
+        p=here.vehicles.p,
+        q=here.vehicles.q,
+        running=outcome == Outcome.RUNNING,
+        believed_m=here.vehicles.p if known is None else known.p,
+        grid=here.world.environment.grid,
+        others=_at_work(here, now),
+    )
+    travel = Travel(place_m=task.place_m, routes=here.world.routes)
+    state: TaskState = jax.lax.cond(
+        here.number % spec.period == 0,
+        lambda: tasks.look(spec, task, now["task"], scene, travel),
+        lambda: now["task"],
+    )
+    return Done(
+        slots=lambda: {
+            "task": state,
+            "sent": Sent(goal_m=state.goal_m, place=state.target),
+            "finished": state.finished,
+            "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
+        },
+        record=lambda: {"task": record_task(state, spec)},
+    )
+
+
+def _at_work(here: Aboard, now: Slots) -> tasks.Others | None:
+    """Where each robot takes the others to be, and who of them still is at work."""
+    shared, radio = here.spec.acoustics, now["radio"]
+    if shared is None or radio is None:
+        return None
+    heard: Others = radio.heard
+    recent = here.t - heard.time_s < shared.lost_after_s
+    return tasks.Others(p=heard.place_m(here.t), active=recent, knows=heard.words["task"])
+
+
+def record_task(state: TaskState, spec: TaskSpec) -> Progress:
+    """What is recorded of `work`."""
+    return Progress(
+        share=state.progress,
+        target=state.target,
+        carrying=state.carrying,
+        done=counted(spec, state),
+    )
 
 
 def choose(here: Aboard, now: Slots) -> Done:
@@ -200,14 +279,18 @@ def choose(here: Aboard, now: Slots) -> Done:
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: here.known(now.get("known"), _others(now)),
+        lambda: here.known(now.get("known"), _others(now), now.get("sent")),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
 
 
 def _others(now: Slots) -> Others | None:
-    return None if now["radio"] is None else now["radio"].heard
+    """What a policy is told of what was heard: no words but its own."""
+    if now["radio"] is None:
+        return None
+    heard: Others = now["radio"].heard
+    return replace(heard, words=heard.words["policy"])
 
 
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
@@ -215,18 +298,25 @@ HEAR = Phase(
     name="hear",
     of="world",
     run=hear,
-    reads=("radio", "known", "policy"),
+    reads=("radio", "known", "policy", "task"),
     gives=("radio", "heard"),
+)
+WORK = Phase(
+    name="work",
+    of="world",
+    run=work,
+    reads=("task", "known", "radio"),
+    gives=("task", "sent", "finished", "loaded"),
 )
 POLICY = Phase(
     name="policy",
     of="world",
     run=choose,
-    reads=("policy", "known", "radio"),
+    reads=("policy", "known", "radio", "sent"),
     gives=("policy", "command"),
 )
 
-PHASES = (SENSE, HEAR, POLICY)
+PHASES = (SENSE, HEAR, WORK, POLICY)
 """In order."""
 
 
@@ -295,6 +385,7 @@ def tell(
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -306,6 +397,7 @@ def tell(
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
         obstacles: now, [n] leading, where a policy asks (`watches`).
+        outcome: int32 [R] of the robots so far, where there is a task.
     """
     here = Aboard(
         spec=spec,
@@ -314,6 +406,7 @@ def tell(
         number=number,
         vehicles=vehicles,
         obstacles=obstacles,
+        outcome=outcome,
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
@@ -335,9 +428,12 @@ def tell_tile(
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
     one = partial(tell, spec, policy)
-    axes = (0, 0, 0 if number.ndim else None, 0, 0)
-    after: tuple[Minds, Told] = jax.vmap(one, axes)(worlds, minds, number, vehicles, obstacles)
+    axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
+    after: tuple[Minds, Told] = jax.vmap(one, axes)(
+        worlds, minds, number, vehicles, obstacles, outcome
+    )
     return after

@@ -20,7 +20,7 @@ Of robots: ``vehicle`` `VehicleState`, ``memory`` of the controllers, ``tally`` 
 step also ``known`` (`Belief`, or the vehicle where robots are told the truth), ``thrust_n``,
 ``power_w``, ``before_m``, ``broken``. Of obstacles: ``obstacles`` `ObstacleState`. Of worlds:
 ``senses``, ``radio``, ``task`` and ``policy``, their memories; within one step ``known``, ``heard``
-(bool [R, R], who understood a packet of whom: those are ``radio.air.said``), ``command``,
+(bool [R, R], who understood a packet of whom), ``command``,
 ``finished`` and ``loaded``.
 """
 

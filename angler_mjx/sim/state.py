@@ -16,6 +16,7 @@ from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
+from angler_mjx.tasks.spec import TaskSpec, TaskState, TaskWorld
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
@@ -84,7 +85,7 @@ class SimSpec:
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
     acoustics: Channel | None = None
     """That robots talk by; None: everybody knows everything at once."""
-    task: Any = None
+    task: TaskSpec | None = None
     """What the robots of a world have to do; None where each has a goal of its own."""
 
     @property
@@ -142,7 +143,10 @@ class World:
     fails_at_s: jax.Array | None = None
     """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
     routes: Routes | None = None
-    """Ways to the robots' goals; None where no policy asks for them."""
+    """Ways to the robots' goals, or to the places of the task; None where no policy asks for
+    them."""
+    task: TaskWorld | None = None
+    """None where each robot has a goal of its own."""
 
     @property
     def planned(self) -> jax.Array:
@@ -202,5 +206,5 @@ class WorldState:
     """Of the policy, where there is one."""
     radio: Radio | None = None
     """Of the channel that the robots share, if they share one."""
-    task: Any = None
+    task: TaskState | None = None
     """Of the task, where there is one."""

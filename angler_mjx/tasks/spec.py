@@ -60,8 +60,6 @@ class TaskSpec:
     """How near a robot's centre has to come to a place."""
     period: int
     """Control steps from one look at the task to the next."""
-    dt_s: float
-    """Control period."""
     allocation: str = "nearest"
     """Who shares jobs out, by name; see `angler_mjx.tasks.allocation`."""
     after: After = "hold"

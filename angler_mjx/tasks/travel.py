@@ -5,6 +5,12 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.world import routes
+from angler_mjx.world.routes import Routes
+
+_UNLED = 4.0
+"""Times the straight way that is taken where no way is known: from where no robot should be."""
+
 
 def straight(p: jax.Array, to: jax.Array) -> jax.Array:
     """Lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
@@ -18,7 +24,14 @@ class Travel:
 
     place_m: jax.Array
     """[P, 3] in W."""
+    routes: Routes | None = None
+    """Ways free of rock to the same places; None: straight."""
 
     def ways(self, p: jax.Array, place: jax.Array) -> jax.Array:
         """Lengths [n, m] of ways from points [n, 3] in W to places int32 [m], m."""
-        return straight(p, self.place_m[place])
+        line = straight(p, self.place_m[place])
+        if self.routes is None:
+            return line
+        of_place = jax.vmap(routes.distance, (None, 0, None))
+        way = jax.vmap(of_place, (None, None, 0))(self.routes, place, p)
+        return jnp.where(jnp.isfinite(way), way, _UNLED * line)

@@ -44,6 +44,8 @@ class Others:
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
+    knows: jax.Array
+    """uint32 [R, R, W] what they last said they know to be over."""
 
 
 def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
@@ -201,7 +203,16 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)
-    return replace(state, knows=state.knows | known)
+    heard = jax.lax.reduce(scene.others.knows, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return replace(state, knows=state.knows | known | heard)
+
+
+def counted(spec: TaskSpec, state: TaskState) -> jax.Array:
+    """Jobs that each robot did, int32 [R]; where a tour is not shared, places that it visited."""
+    if not spec.shared:
+        return jnp.sum(bits.unpack(state.knows, spec.jobs), axis=1, dtype=jnp.int32)
+    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
+    return jnp.sum(mine, axis=1, dtype=jnp.int32)
 
 
 def _sent(

@@ -25,6 +25,7 @@ from angler_mjx.engines.lanes.layout import (
     lanes_of_group,
     moving_of,
     of_group,
+    outcome_of,
     scene_of,
     side_by_side,
     spread_out,
@@ -92,7 +93,14 @@ class FusedEngine:
         if aboard.tells(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
             minds, told = aboard.tell_tile(
-                spec, policy, here, minds, number, state.vehicles, state.obstacles
+                spec,
+                policy,
+                here,
+                minds,
+                number,
+                state.vehicles,
+                state.obstacles,
+                state.tally.outcome,
             )
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
@@ -124,7 +132,10 @@ class FusedEngine:
             if aboard.tells(spec, policy):
                 there = vehicles_of(moving)
                 bodies = to_arrays(moving.obstacles, 2) if aboard.watches(policy) else None
-                minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, there, bodies)
+                ended = outcome_of(moving) if spec.by_task else None
+                minds, told = aboard.tell_tile(
+                    spec, policy, worlds, minds, number, there, bodies, ended
+                )
             after, sample = _control_step(spec, scene, moving, number, command, told)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)

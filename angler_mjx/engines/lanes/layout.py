@@ -184,6 +184,14 @@ def vehicles_of(moving: Moving) -> VehicleState:
     return vehicles
 
 
+def outcome_of(moving: Moving) -> jax.Array:
+    """How all robots ended so far, as an array int32 [W, R]."""
+    outcome: jax.Array = to_arrays(
+        side_by_side([robots.tally.outcome for robots in moving.groups]), 2
+    )
+    return outcome
+
+
 def world_state(moving: Moving, step: jax.Array, minds: Minds) -> WorldState:
     """The inverse of `moving_of`; ``step`` [W]."""
     robots = to_arrays(side_by_side(moving.groups), 2)

@@ -55,12 +55,11 @@ def flight(one, robots, steps, words=False):
                     time_s=jnp.full(robots, t),
                     words=jnp.arange(robots) + 100.0 * number if words else None,
                 ),
-                kept=lambda words: words,
             )
             memory, came = channel.step(one, memory, now)
             return memory, (came, memory.heard)
 
-        begin = channel.begin(one, start_m, said, said)
+        begin = channel.begin(one, start_m, said)
         return jax.lax.scan(step, begin, jnp.arange(steps))
 
     return quickly(jax.vmap(world, (0, 0, 0, None)))
@@ -217,7 +216,6 @@ def crowd(one, steps, worlds):
             p_m=p_m,
             grid=NOWHERE,
             says=lambda: memory.air.said,
-            kept=lambda words: words,
         )
         return channel.step(one, memory, now)[0]
 
