@@ -203,6 +203,13 @@ class Scenario(FileModel):
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
+        if self.acoustics.model != "perfect" and self.planner.replan_hz:
+            raise ValueError(
+                f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "
+                "all robots are, which acoustics tell nobody; leave it out, or take "
+                'acoustics.model = "perfect", or order = "kept" or a policy, which go by what each '
+                "robot has heard"
+            )
         return self
 
     @model_validator(mode="after")
