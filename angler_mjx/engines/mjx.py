@@ -18,7 +18,7 @@ from angler_mjx.physics.step import Multibody, VehicleState
 from angler_mjx.sim import aboard, nearness, start
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.detection import Contact, detect
-from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.phase import Slots, run
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -151,6 +151,7 @@ def control_step(
     command: Command | None = None,
     policy: Policy | None = None,
     number: jax.Array | None = None,
+    fleet: Fleet | None = None,
 ) -> tuple[WorldState, Sample]:
     """One control step of one world.
 
@@ -163,6 +164,7 @@ def control_step(
         policy: that commands them, if one does.
         number: ``state.step``, as one number for all worlds of a batch: a policy with a period is
             then called in its steps alone.
+        fleet: whose robots may carry loads; if left out they do not.
 
     Returns:
         The state one control period later, and the sample of the state before with its command.
@@ -181,10 +183,11 @@ def control_step(
             state.vehicles,
             state.obstacles,
             state.tally.outcome,
+            fleet=fleet,
         )
     here = OneWorld(
         spec=spec,
-        world=world,
+        world=carrying(fleet, world, told.loaded),
         t=t,
         engine=engine,
         given=told.command if command is None else command,
@@ -219,6 +222,7 @@ def segment(
     command: Command | None = None,
     policy: Policy | None = None,
     number: jax.Array | None = None,
+    fleet: Fleet | None = None,
 ) -> tuple[WorldState, Sample]:
     """``n_sample * steps_per_sample`` control steps of one world, all with one command.
 
@@ -227,7 +231,7 @@ def segment(
     """
     # One control step stands in the program, not one for recorded and one for other steps: it is
     # most of what there is to compile.
-    fly = partial(control_step, spec, engine, world, command=command, policy=policy)
+    fly = partial(control_step, spec, engine, world, command=command, policy=policy, fleet=fleet)
     shapes = jax.eval_shape(fly, state)[1]
     nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
@@ -279,7 +283,9 @@ class MjxEngine:
         if steps > 1:
             again = partial(self.control_step, spec, fleet, worlds, command=command, policy=policy)
             return repeated(again, state, steps)
-        one = partial(control_step, spec, policy=policy, number=_number(spec, state, policy))
+        one = partial(
+            control_step, spec, policy=policy, number=_number(spec, state, policy), fleet=fleet
+        )
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
@@ -300,9 +306,8 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        fly: Any = partial(
-            segment, spec, policy=policy, number=_number(spec, state, policy), **count
-        )
+        told: dict[str, Any] = {"number": _number(spec, state, policy), "fleet": fleet}
+        fly: Any = partial(segment, spec, policy=policy, **told, **count)
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return fly(_multibody(spec, fleet, worlds), world, state, command=command)

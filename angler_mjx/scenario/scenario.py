@@ -18,6 +18,7 @@ from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
@@ -82,6 +83,7 @@ class Scenario(FileModel):
     randomise: RandomiseConfig = RandomiseConfig()
     task: TaskConfig = GoalTask()
     """What the robots of a world have to do; see `docs/tasks.md`."""
+    breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
@@ -156,6 +158,11 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _breaks_down_in_time(self) -> Self:
+        check_breakdowns(self.breakdowns, self.time)
+        return self
+
+    @model_validator(mode="after")
     def _rotors_alike(self) -> Self:
         """Rotors of first and of third order have states of different shapes."""
         first = None
@@ -203,6 +210,11 @@ class Scenario(FileModel):
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
+        if "acoustics" in self.store.also and self.acoustics.model == "perfect":
+            raise ValueError(
+                'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
+                "leave it out, or take another model"
+            )
         if self.acoustics.model != "perfect" and self.planner.replan_hz:
             raise ValueError(
                 f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "

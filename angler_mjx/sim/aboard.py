@@ -12,23 +12,21 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels import quaternion
-from angler_mjx.acoustics import channel
-from angler_mjx.acoustics.channel import Now, Others, Said
+from angler_mjx.acoustics.channel import Others
 from angler_mjx.control import stack
-from angler_mjx.errors import ConfigError
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import knowledge, senses
+from angler_mjx.sim import hearing, knowledge, senses
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief, Progress
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.tasks import work as tasks
-from angler_mjx.tasks.spec import TaskSpec, TaskState
+from angler_mjx.tasks.spec import TaskState
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.tasks.work import Scene, counted
+from angler_mjx.tasks.work import Scene
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -58,6 +56,8 @@ class Aboard:
     """Now; None where no policy asks for them."""
     outcome: jax.Array | None = None
     """int32 [R] of the robots so far; None where there is no task."""
+    fleet: Fleet | None = None
+    """None where robots carry nothing."""
 
     @property
     def t(self) -> jax.Array:
@@ -168,53 +168,17 @@ def hear(here: Aboard, now: Slots) -> Done:
     if shared is None:
         return Done(slots=nothing)
     belief = now.get("known")
-
-    def says() -> Said:
-        told = here.vehicles if belief is None else belief
-        return Said(
-            p_m=told.p,
-            v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
-            time_s=jnp.full(told.p.shape[0], here.t),
-            words=words(here.policy, now["policy"], now["task"], memory.air.said.words),
-        )
-
-    step = Now(
-        key=jax.random.fold_in(_radio_key(here.world), here.number),
-        number=here.number,
-        p_m=here.vehicles.p,
-        grid=here.world.environment.grid,
-        says=says,
-        silent=None if here.world.fails_at_s is None else here.t >= here.world.fails_at_s,
+    say = partial(hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words)
+    told = here.vehicles if belief is None else belief
+    after, came = hearing.step(
+        shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say
     )
-    after, came = channel.step(shared, memory, step)
-    return Done(slots=lambda: {"radio": after, "heard": came})
 
+    def record() -> dict[str, Any]:
+        asked = "acoustics" in here.spec.also
+        return {"talk": hearing.record(after, here.t)} if asked else {}
 
-def _radio_key(world: World) -> jax.Array:
-    if world.radio_key is None:
-        raise ConfigError(
-            "acoustics: the worlds were drawn without keys for it; draw them by a scenario with "
-            "the same table"
-        )
-    key: jax.Array = jax.random.wrap_key_data(world.radio_key)
-    return key
-
-
-def words(
-    policy: Policy | None, memory: Any, task: TaskState | None, before: Any = None
-) -> dict[str, Any]:
-    """What robots say in a packet beside where they are, [R] leading, by who says it.
-
-    Args:
-        policy: that commands them, if one does.
-        memory: of the policy.
-        task: what they know of it, if there is one.
-        before: what they said last; the policy's again where a command stands in for it.
-    """
-    of_policy = before and before["policy"]
-    if policy is not None:
-        of_policy = policy.says(memory.carry)
-    return {"policy": of_policy, "task": None if task is None else task.knows}
+    return Done(slots=lambda: {"radio": after, "heard": came}, record=record)
 
 
 def work(here: Aboard, now: Slots) -> Done:
@@ -232,7 +196,7 @@ def work(here: Aboard, now: Slots) -> Done:
         running=outcome == Outcome.RUNNING,
         believed_m=here.vehicles.p if known is None else known.p,
         grid=here.world.environment.grid,
-        others=_at_work(here, now),
+        others=hearing.at_work(here.spec.acoustics, now["radio"], here.t),
     )
     travel = Travel(place_m=task.place_m, routes=here.world.routes)
     state: TaskState = jax.lax.cond(
@@ -247,27 +211,17 @@ def work(here: Aboard, now: Slots) -> Done:
             "finished": state.finished,
             "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
         },
-        record=lambda: {"task": record_task(state, spec)},
+        record=lambda: {"task": record_task(state)},
     )
 
 
-def _at_work(here: Aboard, now: Slots) -> tasks.Others | None:
-    """Where each robot takes the others to be, and who of them still is at work."""
-    shared, radio = here.spec.acoustics, now["radio"]
-    if shared is None or radio is None:
-        return None
-    heard: Others = radio.heard
-    recent = here.t - heard.time_s < shared.lost_after_s
-    return tasks.Others(p=heard.place_m(here.t), active=recent, knows=heard.words["task"])
-
-
-def record_task(state: TaskState, spec: TaskSpec) -> Progress:
+def record_task(state: TaskState) -> Progress:
     """What is recorded of `work`."""
     return Progress(
         share=state.progress,
         target=state.target,
         carrying=state.carrying,
-        done=counted(spec, state),
+        done=state.did,
     )
 
 
@@ -275,22 +229,17 @@ def choose(here: Aboard, now: Slots) -> Done:
     """A policy commands the robots of a world."""
     if here.policy is None:
         return Done(slots=nothing)
+    world = carrying(here.fleet, here.world, now.get("loaded"))
     memory, command = policies.step(
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: here.known(now.get("known"), _others(now), now.get("sent")),
+        lambda: replace(here, world=world).known(
+            now.get("known"), hearing.for_policy(now["radio"]), now.get("sent")
+        ),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
-
-
-def _others(now: Slots) -> Others | None:
-    """What a policy is told of what was heard: no words but its own."""
-    if now["radio"] is None:
-        return None
-    heard: Others = now["radio"].heard
-    return replace(heard, words=heard.words["policy"])
 
 
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
@@ -386,6 +335,8 @@ def tell(
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
     outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -398,6 +349,7 @@ def tell(
         vehicles: now, [R] leading.
         obstacles: now, [n] leading, where a policy asks (`watches`).
         outcome: int32 [R] of the robots so far, where there is a task.
+        fleet: whose robots may carry loads; if left out they do not.
     """
     here = Aboard(
         spec=spec,
@@ -407,6 +359,7 @@ def tell(
         vehicles=vehicles,
         obstacles=obstacles,
         outcome=outcome,
+        fleet=fleet,
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
@@ -414,7 +367,7 @@ def tell(
         known=now.get("known"),
         command=now.get("command"),
         finished=now.get("finished"),
-        loaded=now.get("loaded"),
+        loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
         record=record,
     )
     return after, told
@@ -429,9 +382,11 @@ def tell_tile(
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
     outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(tell, spec, policy)
+    one = partial(tell, spec, policy, fleet=fleet)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
     after: tuple[Minds, Told] = jax.vmap(one, axes)(
         worlds, minds, number, vehicles, obstacles, outcome

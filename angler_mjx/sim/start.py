@@ -12,7 +12,7 @@ from angler_mjx.acoustics import channel
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody
-from angler_mjx.sim import aboard, robot, senses
+from angler_mjx.sim import aboard, hearing, robot, senses
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.policy import Policy
@@ -76,8 +76,8 @@ def reset(
         state = _commanded(spec, world, state, policy)
     if spec.acoustics is None:
         return state
-    words = aboard.words(policy, state.policy, state.task)
-    radio = channel.begin(spec.acoustics, environment.start_m, words)
+    start_m = environment.start_m
+    radio = hearing.reset(spec.acoustics, start_m, policy, state.policy, state.task)
     return replace(state, radio=radio)
 
 

@@ -48,6 +48,8 @@ H200 a quarter more worlds a second are made 16,384 at once than 4,096."""
 
 PLANNING = 0x504C414E
 """Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
+FAILING = 0x4641494C
+"""As `PLANNING`, for what breaks down."""
 
 RADIO = 0x52414449
 """As `PLANNING`, for the channel that a world's robots share."""
@@ -257,6 +259,7 @@ def _one_world(
         factors=factors,
         routes=_routes(policy, environment, control, task),
         task=task,
+        fails_at_s=breakdowns(scenario, key, variant.shape[0]),
     )
 
 
@@ -296,6 +299,26 @@ def _task(
         environment,
         reachable_cells(environment, clearance_m),
     )
+
+
+def breakdowns(scenario: Scenario, key: jax.Array, robots: int) -> jax.Array | None:
+    """When each robot of a world breaks down.
+
+    Args:
+        scenario: which may let some.
+        key: of the world.
+        robots: of the fleet; one more changes nothing for those before it.
+
+    Returns:
+        [robots] s, inf for never; None where none can.
+    """
+    given = scenario.breakdowns
+    if given.share == 0.0:
+        return None
+    of_robot = children(jax.random.fold_in(key, FAILING), robots)
+    chance, when = uniforms(of_robot, 2).T
+    at_s = between(when, *given.span_s(scenario.time.horizon_s))
+    return jnp.where(chance < given.share, at_s, jnp.inf)
 
 
 def _factors(given: RandomiseConfig, key: jax.Array, robots: int) -> Factors | None:

@@ -41,7 +41,7 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
         if given is None and scenario.task_spec() is not None:
             raise ConfigError(
                 f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
-                'from place to place; leave policy.name out, or give a policy of your own'
+                "from place to place; leave policy.name out, or give a policy of your own"
             )
         return given
     if given is not None:

@@ -35,4 +35,5 @@ def merged(knows: jax.Array, delivered: jax.Array, said: jax.Array) -> jax.Array
         uint32 [R, W].
     """
     heard = jnp.where(delivered[:, :, None], said[None], jnp.uint32(0))
-    return knows | jax.lax.reduce(heard, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    told: jax.Array = jax.lax.reduce(heard, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return knows | told

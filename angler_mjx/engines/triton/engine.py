@@ -142,7 +142,7 @@ class TritonEngine:
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
         policy = aboard.asked(policy, command)
         watched = aboard.watches(policy)
-        tell, told = partial(aboard.tell_tile, spec, policy, flying), None
+        tell, told = partial(aboard.tell_tile, spec, policy, flying, fleet=fleet), None
         if aboard.tells(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step

@@ -123,7 +123,8 @@ class OfGroup(Program):
     @cached_property
     def params(self) -> ControlParams:
         """See `phase.Here`."""
-        return self._tile.params(self._data, self._group, self._constants)
+        loaded = self.slot("loaded")[()] if "loaded" in self._places else None
+        return self._tile.params(self._data, self._group, self._constants, loaded)
 
     @property
     def command(self) -> Any:

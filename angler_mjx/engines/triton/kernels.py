@@ -15,9 +15,9 @@ from angler_mjx.engines.triton.segment import Arrays, Drift, Segment
 from angler_mjx.sim.fleet import Group
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, OBSTACLES
+from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, MOVE, OBSTACLES
 
-TOLD = {DECIDE.name: ("command",), JUDGE.name: ("finished",)}
+TOLD = {DECIDE.name: ("command", "loaded"), MOVE.name: ("loaded",), JUDGE.name: ("finished",)}
 """Slots that phases of robots read, by the phase's name, where somebody gives them."""
 
 _SEEN = OBSTACLES.name

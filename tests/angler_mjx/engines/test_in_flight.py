@@ -1,7 +1,7 @@
-"""What changes while robots fly, in all engines: who has finished, and who breaks down."""
+"""What changes while robots fly, in all engines: who has finished, breaks down, carries a load."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +10,10 @@ import pytest
 
 from angler_mjx.engines.base import by_name
 from angler_mjx.engines.triton.engine import TritonEngine
-from angler_mjx.sim import aboard
+from angler_mjx.sim import aboard, fleet
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.state import Outcome
+from angler_mjx.vehicles.load import Load
 
 from ..compiling import quickly
 
@@ -22,6 +23,15 @@ FINISHED_FROM = np.array([1000, 4, 1000, 4])
 """Number of the control step from which on each robot's part is done."""
 FAILS_AT_S = np.array([[np.inf, np.inf, 0.12, 0.12], [0.2, 0.11, 0.0, np.inf]])
 """When each robot of the two worlds breaks down."""
+LOADED = np.array([(2, 5), (3, 8), (0, 2), (9, 9)])
+"""Control steps from and to which each robot carries a load."""
+LOAD = Load(
+    mass_kg=4.0,
+    volume_m3=0.001,
+    drag_area_m2=(0.1, 0.2, 0.3),
+    added_mass_kg=(1.0, 2.0, 3.0),
+    density_kgpm3=1000.0,
+)
 ENGINES = {
     "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
@@ -31,35 +41,69 @@ ENGINES = {
 
 def work(here, now):
     """A task that is done at a given time."""
-    return Done(slots=lambda: {"finished": here.number >= FINISHED_FROM})
+    slots = {
+        "finished": here.number >= FINISHED_FROM,
+        "loaded": (here.number >= LOADED[:, 0]) & (here.number < LOADED[:, 1]),
+    }
+    return Done(slots=lambda: slots)
 
 
-WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished",))
+WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
 
 
 @pytest.fixture(scope="module")
 def scene(scenes):
-    """Two worlds of four robots with nothing in their way, that stand at their goals."""
+    """Two worlds of four robots with nothing in their way, that stand at their goals.
+
+    Each draws its parameter set; what it carries changes whichever it has.
+    """
     build, members, obstacles = scenes
-    built = build(2, members=members("bluerov2") * len(FINISHED_FROM), config=obstacles["none"])
-    environment = built.worlds.environment
+    four = members("bluerov2") * len(FINISHED_FROM)
+    built = build(2, members=four, config=obstacles["none"])
+    kinds, environment = fleet.build(four, load=LOAD), built.worlds.environment
+    control, body = fleet.parameters(kinds, built.worlds.variant)
+    cruise = built.worlds.control.cruise_speed_mps
     worlds = replace(
         built.worlds,
+        control=replace(control, cruise_speed_mps=cruise),
+        body=body,
         environment=replace(environment, goal_m=environment.start_m),
         fails_at_s=jnp.asarray(FAILS_AT_S, environment.start_m.dtype),
     )
-    return replace(built, spec=replace(built.spec, task="by the clock"), worlds=worlds)
+    spec = replace(built.spec, task="by the clock")
+    return replace(built, spec=spec, fleet=kinds, worlds=worlds)
 
 
-@pytest.fixture(scope="module", params=ENGINES)
-def flown(request, scene):
-    """State at the end and samples."""
-    engine = ENGINES[request.param]
-    run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
-        start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
-        return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
+@pytest.fixture(scope="module")
+def fly(scene):
+    """State at the end and samples, of an engine by its name."""
+
+    @cache
+    def with_engine(name):
+        engine = ENGINES[name]
+        run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+            return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
+
+    return with_engine
+
+
+@pytest.fixture(params=ENGINES)
+def flown(request, fly):
+    """Of each engine."""
+    return fly(request.param)
+
+
+@pytest.mark.parametrize("name", ["mjx", "kernels"])
+def test_engines_agree(name, fly, deviation):
+    """Eight steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
+    (state, samples), (others, theirs) = fly(name), fly("lanes")
+    for ours, other in ((state.vehicles, others.vehicles), (samples, theirs)):
+        deviation.close(f"in_flight.{name}", ours.p, other.p, rtol=4e-6, atol=4e-6)
+        deviation.close(f"in_flight.{name}", ours.nu, other.nu, rtol=4e-6, atol=4e-6)
+    np.testing.assert_array_equal(state.tally.outcome, others.tally.outcome)
 
 
 def test_robots_end_when_they_have_finished_or_break_down(flown):
