@@ -82,7 +82,7 @@ def test_what_cannot_be_is_refused(table, says):
 
 
 def test_a_scenario_names_the_table():
-    with pytest.raises(ConfigError, match=r"acoustics\.bits = 1000000"):
+    with pytest.raises(ConfigError, match=r"acoustics\.bits .*= 1000000: 4 slots"):
         load_scenario("reef_fleet", acoustics={"model": "budget", "bits": 10**6})
     with pytest.raises(ConfigError, match=r"replan_hz.*acoustics"):
         load_scenario("reef_fleet", acoustics={"model": "budget"}, planner={"replan_hz": 1.0})
