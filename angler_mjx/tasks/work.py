@@ -36,6 +36,7 @@ class Scene:
     """What they have heard of each other; None: all know all."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Others:
     """What each robot knows of the others; the knowing one leads."""

@@ -46,7 +46,7 @@ def test_lines_of_sight_are_those_of_points_along_them() -> None:
     rock, spec = rocky(3, 0.2), spec_of(180.0, 5.0)
     random = np.random.default_rng(4)
     grid, told = grid_of(rock), 0
-    wanted = ~rock
+    wanted, ground = ~rock, jnp.zeros(SHAPE[:2], jnp.int32)
     look = jax.jit(
         lambda p: sight.seen_cells(
             spec,
