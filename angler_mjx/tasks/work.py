@@ -45,6 +45,8 @@ class Others:
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
+    knows: jax.Array
+    """uint32 [R, R, W] what they last said they know to be over."""
 
 
 def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
@@ -217,7 +219,8 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)
-    return replace(state, knows=state.knows | known)
+    heard = bits.together(scene.others.knows)
+    return replace(state, knows=state.knows | known | heard)
 
 
 def _sent(
