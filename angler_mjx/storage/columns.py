@@ -65,8 +65,8 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
 )
 
 SINCE = (5, 8, 9, 15)
-"""Columns at the end that older runs lack: before there were tasks and acoustics, before
-vehicles were randomised, before failed replans were told, and before there was a choice of planners."""
+"""Columns at the end that older runs lack: before there were tasks and acoustics, before vehicles
+were randomised, before failed replans were told, and before there was a choice of planners."""
 
 MISSING = (
     "time_to_goal_s",
