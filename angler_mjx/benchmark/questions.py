@@ -16,8 +16,8 @@ from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
-from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.scenario.tables import KnowsConfig
+from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.on_device import device_planner
 

@@ -20,6 +20,7 @@ from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
@@ -32,12 +33,19 @@ from angler_mjx.scenario.tables import (
     WaterConfig,
     check_online,
 )
-from angler_mjx.scenario.task_table import GoalTask, TaskConfig, check_flown, spec_of
+from angler_mjx.scenario.task_table import (
+    DeliverTask,
+    GoalTask,
+    TaskConfig,
+    check_flown,
+    spec_of,
+)
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GaussMarkovConfig
@@ -241,7 +249,15 @@ class Scenario(FileModel):
     def _task_can_be_done(self) -> Self:
         check_flown(self.task, self.policy, online=self.online)
         self.task_spec()
+        if load := self.carried():
+            check_load(load, self.fleet)
         return self
+
+    def carried(self) -> Load | None:
+        """What each robot carries at a time; None where the task has nothing that weighs."""
+        if not isinstance(self.task, DeliverTask) or self.task.load is None:
+            return None
+        return self.task.load.load(self.water.density_kgpm3)
 
     def task_spec(self) -> TaskSpec | None:
         """What the task is compiled from; None where each robot has a goal of its own."""

@@ -52,9 +52,9 @@ def test_lines_of_sight_are_those_of_points_along_them() -> None:
             spec,
             grid,
             jnp.array(wanted),
-            jnp.zeros(SHAPE[:2], jnp.int32),
+            ground,
             p,
-            jnp.array([0.0, 0, -1]),
+            jnp.array([0.0, 0.0, -1.0]),
         )
     )
     for _ in range(12):
