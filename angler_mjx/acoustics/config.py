@@ -9,6 +9,7 @@ from angler_mjx.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.acoustics.channel import Channel
 from angler_mjx.acoustics.link import Budget, Fading, Link, Modulation, Reach, decibels
 from angler_mjx.acoustics.shadow import Rock
+from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import PositiveLength
 
@@ -191,3 +192,17 @@ class AcousticsConfig(FileModel):
             f"1 m, so that not one in a thousand packets of {self.bits} bits gets through; raise "
             "it, or take fewer bits or less noise"
         )
+
+
+def refuse_acoustics(table: AcousticsConfig, who: str) -> None:
+    """Refuse robots that talk where nobody would hear them.
+
+    Args:
+        table: of a scenario.
+        who: cannot do it, and what to do instead, for the message.
+
+    Raises:
+        ConfigError: everybody does not know everything.
+    """
+    if table.model != "perfect":
+        raise ConfigError(f"acoustics.model = {table.model!r}: {who}")

@@ -27,12 +27,14 @@ from angler_mjx.world.grid import Grid
 SIZE_M = (24.0, 24.0, 24.0)
 DT_S = 0.05
 TEAMS = (2, 4, 8, 16, 32)
+NOISY_DB = 90.0
+"""Density of a receiver's own noise, dB re 1 uPa^2/Hz: 50 dB over the sea's."""
 LINKS: dict[str, dict[str, Any]] = {
     "BPSK, no fading": {"fading": "none"},
     "FSK, no fading": {"modulation": "fsk", "fading": "none"},
     "BPSK, Rayleigh": {},
     "FSK, Rayleigh": {"modulation": "fsk"},
-    "BPSK, Rayleigh, 90 dB of own noise": {"self_noise_db": 90.0},
+    "BPSK, Rayleigh, noisy receiver": {"self_noise_db": NOISY_DB},
 }
 ACCESS = {"tdma": "in turn (TDMA)", "slotted_aloha": "slotted ALOHA", "aloha": "ALOHA"}
 TOLERANCE = 0.02
@@ -121,7 +123,7 @@ def draw(out: Path, rows: list[dict[str, Any]]) -> None:
         for i, (name, success) in enumerate(successes(range_m).items()):
             left.semilogx(range_m, success, color=style.robot_color(i), label=name)
         left.set(xlabel="range, m", ylabel="packets of 128 bits understood", ylim=(-0.02, 1.02))
-        left.legend(fontsize=7)
+        left.legend(fontsize=7, ncol=2, loc="lower left", bbox_to_anchor=(0.0, 1.01))
         for i, (access, text) in enumerate(ACCESS.items()):
             mine = [row for row in rows if row["access"] == access]
             right.loglog(

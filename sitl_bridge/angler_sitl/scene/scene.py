@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.acoustics.config import refuse_acoustics
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import refuse_task
@@ -90,6 +91,10 @@ class Scene:
             scenario.task,
             "autopilots are told of no task; fly it with angler rollout, or take a scenario of "
             'type = "goal"',
+        )
+        refuse_acoustics(
+            scenario.acoustics,
+            'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',
         )
         # The closed form is MJX's, to rounding, for one rigid body.
         one = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})

@@ -3,7 +3,7 @@ import re
 import pytest
 
 from angler_mjx.acoustics.access import Aloha, Tdma
-from angler_mjx.acoustics.config import AcousticsConfig
+from angler_mjx.acoustics.config import AcousticsConfig, refuse_acoustics
 from angler_mjx.acoustics.link import Budget
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
@@ -88,3 +88,10 @@ def test_a_scenario_names_the_table():
         load_scenario("reef_fleet", acoustics={"model": "budget"}, planner={"replan_hz": 1.0})
     with pytest.raises(ConfigError, match=r"store\.also"):
         load_scenario("reef_fleet", store={"also": ["acoustics"]})
+
+
+def test_who_hears_nothing_refuses_the_table():
+    refuse_acoustics(AcousticsConfig(), "nobody listens")
+    talks = AcousticsConfig(model="range", range_m=10.0)
+    with pytest.raises(ConfigError, match=r"acoustics\.model = 'range': nobody listens"):
+        refuse_acoustics(talks, "nobody listens")
