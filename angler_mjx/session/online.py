@@ -55,6 +55,11 @@ class Flyer:
                 'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
                 "policy"
             )
+        if inside.simulator.spec.acoustics is not None:
+            raise ConfigError(
+                f"acoustics.model = {inside.simulator.scenario.acoustics.model!r}: in a session "
+                'robots know everything of each other; take "perfect", or angler rollout'
+            )
         self._session, self._policy = session, chosen
         spec, stages = inside.simulator.spec, inside.simulator.spec.stages
 

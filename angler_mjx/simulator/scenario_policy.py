@@ -38,6 +38,11 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
         ConfigError: both ask for the robots, or the planner cannot plan while they fly.
     """
     if not scenario.flown:
+        if given is None and scenario.task_spec() is not None:
+            raise ConfigError(
+                f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
+                "from place to place; leave policy.name out, or give a policy of your own"
+            )
         return given
     if given is not None:
         key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
