@@ -10,13 +10,17 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from angler_mjx.acoustics.channel import Channel
+from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
@@ -29,10 +33,19 @@ from angler_mjx.scenario.tables import (
     WaterConfig,
     check_online,
 )
+from angler_mjx.scenario.task_table import (
+    DeliverTask,
+    GoalTask,
+    TaskConfig,
+    check_flown,
+    spec_of,
+)
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
+from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GaussMarkovConfig
@@ -73,13 +86,24 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+    acoustics: AcousticsConfig = AcousticsConfig()
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
+    task: TaskConfig = GoalTask()
+    """What the robots of a world have to do; see `docs/tasks.md`."""
+    breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
         """The horizon of a file that gives none; before the checks of what fits it."""
         self.__dict__["time"] = self.time.by_default(presets.load(self.world.preset).horizon_s)
+        return self
+
+    @model_validator(mode="after")
+    def _policy_of_task(self) -> Self:
+        """Who flies from place to place, where the file does not say."""
+        if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
+            self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
         return self
 
     @model_validator(mode="after")
@@ -142,6 +166,11 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _breaks_down_in_time(self) -> Self:
+        check_breakdowns(self.breakdowns, self.time)
+        return self
+
+    @model_validator(mode="after")
     def _rotors_alike(self) -> Self:
         """Rotors of first and of third order have states of different shapes."""
         first = None
@@ -184,6 +213,26 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _talks(self) -> Self:
+        try:
+            self.channel()
+        except ValueError as error:
+            raise ValueError(f"acoustics.{error}") from error
+        if "acoustics" in self.store.also and self.acoustics.model == "perfect":
+            raise ValueError(
+                'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
+                "leave it out, or take another model"
+            )
+        if self.acoustics.model != "perfect" and self.planner.replan_hz:
+            raise ValueError(
+                f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "
+                "all robots are, which acoustics tell nobody; leave it out, or take "
+                'acoustics.model = "perfect", or order = "kept" or a policy, which go by what each '
+                "robot has heard"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _flies_by_policy(self) -> Self:
         if self.policy.name == "none":
             return self
@@ -193,8 +242,27 @@ class Scenario(FileModel):
                 f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
                 "one of them"
             )
-        check_flyable(self.policy.mppi, self.time, self.controller, self.fleet)
+        check_flyable(self.policy, self.time, self.controller, self.fleet)
         return self
+
+    @model_validator(mode="after")
+    def _task_can_be_done(self) -> Self:
+        check_flown(self.task, self.policy, online=self.online)
+        self.task_spec()
+        if load := self.carried():
+            check_load(load, self.fleet)
+        return self
+
+    def carried(self) -> Load | None:
+        """What each robot carries at a time; None where the task has nothing that weighs."""
+        if not isinstance(self.task, DeliverTask) or self.task.load is None:
+            return None
+        return self.task.load.load(self.water.density_kgpm3)
+
+    def task_spec(self) -> TaskSpec | None:
+        """What the task is compiled from; None where each robot has a goal of its own."""
+        robots = sum(entry.count for entry in self.fleet)
+        return spec_of(self.task, resolve(self.world), robots, self.time)
 
     @property
     def flown(self) -> bool:
@@ -210,6 +278,15 @@ class Scenario(FileModel):
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
         return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
+
+    def channel(self) -> Channel | None:
+        """That robots talk by; None where everybody knows everything."""
+        return self.acoustics.channel(
+            sum(entry.count for entry in self.fleet),
+            resolve(self.world).size_m,
+            self.time.control_dt_s,
+            self.time.horizon_s,
+        )
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
@@ -231,6 +308,8 @@ class Scenario(FileModel):
             "density_kgpm3": self.water.density_kgpm3,
             "goal_tolerance_m": self.goal_tolerance_m,
         }
+        if not isinstance(self.task, GoalTask):
+            drawn["task"] = self.task.model_dump(mode="json")
         if self.randomise.of_vehicles or self.randomise.of_worlds:
             drawn["randomise"] = self.randomise.model_dump(mode="json")
         text = json.dumps(drawn, sort_keys=True)
@@ -250,6 +329,8 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
             also=self.store.also,
+            acoustics=self.channel(),
+            task=self.task_spec(),
         )
 
 

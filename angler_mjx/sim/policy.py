@@ -9,13 +9,14 @@ of the compiled programs and have derivatives; what is static must be hashable.
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.acoustics.channel import Others, unheard
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.plans import Plan
@@ -24,6 +25,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
 from angler_mjx.sim.record import Belief
 from angler_mjx.world.grid import Grid
+from angler_mjx.world.routes import Routes
 
 OF_RESET = 2**32 - 1
 """What a world's key is folded with for `Policy.reset`; no step has this number."""
@@ -60,6 +62,12 @@ class Known:
     """Bodies that are not cells, as far as they may be known now; their times run from now on."""
     current: KnownCurrent | None = None
     """The water's motion, as far as it may be known now; its times run from now on."""
+    others: Others | None = None
+    """What robots have heard of each other; None where everybody knows everything."""
+    routes: Routes | None = None
+    """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
+    place: jax.Array | None = None
+    """int32 [R] which place of the routes each robot is to go to; -1: none, it stays."""
 
 
 class Policy(ABC):
@@ -71,12 +79,15 @@ class Policy(ABC):
         looks: control steps from one look at the scenery to the next; obstacles are not told
             (none exists) in the steps between. Where looking far ahead is dear.
         ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
+        routes_margin_m: worlds are drawn with ways to places that keep so much beside the widest
+            robot's radius; None: without.
     """
 
     period: int = 1
     knows: Knows | None = None
     looks: int = 1
     ahead_s: float = 0.0
+    routes_margin_m: float | None = None
 
     def reset(self, known: Known, key: jax.Array) -> Any:
         """Memory at t = 0: a pytree of arrays.
@@ -86,6 +97,18 @@ class Policy(ABC):
             key: of this world's policy.
         """
         return ()
+
+    def says(self, carry: Any) -> Any:
+        """What robots put into their packets beside where they are, where they talk by acoustics.
+
+        Args:
+            carry: memory.
+
+        Returns:
+            A pytree of arrays, [R] leading, which others find in ``known.others.words``; None if
+            nothing.
+        """
+        return None
 
     @abstractmethod
     def act(self, carry: Any, known: Known, key: jax.Array, step: jax.Array) -> tuple[Any, Any]:
@@ -132,6 +155,8 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
         raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
     key = _key(policy, policy_key)
     carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
+    if known.others is not None:
+        known = replace(known, others=unheard(known.belief.p, policy.says(carry)))
     step = jax.ShapeDtypeStruct((), jnp.int32)
     after, command = jax.eval_shape(policy.act, carry, known, key, step)
     _check(name, stages, command, known)

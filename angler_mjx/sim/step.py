@@ -1,6 +1,7 @@
 """A control step, phase by phase: the table of contents of a simulation.
 
     sense       world      instruments and filters: what robots are told of their own motion
+    hear        world      packets of other robots that came in, and those that are sent
     policy      world      a function of what all robots of a world know commands them
     decide      robot      controllers: from a path or a command to the thrusters' signals
     move        robot      the physics steps of the control period
@@ -111,12 +112,26 @@ def judge(here: Here, now: Slots) -> Done:
         contact: Contact,
         power: jax.Array,
         broken: jax.Array,
+        finished: jax.Array | None,
+        fails_at_s: jax.Array | None,
         lo: jax.Array,
         hi: jax.Array,
         t: jax.Array,
     ) -> Tally:
         return robot.account(
-            here.spec, goal_m, lo, hi, tally, before_m, after_m, contact, power, broken, t
+            here.spec,
+            goal_m,
+            lo,
+            hi,
+            tally,
+            before_m,
+            after_m,
+            contact,
+            power,
+            broken,
+            t,
+            finished,
+            fails_at_s,
         )
 
     tally = here.each(
@@ -128,6 +143,8 @@ def judge(here: Here, now: Slots) -> Done:
         here.contact(now),
         now["power_w"],
         now["broken"],
+        here.finished,
+        here.fails_at_s,
         shared=(*here.corners, here.t),
     )
     return Done(slots=lambda: {"tally": tally}, record=lambda: record_judged(tally))
