@@ -12,10 +12,9 @@ from angler_mjx.benchmark.questions import with_team
 from angler_mjx.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named, parse, read_toml
+from angler_mjx.runs.several import RUNS
+from angler_mjx.scenario.editing import table_of, without_horizon
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
-
-RUNS = "runs"
-"""Folder of the parts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,9 +46,7 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
     )
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else folder / config.scenario)
-    table = scenario.model_dump(mode="json", exclude_unset=True)
-    table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
-    return config.model_copy(update={"expert": experts}), table
+    return config.model_copy(update={"expert": experts}), table_of(scenario)
 
 
 def parts(
@@ -122,7 +119,7 @@ def _part(
         **config.set.get("time", {}),
         **scene.set.get("time", {}),
     }:  # The scenario's horizon is that of its own world.
-        whole["time"] = {k: v for k, v in whole.get("time", {}).items() if k != "horizon_s"}
+        whole = without_horizon(whole)
     whole |= _flown(whole, expert)
     whole |= {"worlds": worlds, "seed": seed_of(config.seed, number)}
     made = parse(Scenario, whole, source=about)
