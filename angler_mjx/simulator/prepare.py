@@ -237,6 +237,22 @@ def _one_world(
     )
 
 
+def current_of(scenario: Scenario, seed: jax.Array, index: jax.Array) -> currents.Current:
+    """The current alone of a world, as it is drawn with everything else; to be traced.
+
+    Args:
+        scenario: whose world.
+        seed: [] of the run.
+        index: [] of the world.
+    """
+    key = jax.random.fold_in(jax.random.key(seed), index)
+    _, of_world, _, _, of_factors = children(key, 5)
+    recipe = resolve(scenario.world)
+    current = generate.draw_current(recipe, of_world, scenario.time.horizon_s)
+    factors = _factors(scenario.randomise, of_factors, 1)
+    return current if factors is None else currents.scaled(current, factors.current)
+
+
 def _factors(given: RandomiseConfig, key: jax.Array, robots: int) -> Factors | None:
     """What is drawn for one world; a robot more changes nothing for those before it."""
     if not given.of_worlds:
