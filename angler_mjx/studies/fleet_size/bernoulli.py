@@ -24,7 +24,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import betaln, xlog1py, xlogy
 
 WEIGHT = 10.0
 """Worlds that the prior counts as."""
@@ -40,9 +39,25 @@ def log_ratio(p: float, hits: int, total: int, about: float) -> float:
         total: n.
         about: mean of the prior, inside 0 to 1.
     """
+    return _averaged(hits, total, about) - _likelihood(p, hits, total)
+
+
+def _averaged(hits: int, total: int, about: float) -> float:
+    """Logarithm of the likelihood averaged over the prior."""
     a, b = WEIGHT * about, WEIGHT * (1.0 - about)
-    averaged = betaln(a + hits, b + total - hits) - betaln(a, b)
-    return float(averaged - xlogy(hits, p) - xlog1py(total - hits, -p))
+    return _log_beta(a + hits, b + total - hits) - _log_beta(a, b)
+
+
+def _log_beta(a: float, b: float) -> float:
+    return math.lgamma(a) + math.lgamma(b) - math.lgamma(a + b)
+
+
+def _likelihood(p: float, hits: int, total: int) -> float:
+    """Logarithm of the likelihood of p."""
+    missed = total - hits
+    if (hits and p <= 0.0) or (missed and p >= 1.0):
+        return -math.inf
+    return (hits * math.log(p) if hits else 0.0) + (missed * math.log1p(-p) if missed else 0.0)
 
 
 def low(hits: int, total: int, alpha: float, about: float) -> float:
@@ -74,17 +89,19 @@ def _edge(
     M falls from the end to the estimate, where it is least; the end outside is returned, so that
     rounding makes the interval wider.
     """
-    wall = -math.log(alpha)
+    least = _averaged(hits, total, about) + math.log(alpha)
     for _ in range(_HALVINGS):
         middle = 0.5 * (outside + inside)
-        if log_ratio(middle, hits, total, about) >= wall:
+        if _likelihood(middle, hits, total) <= least:
             outside = middle
         else:
             inside = middle
     return outside
 
 
-def quantile(times_s: Sequence[float], share: float, alpha: float) -> tuple[float, float, float]:
+def quantile(
+    times_s: Sequence[float] | np.ndarray, share: float, alpha: float
+) -> tuple[float, float, float]:
     """A quantile of a time and its interval.
 
     Args:

@@ -171,4 +171,5 @@ def _sizes(axes: Axes, found: Mapping[str, Any]) -> None:
 
 def _aside(sizes: Sequence[int], i: int, of: int) -> np.ndarray:
     """Sizes moved a little, so that bars of conditions stand side by side."""
-    return np.array(sizes, float) * 1.02 ** (i - 0.5 * (of - 1))
+    moved: np.ndarray = np.array(sizes, float) * 1.02 ** (i - 0.5 * (of - 1))
+    return moved

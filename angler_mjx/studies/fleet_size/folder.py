@@ -18,8 +18,7 @@ from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.studies.fleet_size import asking, figures, report
 from angler_mjx.studies.fleet_size.asking import Study
-from angler_mjx.studies.fleet_size.store import FILE as BATCHES
-from angler_mjx.studies.fleet_size.store import Batch
+from angler_mjx.studies.fleet_size.store import FILE, Batch
 
 SOURCE, RESOLVED, STUDY = "study.toml", "resolved.json", "study.json"
 RESULTS, PAGE = "results.parquet", "page.md"
@@ -48,7 +47,7 @@ def begin(study: Study, source: Path, out: Path, tile: int) -> Claim:
 
 
 def _worth(building: Path) -> str | None:
-    batches = building / BATCHES
+    batches = building / FILE
     return claims.RESUMABLE if batches.is_file() and batches.stat().st_size else None
 
 

@@ -19,7 +19,7 @@ from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.flying import fly
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
 from angler_mjx.studies.fleet_size.simulators import Simulators
-from angler_mjx.studies.fleet_size.store import Batch, Store
+from angler_mjx.studies.fleet_size.store import FILE, Batch, Store
 
 AHEAD = 4
 """Batches whose simulators are compiled while others fly."""
@@ -129,7 +129,7 @@ def _run(
 ) -> dict[str, Any]:
     minutes = study.config.budget.most_minutes
     begun = time.monotonic()
-    store = Store(claimed.building / folder.BATCHES)
+    store = Store(claimed.building / FILE)
     work = _Work(
         study=study,
         rule=rule_of(study),

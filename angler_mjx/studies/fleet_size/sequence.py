@@ -17,6 +17,7 @@ Of a span not all sizes are flown: one that lies between two that were both excl
 excluded too. That is the only assumption, and a list of sizes does not need it.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -46,11 +47,26 @@ class Rule:
         """The interval of a size that decides about it."""
         if total == 0:
             return 0.0, 1.0
-        half = 0.5 * (1.0 - self.confidence)
         return (
-            bernoulli.low(hits, total, half / len(self.sizes), self.probability),
-            bernoulli.high(hits, total, half, self.probability),
+            bernoulli.low(hits, total, self._half / len(self.sizes), self.probability),
+            bernoulli.high(hits, total, self._half, self.probability),
         )
+
+    def verdict(self, hits: int, total: int) -> int:
+        """1: the size is accepted; -1: it is excluded; 0: it is open. As `ends` has it."""
+        p = self.probability
+        if total == 0 or hits == p * total:
+            return 0
+        enough = hits > p * total
+        alpha = self._half / len(self.sizes) if enough else self._half
+        if bernoulli.log_ratio(p, hits, total, p) < -math.log(alpha):
+            return 0
+        return 1 if enough else -1
+
+    @property
+    def _half(self) -> float:
+        """Probability of an error of either kind."""
+        return 0.5 * (1.0 - self.confidence)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,21 +83,23 @@ class Standing:
     """First flown position whose share is P or more; the number of sizes if none."""
 
     def good(self, rule: Rule) -> bool:
-        """Whether the interval is as short as it is to be."""
-        return self.excluded >= lowest(rule, self) and self.accepted <= highest(rule, self)
+        """Whether the interval is as short as it is to be, or holds no size of the file."""
+        last = len(rule.sizes) - 1
+        short = self.accepted - self.excluded - 1 <= 2 * rule.within and self.accepted <= last
+        return short or self.excluded == last
 
 
 def stand(rule: Rule, counts: Counts) -> Standing:
     """What counts tell."""
     flown = sorted(at for at, (_, total) in counts.items() if total > 0)
-    ends = {at: rule.ends(*counts[at]) for at in flown}
+    verdicts = {at: rule.verdict(*counts[at]) for at in flown}
     excluded = -1
     for at in flown:
-        if ends[at][1] >= rule.probability:
+        if verdicts[at] != -1:
             break
         excluded = at
     none = len(rule.sizes)
-    accepted = next((at for at in flown if ends[at][0] >= rule.probability), none)
+    accepted = next((at for at in flown if verdicts[at] == 1), none)
     enough = [at for at in flown if counts[at][0] >= rule.probability * counts[at][1]]
     estimate = enough[0] if enough else none
     below = max((at for at in flown if at < estimate), default=-1)
@@ -106,13 +124,30 @@ def wanted(rule: Rule, counts: Counts) -> list[int]:
     if lacking:
         return lacking
     now = stand(rule, counts)
-    if now.good(rule):
-        return []
-    gap = min(now.estimate, len(rule.sizes) - 1) - now.below
-    if gap > rule.within + 1:
+    none = now.estimate == len(rule.sizes)
+    between = _beside_best(rule, counts) if none else []
+    if between or now.good(rule):
+        return between
+    if not none and now.estimate - now.below > rule.within + 1:
         return [(now.below + now.estimate) // 2]
     asked = [*_to_exclude(rule, counts, now), *_to_accept(rule, counts, now)]
     return sorted(dict.fromkeys(asked))
+
+
+def _beside_best(rule: Rule, counts: Counts) -> list[int]:
+    """Middles of the gaps beside the best size, where none was good enough.
+
+    Success that falls with more robots may have passed between two sizes that were flown. Empty
+    where the largest may be as good as the best, or no gap is left.
+    """
+    rates = {at: hits / total for at, (hits, total) in counts.items()}
+    best, last = max(sorted(rates), key=lambda at: rates[at]), len(rule.sizes) - 1
+    if best == last or rule.ends(*counts[best])[0] <= rates[last]:
+        return []
+    before = max((at for at in counts if at < best), default=best)
+    after = min(at for at in counts if at > best)
+    gaps = ((before, best), (best, after))
+    return [(a + b) // 2 for a, b in gaps if b - a > rule.within + 1]
 
 
 def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
@@ -132,7 +167,7 @@ def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
 def _to_accept(rule: Rule, counts: Counts, now: Standing) -> list[int]:
     """What is to be flown so that the upper end falls."""
     target = min(highest(rule, now), len(rule.sizes) - 1)
-    if now.accepted <= highest(rule, now):
+    if now.accepted <= target:
         return []
     near = list(range(now.estimate, target))
     chosen = _choose(rule, counts, near, target, 1, now.accepted)
@@ -170,10 +205,7 @@ def _worlds(counts: Counts, at: int) -> int:
 def _open(rule: Rule, counts: Counts, at: int) -> bool:
     """Whether more worlds may be flown of a size that is not decided."""
     hits, total = counts.get(at, (0, 0))
-    if total >= rule.most_worlds:
-        return False
-    low, high = rule.ends(hits, total)
-    return low < rule.probability <= high
+    return total < rule.most_worlds and rule.verdict(hits, total) == 0
 
 
 @dataclass(frozen=True, kw_only=True)
