@@ -24,7 +24,7 @@ def fly(
     replan_hz: float | None = None,
     knows: str | None = None,
     order: Literal["free", "kept"] | None = None,
-    policy: Literal["none", "mppi"] | None = None,
+    policy: Literal["none", "mppi", "routes"] | None = None,
     session: Literal["sim", "sitl"] = "sim",
     out: Path | None = None,
     world: int = 0,
@@ -85,7 +85,8 @@ def fly(
     if not loaded.flown:
         raise ConfigError(
             "angler fly: the scenario plans nothing anew, keeps no order and names no policy; give "
-            "--replan-hz, --order kept or --policy mppi (angler rollout flies plans as they are)"
+            "--replan-hz, --order kept, --policy mppi or --policy routes (angler rollout flies "
+            "plans as they are)"
         )
     notice = unseen(loaded)
     if notice:

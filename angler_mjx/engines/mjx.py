@@ -17,7 +17,7 @@ from angler_mjx.physics.step import Multibody, VehicleState
 from angler_mjx.sim import aboard, nearness, start
 from angler_mjx.sim.aboard import Minds, Told
 from angler_mjx.sim.detection import Contact, detect
-from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.phase import Slots, run
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -41,6 +41,8 @@ class OneWorld:
     """A `Multibody` of the fleet; None for those who move the vehicles themselves."""
     given: Command | None = None
     """Instead of the paths."""
+    finished: jax.Array | None = None
+    """See `phase.Here`."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @property
@@ -64,6 +66,11 @@ class OneWorld:
     def goal_m(self) -> jax.Array:
         """See `phase.Here`."""
         return self.world.environment.goal_m
+
+    @property
+    def fails_at_s(self) -> jax.Array | None:
+        """See `phase.Here`."""
+        return self.world.fails_at_s
 
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
@@ -143,6 +150,7 @@ def control_step(
     command: Command | None = None,
     policy: Policy | None = None,
     number: jax.Array | None = None,
+    fleet: Fleet | None = None,
 ) -> tuple[WorldState, Sample]:
     """One control step of one world.
 
@@ -155,6 +163,7 @@ def control_step(
         policy: that commands them, if one does.
         number: ``state.step``, as one number for all worlds of a batch: a policy with a period is
             then called in its steps alone.
+        fleet: whose robots may carry loads; if left out they do not.
 
     Returns:
         The state one control period later, and the sample of the state before with its command.
@@ -165,14 +174,23 @@ def control_step(
     if aboard.tells(spec, policy):
         count = state.step if number is None else number
         minds, told = aboard.tell(
-            spec, policy, world, minds, count, state.vehicles, state.obstacles
+            spec,
+            policy,
+            world,
+            minds,
+            count,
+            state.vehicles,
+            state.obstacles,
+            state.tally.outcome,
+            fleet=fleet,
         )
     here = OneWorld(
         spec=spec,
-        world=world,
+        world=carrying(fleet, world, told.loaded),
         t=t,
         engine=engine,
         given=told.command if command is None else command,
+        finished=told.finished,
     )
     slots = {
         "vehicle": state.vehicles,
@@ -203,6 +221,7 @@ def segment(
     command: Command | None = None,
     policy: Policy | None = None,
     number: jax.Array | None = None,
+    fleet: Fleet | None = None,
 ) -> tuple[WorldState, Sample]:
     """``n_sample * steps_per_sample`` control steps of one world, all with one command.
 
@@ -211,7 +230,7 @@ def segment(
     """
     # One control step stands in the program, not one for recorded and one for other steps: it is
     # most of what there is to compile.
-    fly = partial(control_step, spec, engine, world, command=command, policy=policy)
+    fly = partial(control_step, spec, engine, world, command=command, policy=policy, fleet=fleet)
     shapes = jax.eval_shape(fly, state)[1]
     nothing: Sample = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
 
@@ -259,7 +278,9 @@ class MjxEngine:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        one = partial(control_step, spec, policy=policy, number=_number(state, policy))
+        one = partial(
+            control_step, spec, policy=policy, number=_number(spec, state, policy), fleet=fleet
+        )
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(
             _multibody(spec, fleet, worlds), worlds, state, command
@@ -280,7 +301,8 @@ class MjxEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
-        fly: Any = partial(segment, spec, policy=policy, number=_number(state, policy), **count)
+        told: dict[str, Any] = {"number": _number(spec, state, policy), "fleet": fleet}
+        fly: Any = partial(segment, spec, policy=policy, **told, **count)
 
         def one(world: World, state: WorldState, command: Command | None) -> Any:
             return fly(_multibody(spec, fleet, worlds), world, state, command=command)
@@ -290,9 +312,9 @@ class MjxEngine:
         return after, nearness.all_completed(spec, worlds, samples)
 
 
-def _number(state: WorldState, policy: Policy | None) -> jax.Array | None:
-    """Control steps that all worlds have taken, where a policy wants to know."""
-    return None if policy is None else state.step[0]
+def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
+    """Control steps that all worlds have taken, where a policy or a task wants to know."""
+    return None if policy is None and not spec.by_task else state.step[0]
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:

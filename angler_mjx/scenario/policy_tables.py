@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from angler_mjx.control.commands import BodyTwist, BodyWrench
+from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
@@ -82,24 +82,49 @@ class MppiConfig(FileModel):
         Raises:
             ValueError: it is no whole number.
         """
-        dt_s = time.control_dt_s
-        whole(f"policy.mppi.hz = {self.hz:g}: 1 / (hz control_dt_s)", 1.0, self.hz * dt_s)
-        return round(1.0 / (self.hz * dt_s))
+        return _steps("policy.mppi.hz", self.hz, time)
+
+
+class RoutesConfig(FileModel):
+    """Flight along ways that were worked out before the start; see `docs/routes.md`."""
+
+    hz: float = Field(default=5.0, gt=0.0, le=1e4)
+    """How often robots are told anew; a whole number of control steps from one time to the next."""
+    horizon_s: float = Field(default=5.0, gt=0.0, le=600.0)
+    """How far ahead contacts with what moves count."""
+
+    def period(self, time: TimeConfig) -> int:
+        """Control steps from one time that robots are told to the next.
+
+        Raises:
+            ValueError: it is no whole number.
+        """
+        return _steps("policy.routes.hz", self.hz, time)
 
 
 class PolicyConfig(FileModel):
     """What commands the robots while they fly, instead of their plans; see `docs/policies.md`."""
 
-    name: Literal["none", "mppi"] = "none"
+    name: Literal["none", "mppi", "routes"] = "none"
     """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
-    no plan."""
+    no plan. routes: each flies along a way that was worked out for every place of the world, and
+    gets out of the way of what it meets."""
     knows: KnowsConfig | None = None
-    """What it may know of what moves, whenever it acts; what the planner may if left out."""
+    """What it may know of what moves, whenever it acts; what the planner may if left out. routes is
+    told where obstacles are and how fast if neither says anything."""
     mppi: MppiConfig = MppiConfig()
+    routes: RoutesConfig = RoutesConfig()
+
+
+def _steps(key: str, hz: float, time: TimeConfig) -> int:
+    """Control steps from one time to the next at ``hz``; a ValueError if it is no whole number."""
+    dt_s = time.control_dt_s
+    whole(f"{key} = {hz:g}: 1 / (hz control_dt_s)", 1.0, hz * dt_s)
+    return round(1.0 / (hz * dt_s))
 
 
 def check_flyable(
-    settings: MppiConfig,
+    policy: PolicyConfig,
     time: TimeConfig,
     controller: ControllerConfig,
     fleet: Sequence[FleetEntry],
@@ -109,6 +134,15 @@ def check_flyable(
     Raises:
         ValueError: naming the key and its value.
     """
+    if policy.name == "routes":
+        policy.routes.period(time)
+        if not any(PoseTarget in x.takes for x in controller.stack()[0]):
+            raise ValueError(
+                f'policy.name = "routes": guides robots by poses, and no stage of controller '
+                f"{controller.title!r} takes one; take another, such as cascade"
+            )
+        return
+    settings = policy.mppi
     settings.period(time)
     if not any(settings.commands in x.takes for x in controller.stack()[0]):
         raise ValueError(

@@ -16,6 +16,7 @@ from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
+from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
@@ -29,9 +30,11 @@ from angler_mjx.scenario.tables import (
     WaterConfig,
     check_online,
 )
+from angler_mjx.scenario.task_table import GoalTask, TaskConfig, check_flown, spec_of
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
+from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles import library
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
@@ -75,11 +78,21 @@ class Scenario(FileModel):
     policy: PolicyConfig = PolicyConfig()
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
+    task: TaskConfig = GoalTask()
+    """What the robots of a world have to do; see `docs/tasks.md`."""
+    breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
         """The horizon of a file that gives none; before the checks of what fits it."""
         self.__dict__["time"] = self.time.by_default(presets.load(self.world.preset).horizon_s)
+        return self
+
+    @model_validator(mode="after")
+    def _policy_of_task(self) -> Self:
+        """Who flies from place to place, where the file does not say."""
+        if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
+            self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
         return self
 
     @model_validator(mode="after")
@@ -142,6 +155,11 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _breaks_down_in_time(self) -> Self:
+        check_breakdowns(self.breakdowns, self.time)
+        return self
+
+    @model_validator(mode="after")
     def _rotors_alike(self) -> Self:
         """Rotors of first and of third order have states of different shapes."""
         first = None
@@ -193,8 +211,19 @@ class Scenario(FileModel):
                 f"policy.name = {self.policy.name!r}: {key} commands the robots already; leave out "
                 "one of them"
             )
-        check_flyable(self.policy.mppi, self.time, self.controller, self.fleet)
+        check_flyable(self.policy, self.time, self.controller, self.fleet)
         return self
+
+    @model_validator(mode="after")
+    def _task_can_be_done(self) -> Self:
+        check_flown(self.task, self.policy, online=self.online)
+        self.task_spec()
+        return self
+
+    def task_spec(self) -> TaskSpec | None:
+        """What the task is compiled from; None where each robot has a goal of its own."""
+        robots = sum(entry.count for entry in self.fleet)
+        return spec_of(self.task, resolve(self.world), robots, self.time)
 
     @property
     def flown(self) -> bool:
@@ -231,6 +260,8 @@ class Scenario(FileModel):
             "density_kgpm3": self.water.density_kgpm3,
             "goal_tolerance_m": self.goal_tolerance_m,
         }
+        if not isinstance(self.task, GoalTask):
+            drawn["task"] = self.task.model_dump(mode="json")
         if self.randomise.of_vehicles or self.randomise.of_worlds:
             drawn["randomise"] = self.randomise.model_dump(mode="json")
         text = json.dumps(drawn, sort_keys=True)
@@ -250,6 +281,7 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
             also=self.store.also,
+            task=self.task_spec(),
         )
 
 

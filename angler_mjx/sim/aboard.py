@@ -5,7 +5,7 @@ lanes have nothing to offer for. The fused engines run them between their own ph
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
 
@@ -16,13 +16,29 @@ from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import knowledge, senses
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing, run
 from angler_mjx.sim.policy import Known, Policy
-from angler_mjx.sim.record import Belief
-from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.record import Belief, Progress
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
+from angler_mjx.tasks import work as tasks
+from angler_mjx.tasks.spec import TaskState
+from angler_mjx.tasks.travel import Travel
+from angler_mjx.tasks.work import Scene
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Sent:
+    """Where robots are to go, [R] leading."""
+
+    goal_m: jax.Array
+    """[R, 3] in W."""
+    place: jax.Array | None
+    """int32 [R] which place of the world's routes that is; -1: none, it stays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +53,10 @@ class Aboard:
     vehicles: VehicleState
     obstacles: ObstacleState | None = None
     """Now; None where no policy asks for them."""
+    outcome: jax.Array | None = None
+    """int32 [R] of the robots so far; None where there is no task."""
+    fleet: Fleet | None = None
+    """None where robots carry nothing."""
 
     @property
     def t(self) -> jax.Array:
@@ -54,20 +74,31 @@ class Aboard:
         )
         return flow
 
-    def known(self, belief: Belief | None) -> Known:
+    def known(self, belief: Belief | None, sent: Sent | None = None) -> Known:
         """What the robots know, for a policy.
 
         Args:
             belief: what they are told of their motion; None for the truth.
+            sent: where the task sends them; None where each has a goal of its own.
         """
+        to = self._goals() if sent is None else sent
         return Known(
             belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
-            goal_m=self.world.environment.goal_m,
+            goal_m=to.goal_m,
             path=self.world.path,
             params=self.world.control,
+            routes=self.world.routes,
+            place=to.place,
             **self._scenery(),
         )
+
+    def _goals(self) -> Sent:
+        """Each robot to its goal, which is its place of the routes too."""
+        place = None
+        if self.world.routes is not None:
+            place = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
+        return Sent(goal_m=self.world.environment.goal_m, place=place)
 
     def _scenery(self) -> dict[str, Any]:
         """What a policy that asks for it is told of the world about the robots."""
@@ -126,26 +157,81 @@ def sense(here: Aboard, now: Slots) -> Done:
     )
 
 
+def work(here: Aboard, now: Slots) -> Done:
+    """The task: what was done of it, and where robots go next."""
+    spec, task = here.spec.task, here.world.task
+    if spec is None:
+        return Done(slots=nothing)
+    if here.outcome is None or task is None:
+        raise RuntimeError("an engine does not say how robots ended, or a world has no task")
+    known, outcome = now.get("known"), here.outcome
+    scene = Scene(
+        t=here.t,
+        p=here.vehicles.p,
+        q=here.vehicles.q,
+        running=outcome == Outcome.RUNNING,
+        believed_m=here.vehicles.p if known is None else known.p,
+        grid=here.world.environment.grid,
+    )
+    travel = Travel(place_m=task.place_m, routes=here.world.routes)
+    state: TaskState = jax.lax.cond(
+        here.number % spec.period == 0,
+        lambda: tasks.look(spec, task, now["task"], scene, travel),
+        lambda: now["task"],
+    )
+    return Done(
+        slots=lambda: {
+            "task": state,
+            "sent": Sent(goal_m=state.goal_m, place=state.target),
+            "finished": state.finished,
+            "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
+        },
+        record=lambda: {"task": record_task(state)},
+    )
+
+
+def record_task(state: TaskState) -> Progress:
+    """What is recorded of `work`."""
+    return Progress(
+        share=state.progress,
+        target=state.target,
+        carrying=state.carrying,
+        done=state.did,
+    )
+
+
 def choose(here: Aboard, now: Slots) -> Done:
     """A policy commands the robots of a world."""
     if here.policy is None:
         return Done(slots=nothing)
+    world = carrying(here.fleet, here.world, now.get("loaded"))
     memory, command = policies.step(
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: here.known(now.get("known")),
+        lambda: replace(here, world=world).known(now.get("known"), now.get("sent")),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
 
 
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
+WORK = Phase(
+    name="work",
+    of="world",
+    run=work,
+    reads=("task", "known"),
+    gives=("task", "sent", "finished", "loaded"),
+)
 POLICY = Phase(
-    name="policy", of="world", run=choose, reads=("policy", "known"), gives=("policy", "command")
+    name="policy",
+    of="world",
+    run=choose,
+    reads=("policy", "known", "sent"),
+    gives=("policy", "command"),
 )
 
-PHASES = (SENSE, POLICY)
+PHASES = (SENSE, WORK, POLICY)
 """In order."""
 
 
@@ -158,8 +244,20 @@ class Told:
     """Of their own motion."""
     command: Any = None
     """By a policy."""
+    finished: jax.Array | None = None
+    """bool [R] whose part of the task is done; None where each robot has a goal of its own."""
+    loaded: jax.Array | None = None
+    """bool [R] who carries a load; None where there are none."""
     record: dict[str, Any] = field(default_factory=dict)
     """Of the phases of worlds."""
+
+    def given(self) -> dict[str, Any]:
+        """What there is of it for the phases of robots, by the names of their slots."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name != "record" and getattr(self, field.name) is not None
+        }
 
 
 @jax.tree_util.register_dataclass
@@ -169,11 +267,12 @@ class Minds:
 
     senses: Any
     policy: Any
+    task: Any
 
     @classmethod
     def of(cls, state: WorldState) -> "Minds":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy)
+        return cls(senses=state.senses, policy=state.policy, task=state.task)
 
 
 def asked(policy: Policy | None, command: Any) -> Policy | None:
@@ -183,7 +282,7 @@ def asked(policy: Policy | None, command: Any) -> Policy | None:
 
 def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
-    return bool(spec.instrumented) or policy is not None
+    return bool(spec.instrumented) or policy is not None or spec.by_task
 
 
 def watches(policy: Policy | None) -> bool:
@@ -199,6 +298,9 @@ def tell(
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -210,6 +312,8 @@ def tell(
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
         obstacles: now, [n] leading, where a policy asks (`watches`).
+        outcome: int32 [R] of the robots so far, where there is a task.
+        fleet: whose robots may carry loads; if left out they do not.
     """
     here = Aboard(
         spec=spec,
@@ -218,10 +322,19 @@ def tell(
         number=number,
         vehicles=vehicles,
         obstacles=obstacles,
+        outcome=outcome,
+        fleet=fleet,
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
-    return after, Told(known=now.get("known"), command=now.get("command"), record=record)
+    told = Told(
+        known=now.get("known"),
+        command=now.get("command"),
+        finished=now.get("finished"),
+        loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
+        record=record,
+    )
+    return after, told
 
 
 def tell_tile(
@@ -232,9 +345,14 @@ def tell_tile(
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(tell, spec, policy)
-    axes = (0, 0, 0 if number.ndim else None, 0, 0)
-    after: tuple[Minds, Told] = jax.vmap(one, axes)(worlds, minds, number, vehicles, obstacles)
+    one = partial(tell, spec, policy, fleet=fleet)
+    axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
+    after: tuple[Minds, Told] = jax.vmap(one, axes)(
+        worlds, minds, number, vehicles, obstacles, outcome
+    )
     return after

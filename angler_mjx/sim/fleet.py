@@ -2,6 +2,7 @@
 
 A variant is a vehicle with one parameter set at one voltage, with its faults and what was drawn of
 it. A robot of the fleet names one variant or a weighted mix; the mix is drawn anew in every world.
+Where robots carry loads, each variant stands there once more, with the load.
 """
 
 import itertools
@@ -20,8 +21,10 @@ from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.state import World
 from angler_mjx.vehicles import library, mjcf, params
 from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.vehicles.load import Load, laden
 from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.vehicles.rotor_config import RotorResponse
 from angler_mjx.vehicles.variation import Variation, varied
@@ -84,17 +87,27 @@ class Fleet:
     """
 
     control: ControlParams
-    """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``."""
+    """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``. Where robots carry loads,
+    so many variants again follow: the same ones, in order, with the load."""
     engine: MjxEngine | None
     """None where no multibody models were asked for."""
     body: BodyInertia
-    """[n_variant] leads; empty where no multibody models were asked for."""
+    """As of ``control``; empty where no multibody models were asked for."""
     cruise_mps: jax.Array
-    """[n_robot, n_variant]."""
+    """[n_robot, n_variant], and so many again as of ``control``."""
     log_weight: jax.Array
     """[n_robot, n_variant], -inf where a robot cannot be that variant."""
     groups: tuple[Group, ...] = field(metadata={"static": True})
     """All robots, in order."""
+
+    @property
+    def carries(self) -> bool:
+        """Whether its robots can carry a load."""
+        return self.cruise_mps.shape != self.log_weight.shape
+
+    def numbered(self, variant: jax.Array, loaded: jax.Array) -> jax.Array:
+        """Variants of robots [...] as they are now, with the load or without."""
+        return variant + jnp.where(loaded, self.log_weight.shape[1], 0)
 
 
 CRUISE_SHARE = 0.6
@@ -120,27 +133,30 @@ def described(members: Sequence[Member]) -> list[dict[str, Any]]:
     return rows
 
 
-def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
+def build(members: Sequence[Member], *, multibody: bool = True, load: Load | None = None) -> Fleet:
     """Compile a fleet (host side).
 
     Args:
         members: the robots.
         multibody: keep MuJoCo's models, which only the mjx engine reads.
+        load: that robots can carry; controllers know of it.
 
     Raises:
         ConfigError: unknown vehicle, set or thruster, a file with faults, or rotors of more than
             one kind.
     """
     kinds = variants(members)
-    robots = [_robot(kind) for kind in kinds]
-    _refuse_mixed_rotors(kinds, robots)
-    stacked = params.stack(robots)
+    _refuse_mixed_rotors(kinds, [_robot(kind) for kind in kinds])
+    each: list[tuple[Variant, Load | None]] = [(kind, None) for kind in kinds]
+    if load is not None:
+        each += [(kind, load) for kind in kinds]
+    stacked = params.stack([_robot(*one) for one in each])
     nominal = None
     if any(kind.variation and not kind.variation_known for kind in kinds):
-        nominal = params.stack([_robot(_taken_for(kind)) for kind in kinds])
+        nominal = params.stack([_robot(_taken_for(kind), carried) for kind, carried in each])
     believed = stacked if nominal is None else nominal
-    known = np.array([[kind.fault_known] for kind in kinds])
-    specs = [mjcf.to_spec(_config(kind), kind.parameter_set, shapes=False) for kind in kinds]
+    known = np.array([[kind.fault_known] for kind, _ in each])
+    specs = [mjcf.to_spec(_config(*one), one[0].parameter_set, shapes=False) for one in each]
     surge = CRUISE_SHARE * np.asarray(believed.terminal_speed_mps)[:, 0]
     cruise = np.array([np.minimum(member.cruise_speed_mps, surge) for member in members])
     chance = np.zeros((len(members), len(kinds)))
@@ -153,7 +169,7 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     control = ControlParams(
         vehicle=stacked,
         allocation=allocation.build(believed, np.where(known, believed.thruster_health, 1.0)),
-        cruise_speed_mps=jnp.zeros(len(kinds)),
+        cruise_speed_mps=jnp.zeros(len(each)),
         nominal=nominal,
     )
     return Fleet(
@@ -166,17 +182,19 @@ def build(members: Sequence[Member], *, multibody: bool = True) -> Fleet:
     )
 
 
-def _config(kind: Variant) -> VehicleConfig:
-    """The vehicle file of a variant, its parameter set varied."""
+def _config(kind: Variant, load: Load | None = None) -> VehicleConfig:
+    """The vehicle file of a variant, its parameter set varied, with what it carries."""
     config = library.load(kind.vehicle)
-    return config if kind.variation is None else varied(config, kind.parameter_set, kind.variation)
+    if kind.variation is not None:
+        config = varied(config, kind.parameter_set, kind.variation)
+    return config if load is None else laden(config, kind.parameter_set, load)
 
 
-def _robot(kind: Variant) -> VehicleParams:
-    """The parameters of a variant as it is."""
+def _robot(kind: Variant, load: Load | None = None) -> VehicleParams:
+    """The parameters of a variant as it is, with what it carries."""
     volts = kind.variation.battery_v if kind.variation else None
     return params.build(
-        _config(kind),
+        _config(kind, load),
         kind.parameter_set,
         kind.battery_v if volts is None else volts,
         thruster_health=dict(kind.thruster_health),
@@ -210,8 +228,9 @@ def _groups(
     for _, run in itertools.groupby(range(len(members)), key=lambda i: vehicles[i]):
         rows = list(run)
         possible = {kinds.index(variant) for i in rows for variant in members[i].variants}
-        letters = _sameness(stacked, sorted(possible))
-        one = min(possible)
+        one, every = min(possible), stacked.cruise_speed_mps.shape[0]
+        with_load = [k + more for k in possible for more in range(0, every, len(kinds))]
+        letters = _sameness(stacked, sorted(with_load))
         groups.append(Group(rows[0], len(rows), one, letters, _shared(stacked, one, letters)))
     return tuple(groups)
 
@@ -240,7 +259,8 @@ def _shared(
 def radius_bound(fleet: Fleet) -> jax.Array:
     """[n_robot] bounding radius of the largest variant that each robot can be, m."""
     possible = jnp.isfinite(fleet.log_weight)
-    return jnp.max(jnp.where(possible, fleet.control.vehicle.radius_m, 0.0), axis=1)
+    radius_m = fleet.control.vehicle.radius_m[: possible.shape[1]]  # a load changes no hull
+    return jnp.max(jnp.where(possible, radius_m, 0.0), axis=1)
 
 
 def parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyInertia]:
@@ -249,6 +269,33 @@ def parameters(fleet: Fleet, variant: jax.Array) -> tuple[ControlParams, BodyIne
         lambda leaf: leaf[variant], (fleet.control, fleet.body)
     )
     return found
+
+
+def laden_cruise(fleet: Fleet, worlds: World) -> jax.Array:
+    """Cruise speeds [..., n_robot] of robots with their load, m/s.
+
+    Args:
+        fleet: that carries loads.
+        worlds: any leading axes.
+    """
+    robots, kinds = fleet.log_weight.shape
+    bound = fleet.cruise_mps[jnp.arange(robots), worlds.variant + kinds]
+    return jnp.minimum(worlds.control.cruise_speed_mps, bound)
+
+
+def carrying(fleet: Fleet | None, world: World, loaded: jax.Array | None) -> World:
+    """One world with the parameters of those of its robots that carry something.
+
+    Args:
+        fleet: all variants; None where nobody asked for its loads.
+        world: with the parameters of robots that carry nothing.
+        loaded: bool [n_robot] who does; None where nobody can.
+    """
+    if fleet is None or loaded is None or not fleet.carries:
+        return world
+    control, body = parameters(fleet, fleet.numbered(world.variant, loaded))
+    cruise = jnp.where(loaded, laden_cruise(fleet, world), world.control.cruise_speed_mps)
+    return replace(world, control=replace(control, cruise_speed_mps=cruise), body=body)
 
 
 def draw(fleet: Fleet, key: jax.Array) -> tuple[jax.Array, ControlParams, BodyInertia]:

@@ -19,7 +19,8 @@ type Slots = Mapping[str, Any]
 Of robots: ``vehicle`` `VehicleState`, ``memory`` of the controllers, ``tally`` `Tally`; within one
 step also ``known`` (`Belief`, or the vehicle where robots are told the truth), ``thrust_n``,
 ``power_w``, ``before_m``, ``broken``. Of obstacles: ``obstacles`` `ObstacleState`. Of worlds:
-``senses`` and ``policy``, their memories; within one step ``known`` and ``command``.
+``senses``, ``task`` and ``policy``, their memories; within one step ``known``, ``command``,
+``finished`` and ``loaded``.
 """
 
 
@@ -52,6 +53,14 @@ class Here(Protocol):
     @property
     def goal_m(self) -> Any:
         """[3] in W."""
+
+    @property
+    def finished(self) -> Any:
+        """Bool [] whether a robot's part of the task is done; None where there is no task."""
+
+    @property
+    def fails_at_s(self) -> Any:
+        """[] s when a robot breaks down; None where none can."""
 
     @property
     def corners(self) -> tuple[Any, Any]:

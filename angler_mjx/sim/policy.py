@@ -24,6 +24,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
 from angler_mjx.sim.record import Belief
 from angler_mjx.world.grid import Grid
+from angler_mjx.world.routes import Routes
 
 OF_RESET = 2**32 - 1
 """What a world's key is folded with for `Policy.reset`; no step has this number."""
@@ -60,6 +61,10 @@ class Known:
     """Bodies that are not cells, as far as they may be known now; their times run from now on."""
     current: KnownCurrent | None = None
     """The water's motion, as far as it may be known now; its times run from now on."""
+    routes: Routes | None = None
+    """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
+    place: jax.Array | None = None
+    """int32 [R] which place of the routes each robot is to go to; -1: none, it stays."""
 
 
 class Policy(ABC):
@@ -71,12 +76,15 @@ class Policy(ABC):
         looks: control steps from one look at the scenery to the next; obstacles are not told
             (none exists) in the steps between. Where looking far ahead is dear.
         ahead_s: how far ahead of a call true and predicted motion of obstacles is told.
+        routes_margin_m: worlds are drawn with ways to places that keep so much beside the widest
+            robot's radius; None: without.
     """
 
     period: int = 1
     knows: Knows | None = None
     looks: int = 1
     ahead_s: float = 0.0
+    routes_margin_m: float | None = None
 
     def reset(self, known: Known, key: jax.Array) -> Any:
         """Memory at t = 0: a pytree of arrays.

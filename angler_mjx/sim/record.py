@@ -24,7 +24,10 @@ CLEARANCE = "clearance"
 ESTIMATE = "estimate"
 """Group of what the controllers were told, where that was not the truth."""
 
-type Phase = Literal["sense", "policy", "decide", "move", "obstacles", "judge", "sample"]
+TASK = "task"
+"""Group of how far the task is."""
+
+type Phase = Literal["sense", "work", "policy", "decide", "move", "obstacles", "judge", "sample"]
 """``sample`` gives what is worked out from the rest of a sample (`angler_mjx.sim.nearness`)."""
 
 type Also = Literal["wrench", "clearance"]
@@ -133,6 +136,59 @@ class Belief:
         )
     )
     """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """How far the task of a world is, and who does what."""
+
+    share: jax.Array = field(
+        metadata=_given(
+            "work",
+            f"{TASK}/share",
+            "",
+            "1",
+            "share of the task that is done; of a survey, share of its cells that were seen",
+        )
+    )
+    """[]"""
+    target: jax.Array = field(
+        metadata=_given(
+            "work",
+            f"{TASK}/target",
+            "robot",
+            "1",
+            "place that each robot goes to, in the order of environment/task_place_m; -1: it stays",
+            whole=True,
+            stored="int16",
+        )
+    )
+    """int32 [R]."""
+    carrying: jax.Array = field(
+        metadata=_given(
+            "work",
+            f"{TASK}/carrying",
+            "robot",
+            "1",
+            "job whose goods each robot carries; -1 for none",
+            whole=True,
+            stored="int16",
+        )
+    )
+    """int32 [R]."""
+    done: jax.Array = field(
+        metadata=_given(
+            "work",
+            f"{TASK}/done",
+            "robot",
+            "1",
+            "jobs that each robot did so far; where a tour is not shared, places that it visited",
+            whole=True,
+            stored="int16",
+        )
+    )
+    """int32 [R]."""
 
 
 @jax.tree_util.register_dataclass
@@ -247,7 +303,7 @@ class Sample:
             "robot",
             "1",
             "0 running, 1 reached, 2 collision_static, 3 collision_dynamic, "
-            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged",
+            "4 collision_robot, 5 out_of_bounds, 6 timeout, 7 diverged, 8 failed",
             whole=True,
             stored="uint8",
             state=True,
@@ -294,6 +350,8 @@ class Sample:
     """[R, 6] in F, where it is asked for."""
     clearance: Clearance | None = field(default=None, metadata={"parts": Clearance})
     """Distances to what is near, where they are asked for."""
+    task: Progress | None = field(default=None, metadata={"parts": Progress})
+    """How far the task is; None where each robot has a goal of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -126,6 +126,8 @@ def account(
     power: jax.Array,
     broken: jax.Array,
     t: jax.Array,
+    finished: jax.Array | None = None,
+    fails_at_s: jax.Array | None = None,
 ) -> Tally:
     """Account for one control step of a robot, if it is still on its way.
 
@@ -141,17 +143,23 @@ def account(
         power: [] W during it.
         broken: bool [] the robot diverged in it.
         t: [] s at its beginning.
+        finished: bool [] its part of the task is done; where there is a task, its goal is not
+            looked at.
+        fails_at_s: [] s when it breaks down, if robots can.
     """
     running = tally.outcome == Outcome.RUNNING
+    dt = spec.control_dt_s
+    if finished is None:
+        finished = jnp.sqrt(jnp.sum((after_m - goal_m) ** 2)) < spec.goal_tolerance_m
+    fails = None if fails_at_s is None else t + dt >= fails_at_s
     outcome = jnp.where(
-        running, _judge(spec, goal_m, lo, hi, after_m, contact, broken), tally.outcome
+        running, _judge(finished, fails, lo, hi, after_m, contact, broken), tally.outcome
     )
     hit = running & (
         (outcome == Outcome.COLLISION_STATIC)
         | (outcome == Outcome.COLLISION_DYNAMIC)
         | (outcome == Outcome.COLLISION_ROBOT)
     )
-    dt = spec.control_dt_s
     moved = jnp.sqrt(jnp.sum((after_m - before_m) ** 2))
     clearance = jnp.minimum(tally.min_clearance_m, contact.clearance_m)
     separation = jnp.minimum(tally.min_separation_m, contact.separation_m)
@@ -169,8 +177,8 @@ def account(
 
 
 def _judge(
-    spec: SimSpec,
-    goal_m: jax.Array,
+    finished: jax.Array,
+    fails: jax.Array | None,
     lo: jax.Array,
     hi: jax.Array,
     p: jax.Array,
@@ -179,14 +187,15 @@ def _judge(
 ) -> jax.Array:
     """int32 []: what the state means for a robot that is still on its way."""
     outside = jnp.any((p < lo) | (p > hi))
-    to_goal = jnp.sqrt(jnp.sum((p - goal_m) ** 2))
     touching = jnp.minimum(contact.clearance_m, contact.separation_m) <= 0.0
     collision = jnp.where(
         contact.nearest == Touched.ROBOT,
         Outcome.COLLISION_ROBOT,
         jnp.where(contact.nearest_is_static, Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC),
     )
-    outcome = jnp.where(to_goal < spec.goal_tolerance_m, Outcome.REACHED, Outcome.RUNNING)
+    outcome = jnp.where(finished, Outcome.REACHED, Outcome.RUNNING)
+    if fails is not None:
+        outcome = jnp.where(fails, Outcome.FAILED, outcome)
     outcome = jnp.where(outside, Outcome.OUT_OF_BOUNDS, outcome)
     outcome = jnp.where(touching, collision, outcome)
     return jnp.where(broken, Outcome.DIVERGED, outcome).astype(jnp.int32)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx.errors import ConfigError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody
 from angler_mjx.sim import aboard, robot, senses
@@ -15,6 +16,8 @@ from angler_mjx.sim import policy as policies
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
+from angler_mjx.tasks import work as tasks
+from angler_mjx.tasks.spec import TaskState
 from angler_mjx.world import obstacles as obstacle_motion
 
 
@@ -66,8 +69,18 @@ def reset(
         ),
         step=jnp.zeros((), jnp.int32),
         senses=senses.reset(spec, world, vehicles),
+        task=_begun(spec, world),
     )
     return state if policy is None else _commanded(spec, world, state, policy)
+
+
+def _begun(spec: SimSpec, world: World) -> TaskState | None:
+    """The task of a world, of which nothing is done."""
+    if spec.task is None:
+        return None
+    if world.task is None:
+        raise ConfigError("the worlds have no task, and the simulation is of one; draw them for it")
+    return tasks.begin(spec.task, world.task, world.environment.start_m)
 
 
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
@@ -79,7 +92,11 @@ def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -
         number=state.step,
         vehicles=state.vehicles,
         obstacles=state.obstacles,
+        outcome=state.tally.outcome,
     )
     belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
-    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief))
+    sent = None
+    if state.task is not None:  # The first look at the task comes with the first step.
+        sent = aboard.Sent(goal_m=state.task.goal_m, place=state.task.target)
+    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief, sent))
     return replace(state, policy=memory)

@@ -15,8 +15,10 @@ from angler_mjx.physics.mjx_engine import BodyInertia
 from angler_mjx.physics.step import VehicleState, Water
 from angler_mjx.sensing.readings import SensorCarry
 from angler_mjx.sim.policy import PolicyMemory
+from angler_mjx.tasks.spec import TaskSpec, TaskState, TaskWorld
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
+from angler_mjx.world.routes import Routes
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -33,6 +35,7 @@ class Outcome(IntEnum):
     OUT_OF_BOUNDS = 5
     TIMEOUT = 6
     DIVERGED = 7
+    FAILED = 8
 
 
 class Touched(IntEnum):
@@ -79,6 +82,13 @@ class SimSpec:
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
+    task: TaskSpec | None = None
+    """What the robots of a world have to do; None where each has a goal of its own."""
+
+    @property
+    def by_task(self) -> bool:
+        """Whether a phase of the worlds says who has finished, not how near a goal is."""
+        return self.task is not None
 
     @property
     def control_dt_s(self) -> float:
@@ -125,6 +135,13 @@ class World:
     """uint32 [2] key of the world's policy; None where the simulator has none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
+    fails_at_s: jax.Array | None = None
+    """[n_robot] when each robot breaks down, s; inf for never. None where none can."""
+    routes: Routes | None = None
+    """Ways to the robots' goals, or to the places of the task; None where no policy asks for
+    them."""
+    task: TaskWorld | None = None
+    """None where each robot has a goal of its own."""
 
     @property
     def planned(self) -> jax.Array:
@@ -182,3 +199,5 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
+    task: TaskState | None = None
+    """Of the task, where there is one."""

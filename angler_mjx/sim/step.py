@@ -111,12 +111,26 @@ def judge(here: Here, now: Slots) -> Done:
         contact: Contact,
         power: jax.Array,
         broken: jax.Array,
+        finished: jax.Array | None,
+        fails_at_s: jax.Array | None,
         lo: jax.Array,
         hi: jax.Array,
         t: jax.Array,
     ) -> Tally:
         return robot.account(
-            here.spec, goal_m, lo, hi, tally, before_m, after_m, contact, power, broken, t
+            here.spec,
+            goal_m,
+            lo,
+            hi,
+            tally,
+            before_m,
+            after_m,
+            contact,
+            power,
+            broken,
+            t,
+            finished,
+            fails_at_s,
         )
 
     tally = here.each(
@@ -128,6 +142,8 @@ def judge(here: Here, now: Slots) -> Done:
         here.contact(now),
         now["power_w"],
         now["broken"],
+        here.finished,
+        here.fails_at_s,
         shared=(*here.corners, here.t),
     )
     return Done(slots=lambda: {"tally": tally}, record=lambda: record_judged(tally))

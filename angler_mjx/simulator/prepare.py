@@ -13,6 +13,7 @@ import numpy as np
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.joint_trajectory import hold as hold_joints
+from angler_mjx.control.stack import ControlParams
 from angler_mjx.control.trajectory import hold
 from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import ConfigError, shown
@@ -21,15 +22,24 @@ from angler_mjx.planning.asking import ask
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.planning.routes import fields as fields_of_routes
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.task_table import drawn_places
 from angler_mjx.sim import fleet
 from angler_mjx.sim.knowledge import Knows, obstacles
+from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import Factors, World
 from angler_mjx.simulator.on_device import GRID, device_planner, foresees, ways_config
+from angler_mjx.tasks import drawing
+from angler_mjx.tasks.drawing import Places
+from angler_mjx.tasks.reach import reachable_cells
+from angler_mjx.tasks.spec import TaskWorld
 from angler_mjx.world import currents, generate
 from angler_mjx.world.config import WorldRecipe, resolve
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.routes import Routes
 
 AT_ONCE = {"gpu": 16384}
 AT_ONCE_ELSEWHERE = 4096
@@ -38,6 +48,13 @@ H200 a quarter more worlds a second are made 16,384 at once than 4,096."""
 
 PLANNING = 0x504C414E
 """Folded into a world's key for the planner's own draws: no child of the world's draws has it."""
+FAILING = 0x4641494C
+"""As `PLANNING`, for what breaks down."""
+
+TASK = 0x5441534B
+"""As `PLANNING`, for the places of a task."""
+MARGIN_M = 0.3
+"""Beside the widest robot's radius at the places of a task, where no policy says more."""
 
 type Prepare = Callable[[fleet.Fleet, jax.Array, jax.Array], World]
 """Worlds [tile] of a fleet, from the seed [] and the first world's index [1], both uint32."""
@@ -68,7 +85,7 @@ def preparer(
     tile: int,
     *,
     shape: PathShape,
-    policy: bool = False,
+    policy: Policy | None = None,
 ) -> Prepare:
     """The function that makes a tile of worlds.
 
@@ -78,7 +95,7 @@ def preparer(
             starts.
         tile: how many at once.
         shape: of the paths.
-        policy: whether a policy is to command them, which needs a key in each.
+        policy: that is to command them, which needs a key in each, and may ask for routes.
     """
     recipe = resolve(scenario.world)
     built_in = (
@@ -180,7 +197,7 @@ def _one_world(
     recipe: WorldRecipe,
     shape: PathShape,
     planner: WayConfig | None,
-    policy: bool,
+    policy: Policy | None,
     kinds: fleet.Fleet,
     seed: jax.Array,
     index: jax.Array,
@@ -224,6 +241,7 @@ def _one_world(
     # Folded with the robot's number, so that a robot more changes nothing for those before it.
     of_robot = children(of_senses, variant.shape[0])
     looked_up = scenario.engine == "fused"
+    task = _task(scenario, policy, key, environment, control)
     return World(
         environment=environment,
         variant=variant,
@@ -232,8 +250,11 @@ def _one_world(
         path=path,
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
-        policy_key=jax.random.key_data(of_policy) if policy else None,
+        policy_key=None if policy is None else jax.random.key_data(of_policy),
         factors=factors,
+        routes=_routes(policy, environment, control, task),
+        task=task,
+        fails_at_s=breakdowns(scenario, key, variant.shape[0]),
     )
 
 
@@ -251,6 +272,64 @@ def current_of(scenario: Scenario, seed: jax.Array, index: jax.Array) -> current
     current = generate.draw_current(recipe, of_world, scenario.time.horizon_s)
     factors = _factors(scenario.randomise, of_factors, 1)
     return current if factors is None else currents.scaled(current, factors.current)
+
+
+def _routes(
+    policy: Policy | None,
+    environment: Environment,
+    control: ControlParams,
+    task: TaskWorld | None,
+) -> Routes | None:
+    """Ways to the goals or the task's places, where a policy asks; the widest robot can go them."""
+    if policy is None or policy.routes_margin_m is None:
+        return None
+    clearance_m = jnp.max(control.vehicle.radius_m) + policy.routes_margin_m
+    place_m = environment.goal_m if task is None else task.place_m
+    return fields_of_routes.draw(environment, place_m, clearance_m)
+
+
+def _task(
+    scenario: Scenario,
+    policy: Policy | None,
+    key: jax.Array,
+    environment: Environment,
+    control: ControlParams,
+) -> TaskWorld | None:
+    """The task of a world, from a key of its own: the rest of the world is the same without it."""
+    spec = scenario.task_spec()
+    if spec is None:
+        return None
+    margin_m = MARGIN_M if policy is None else policy.routes_margin_m or MARGIN_M
+    clearance_m = jnp.max(control.vehicle.radius_m) + margin_m
+    places = [where for _, where, _ in drawn_places(scenario.task)] or [Places()]
+    return drawing.draw(
+        spec,
+        places[0],
+        places[-1],
+        jax.random.fold_in(key, TASK),
+        environment,
+        reachable_cells(environment, clearance_m),
+    )
+
+
+def breakdowns(scenario: Scenario, key: jax.Array, robots: int) -> jax.Array | None:
+    """When each robot of a world breaks down.
+
+    Args:
+        scenario: which may let some.
+        key: of the world.
+        robots: of the fleet; one more changes nothing for those before it.
+
+    Returns:
+        [robots] s, inf for never; None where none can.
+    """
+    given = scenario.breakdowns
+    if given.share == 0.0:
+        return None
+    of_robot = children(jax.random.fold_in(key, FAILING), robots)
+    chance, when = uniforms(of_robot, 2).T
+    at_s = between(when, *given.span_s(scenario.time.horizon_s))
+    return jnp.where(chance < given.share, at_s, jnp.inf)
 
 
 def _factors(given: RandomiseConfig, key: jax.Array, robots: int) -> Factors | None:

@@ -14,7 +14,9 @@ from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, gives_joints
+from angler_mjx.planning.routes.policy import AlongRoutes
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator.on_device import (
     CURRENT,
@@ -36,6 +38,11 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
         ConfigError: both ask for the robots, or the planner cannot plan while they fly.
     """
     if not scenario.flown:
+        if given is None and scenario.task_spec() is not None:
+            raise ConfigError(
+                f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
+                "from place to place; leave policy.name out, or give a policy of your own"
+            )
         return given
     if given is not None:
         key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
@@ -45,7 +52,26 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
             f"policy {type(given).__name__}: the scenario's {key} commands the robots already; "
             "leave out one of them"
         )
-    return made(scenario) if scenario.online else mppi(scenario)
+    if scenario.online:
+        return made(scenario)
+    return along_routes(scenario) if scenario.policy.name == "routes" else mppi(scenario)
+
+
+def along_routes(scenario: Scenario) -> AlongRoutes:
+    """Flight along routes with a scenario's settings."""
+    settings, given = scenario.policy.routes, scenario.policy.knows
+    knows = (given or scenario.planner.knows).knows()
+    if given is None and knows == Knows():
+        knows = Knows(obstacles="observed")
+    period = settings.period(scenario.time)
+    return AlongRoutes(
+        dt_s=scenario.time.control_dt_s,
+        horizon_s=settings.horizon_s,
+        routes_margin_m=scenario.planner.margin_m,
+        period=period,
+        looks=period,
+        knows=knows,
+    )
 
 
 def mppi(scenario: Scenario) -> Mppi:

@@ -33,6 +33,7 @@ OUTCOMES = {
     "out_of_bounds": "#56B4E9",
     "timeout": "#E69F00",
     "diverged": "#333333",
+    "failed": "#CC79A7",
 }
 """One colour for each outcome."""
 
@@ -44,6 +45,7 @@ OUTCOME_TEXT = {
     "out_of_bounds": "left the cube",
     "timeout": "ran out of time",
     "diverged": "diverged",
+    "failed": "broke down",
 }
 """Outcomes in words."""
 

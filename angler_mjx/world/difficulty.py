@@ -22,7 +22,7 @@ type _Settling = tuple[jax.Array, jax.Array, jax.Array]
 """Groups that had their turn, lengths [n_pair], and whether each is settled."""
 type _Ways = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Rounds, ways [nx, ny, nz, n] to a group's goals, their lengths [n], and which are settled."""
-_MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
+MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
 _STRIDE = (9, 3, 1)
 """From a move to the next one along each axis, in bits of a word of moves."""
 _EDGE = 1 << 18
@@ -155,7 +155,7 @@ def _unhindered(apart: Sequence[jax.Array]) -> jax.Array:
     return way
 
 
-def _bit(move: Move) -> jax.Array:
+def bit_of(move: Move) -> jax.Array:
     """The bit of a move in a word of moves: its place in a block of 3 x 3 x 3."""
     place = sum(stride * (k + 1) for stride, k in zip(_STRIDE, move, strict=True))
     bit: jax.Array = jnp.uint32(1 << place)
@@ -163,15 +163,15 @@ def _bit(move: Move) -> jax.Array:
 
 
 def _moves_into(passable: jax.Array, nz: int) -> jax.Array:
-    """Which moves may end in each cell: uint32 [nx, ny, nz, n_world], bits as `_bit` has them."""
+    """Which moves may end in each cell: uint32 [nx, ny, nz, n_world], bits as `bit_of` has them."""
     found = jnp.zeros((), jnp.uint32)
     blocks: dict[Move, jax.Array] = {(0, 0, 0): passable}
     # A block is that of one axis less, and the same one cell back along the axis.
-    for move in sorted(_MOVES, key=lambda m: sum(map(abs, m))):
+    for move in sorted(MOVES, key=lambda m: sum(map(abs, m))):
         axis = next(a for a in range(3) if move[a])
         fewer = blocks[tuple(0 if a == axis else move[a] for a in range(3))]
         blocks[move] = fewer & shift(fewer, axis, move[axis], nz)
-        found = found | jnp.where(unpack(blocks[move], nz), _bit(move), jnp.uint32(0))
+        found = found | jnp.where(unpack(blocks[move], nz), bit_of(move), jnp.uint32(0))
     return found
 
 
@@ -186,14 +186,14 @@ def _length(way: jax.Array, moves: jax.Array, start: jax.Array) -> tuple[jax.Arr
     """Length [...] at each start [3, ...], and whether no relaxation can change it."""
     flat = _flat(start, way.shape)
     length = jnp.take_along_axis(way.reshape(-1, *flat.shape), flat[None], axis=0)[0]
-    relaxed = _relaxed(_wide(way, (0, 1, 2)), way.shape, moves, _MOVES)
+    new = relaxed(widened(way, (0, 1, 2)), way.shape, moves, MOVES)
     # Fused with the reduction, the relaxation would not use a CPU's vectors.
-    relaxed = jax.lax.optimization_barrier(relaxed)
+    new = jax.lax.optimization_barrier(new)
     apart = [
         jnp.abs(jnp.arange(n).reshape([n if a == axis else 1 for a in range(way.ndim)]) - cell)
         for axis, (n, cell) in enumerate(zip(way.shape, start, strict=False))
     ]
-    improved = (relaxed < way) & (relaxed + _unhindered(apart) < length)
+    improved = (new < way) & (new + _unhindered(apart) < length)
     return length, ~jnp.any(improved, axis=(0, 1, 2))
 
 
@@ -212,7 +212,7 @@ def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
     """
     n = way.shape[axis]
     across = [a for a in range(3) if a != axis]
-    back = [move for move in _MOVES if move[axis] == -1]
+    back = [move for move in MOVES if move[axis] == -1]
     layer_of = partial(jax.lax.dynamic_index_in_dim, axis=axis)
 
     def sweep(turn: jax.Array, way: jax.Array) -> jax.Array:
@@ -226,8 +226,8 @@ def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
             before, way = carry
             i = first + k * step
             may = layer_of(moves, i) >> shift
-            relaxed = _relaxed(_wide(before, across), before.shape, may, back)
-            layer = jnp.minimum(layer_of(way, i), relaxed)
+            new = relaxed(widened(before, across), before.shape, may, back)
+            layer = jnp.minimum(layer_of(way, i), new)
             return layer, jax.lax.dynamic_update_index_in_dim(way, layer, i, axis)
 
         swept: jax.Array = jax.lax.fori_loop(1, n, advance, (layer_of(way, first), way))[1]
@@ -237,13 +237,13 @@ def _sweeps(way: jax.Array, moves: jax.Array, axis: int) -> jax.Array:
     return both
 
 
-def _wide(way: jax.Array, axes: Sequence[int]) -> jax.Array:
+def widened(way: jax.Array, axes: Sequence[int]) -> jax.Array:
     """Ways with one more cell at both ends of some axes, from which no way leads."""
     pad = [(1, 1) if axis in axes else (0, 0) for axis in range(way.ndim)]
     return jnp.pad(way, pad, constant_values=_NONE)
 
 
-def _relaxed(
+def relaxed(
     wide: jax.Array,
     shape: tuple[int, ...],
     moves: jax.Array,
@@ -252,7 +252,7 @@ def _relaxed(
     """Least length of a way to each cell that ends with one of some moves.
 
     Args:
-        wide: ways to where the moves come from, widened (see `_wide`) along some axes; along the
+        wide: ways to where the moves come from, widened (see `widened`) along some axes; along the
             others, the cells that the moves come from are those of the same index.
         shape: of the result.
         moves: uint32, which moves may end in each cell.
@@ -270,7 +270,7 @@ def _relaxed(
                 if wide.shape[axis] > shape[axis]:
                     start = 1 - move[axis]
                     source = jax.lax.slice_in_dim(source, start, start + shape[axis], axis=axis)
-            nearest = jnp.minimum(nearest, jnp.where((moves & _bit(move)) != 0, source, nothing))
+            nearest = jnp.minimum(nearest, jnp.where((moves & bit_of(move)) != 0, source, nothing))
         best = jnp.minimum(best, nearest + cost)
     return best
 

@@ -7,7 +7,7 @@ worlds, so the worlds lie side by side in memory.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -22,9 +22,11 @@ from angler_mjx.engines.lanes.layout import (
     Moving,
     Robots,
     Scene,
+    carried,
     lanes_of_group,
     moving_of,
     of_group,
+    outcome_of,
     scene_of,
     side_by_side,
     spread_out,
@@ -42,7 +44,7 @@ from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Phase, Slots, run
 from angler_mjx.sim.policy import Policy
-from angler_mjx.sim.record import Belief, Sample
+from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
 from angler_mjx.world.currents import Current
@@ -85,7 +87,15 @@ class FusedEngine:
         if aboard.tells(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
             minds, told = aboard.tell_tile(
-                spec, policy, here, minds, number, state.vehicles, state.obstacles
+                spec,
+                policy,
+                here,
+                minds,
+                number,
+                state.vehicles,
+                state.obstacles,
+                state.tally.outcome,
+                fleet=fleet,
             )
         moving = moving_of(fleet, state)
         after, seen = _control_step(spec, scene, moving, number, command, told)
@@ -117,7 +127,10 @@ class FusedEngine:
             if aboard.tells(spec, policy):
                 there = vehicles_of(moving)
                 bodies = to_arrays(moving.obstacles, 2) if aboard.watches(policy) else None
-                minds, told = aboard.tell_tile(spec, policy, worlds, minds, number, there, bodies)
+                ended = outcome_of(moving) if spec.by_task else None
+                minds, told = aboard.tell_tile(
+                    spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
+                )
             after, sample = _control_step(spec, scene, moving, number, command, told)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
@@ -192,13 +205,20 @@ class OfGroup(Everywhere):
     given: Given
     said: Any = None
     """Instead of their paths."""
+    finished: Any = None
+    """See `phase.Here`."""
+    loaded: Any = None
+    """bool [] who carries a load; None where nobody can."""
     met: Contact | None = None
     """The nearest thing to each robot of the group, when all have moved."""
 
-    @property
+    @cached_property
     def params(self) -> ControlParams:
         """See `phase.Here`."""
-        return self.given.params
+        light, laden = self.given.params, self.given.laden
+        if self.loaded is None or laden is None:
+            return light
+        return carried(self.loaded, laden, light)
 
     @property
     def command(self) -> Any:
@@ -211,6 +231,11 @@ class OfGroup(Everywhere):
     def goal_m(self) -> Any:
         """See `phase.Here`."""
         return self.given.goal_m
+
+    @property
+    def fails_at_s(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
         """See `phase.Here`."""
@@ -240,7 +265,7 @@ def _control_step(
     for given, robots in zip(scene.groups, moving.groups, strict=True):
         make = partial(OfGroup, **where, given=given)
         with jax.named_scope("robots"):
-            now, record = lanes.shared(partial(_alone, make, robots, said, told.known))
+            now, record = lanes.shared(partial(_alone, make, robots, said, told))
         groups.append(now)
         records.append(record)
     sample = side_by_side(records)
@@ -249,7 +274,12 @@ def _control_step(
     met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
     after, records = [], []
     for given, now in zip(scene.groups, groups, strict=True):
-        place = OfGroup(**where, given=given, met=lanes_of_group(met, given.group))
+        place = OfGroup(
+            **where,
+            given=given,
+            finished=to_lanes(of_group(told.finished, given.group), 2),
+            met=lanes_of_group(met, given.group),
+        )
         judged, record = lanes.shared(partial(_run, place, MEETING, now))
         after.append(Robots(**{name: judged[name] for name in KEPT}))
         records.append(record)
@@ -258,19 +288,16 @@ def _control_step(
 
 
 def _alone(
-    make: Callable[..., OfGroup], robots: Robots, said: Command | None, told: Belief | None
+    make: Callable[..., OfGroup], robots: Robots, said: Command | None, told: Told
 ) -> tuple[Any, Any]:
     """What the robots of a group do by themselves.
 
-    ``said`` and ``told`` [W, R, ...] are their commands, and what they know if not the truth.
+    ``said`` and ``told`` [W, R, ...] are their commands, and what the phases of worlds gave.
     """
-    place, slots = make(), {**vars(robots), "known": robots.vehicle}
-    group = place.given.group
-    if said is not None:
-        place = make(said=to_lanes(of_group(said, group), 2))
-    if told is not None:
-        slots["known"] = to_lanes(of_group(told, group), 2)
-    return _run(place, ALONE, slots)
+    group = make().given.group
+    said, known, loaded = (to_lanes(of_group(x, group), 2) for x in (said, told.known, told.loaded))
+    slots = {**vars(robots), "known": robots.vehicle if known is None else known}
+    return _run(make(said=said, loaded=loaded), ALONE, slots)
 
 
 def _run(place: OfGroup, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:

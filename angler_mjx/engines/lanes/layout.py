@@ -18,7 +18,7 @@ from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.errors import RunError
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.aboard import Minds
-from angler_mjx.sim.fleet import Fleet, Group
+from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
 from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.world.environment import Environment, region
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
@@ -53,8 +53,12 @@ class Given:
 
     group: Group
     params: ControlParams
+    laden: ControlParams | None
+    """With their load; None where there are none. Elements that it does not change are the same
+    objects."""
     path: Plan
     goal_m: Any
+    fails_at_s: Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +187,14 @@ def vehicles_of(moving: Moving) -> VehicleState:
     return vehicles
 
 
+def outcome_of(moving: Moving) -> jax.Array:
+    """How all robots ended so far, as an array int32 [W, R]."""
+    outcome: jax.Array = to_arrays(
+        side_by_side([robots.tally.outcome for robots in moving.groups]), 2
+    )
+    return outcome
+
+
 def world_state(moving: Moving, step: jax.Array, minds: Minds) -> WorldState:
     """The inverse of `moving_of`; ``step`` [W]."""
     robots = to_arrays(side_by_side(moving.groups), 2)
@@ -214,11 +226,14 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scen
     environment = worlds.environment
 
     def given(group: Group) -> Given:
+        params, laden = _params(fleet, group, worlds, rows)
         return Given(
             group=group,
-            params=_params(fleet, group, worlds, rows),
+            params=params,
+            laden=laden,
             path=to_lanes(of_group(worlds.path, group), 2, rows),
             goal_m=to_lanes(of_group(environment.goal_m, group), 2, rows),
+            fails_at_s=to_lanes(of_group(worlds.fails_at_s, group), 2, rows),
         )
 
     obstacles = to_lanes(environment.obstacles, 2, rows)
@@ -250,22 +265,35 @@ def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
 
 def _params(
     fleet: Fleet, group: Group, worlds: World, rows: jax.Array | None = None
-) -> ControlParams:
-    """Parameters of a group's robots; an element that no variant changes is one number for all."""
+) -> tuple[ControlParams, ControlParams | None]:
+    """Parameters of a group's robots, and with their load, if they can carry one.
+
+    An element that no variant changes is one number for all.
+    """
     of_world = worlds.variant if rows is None else worlds.variant[rows]
     variant = jnp.swapaxes(of_group(of_world, group), 0, 1)
     leaves, tree = jax.tree.flatten(fleet.control)
-    possible = [
-        _parameter(leaf, letters, group.variant, variant)
+    now = [variant, fleet.numbered(variant, jnp.asarray(True))] if fleet.carries else [variant]
+    found = [
+        _parameter(leaf, letters, group.variant, now)
         for leaf, letters in zip(leaves, group.sameness, strict=True)
     ]
-    params: ControlParams = jax.tree.unflatten(tree, possible)
-    cruise = to_lanes(of_group(worlds.control.cruise_speed_mps, group), 2, rows)
-    return replace(params, cruise_speed_mps=cruise)
+    speeds = [worlds.control.cruise_speed_mps]
+    if fleet.carries:
+        speeds.append(laden_cruise(fleet, worlds))
+
+    def params(which: int) -> ControlParams:
+        each: ControlParams = jax.tree.unflatten(tree, [one[which] for one in found])
+        cruise = to_lanes(of_group(speeds[which], group), 2, rows)
+        return replace(each, cruise_speed_mps=cruise)
+
+    return params(0), params(1) if fleet.carries else None
 
 
-def _parameter(leaf: jax.Array, letters: str, common: int, variant: jax.Array) -> Any:
-    """One leaf [n_variant, ...] of the parameters, by the variant of each robot of a group."""
+def _parameter(
+    leaf: jax.Array, letters: str, common: int, variants: Sequence[jax.Array]
+) -> list[Any]:
+    """One leaf [n_variant, ...] of the parameters, by each of the numbers [n, W] of robots."""
     tail = leaf.shape[1:]
     flat = leaf.reshape(-1)
 
@@ -273,15 +301,34 @@ def _parameter(leaf: jax.Array, letters: str, common: int, variant: jax.Array) -
         return flat.at[place].get(mode="promise_in_bounds")
 
     if is_table(tail):
-        chosen = variant if "v" in letters else common
-        base = chosen * np.int32(len(letters))
-        return lanes.Table(load, tail, leaf.dtype, base=base)
-    out = np.empty(len(letters), object)
+        places = [(one if "v" in letters else common) * np.int32(len(letters)) for one in variants]
+        return [lanes.Table(load, tail, leaf.dtype, base=base) for base in places]
+    same: list[Any] = [None] * len(letters)
     for k, letter in enumerate(letters):
         if letter == "z":
-            out[k] = np.zeros((), leaf.dtype)[()]
+            same[k] = np.zeros((), leaf.dtype)[()]
         elif letter == "s":
-            out[k] = flat[common * len(letters) + k]
-        else:
-            out[k] = load(variant * np.int32(len(letters)) + k)
-    return out.reshape(tail)
+            same[k] = flat[common * len(letters) + k]
+
+    def row(variant: jax.Array) -> Any:
+        items = [
+            load(variant * np.int32(len(letters)) + k) if letter == "v" else same[k]
+            for k, letter in enumerate(letters)
+        ]
+        return lanes.pack(items, tail)
+
+    return [row(one) for one in variants]
+
+
+def carried(loaded: Any, laden: ControlParams, params: ControlParams) -> ControlParams:
+    """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
+
+    def one(with_load: Any, without: Any) -> Any:
+        if isinstance(without, lanes.Table):
+            return with_load.where(loaded[()], without)
+        pairs = zip(with_load.ravel(), without.ravel(), strict=True)
+        items = [y if x is y else jnp.where(loaded[()], x, y) for x, y in pairs]
+        return lanes.pack(items, without.shape)
+
+    chosen: ControlParams = jax.tree.map(one, laden, params)
+    return chosen

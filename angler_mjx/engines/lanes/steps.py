@@ -53,8 +53,8 @@ type Shape = tuple[int, int, int]
 class OnLanes:
     """What `angler_mjx.sim.step.Here` asks for, of lanes; where they come from is the engine's.
 
-    Whoever has robots adds ``params``, ``command``, ``goal_m`` and ``contact``; whoever has
-    obstacles adds ``obstacles``.
+    Whoever has robots adds ``params``, ``command``, ``goal_m``, ``finished``, ``fails_at_s`` and
+    ``contact``; whoever has obstacles adds ``obstacles``.
     """
 
     spec: SimSpec

@@ -126,11 +126,12 @@ class TritonEngine:
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
         policy = aboard.asked(policy, command)
         watched = aboard.watches(policy)
-        tell, told = partial(aboard.tell_tile, spec, policy, flying), None
+        tell, told = partial(aboard.tell_tile, spec, policy, flying, fleet=fleet), None
         if aboard.tells(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
-            _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies)
+            ended = state.tally.outcome if spec.by_task else None
+            _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         ahead = 1 if watched else min(AHEAD, n_sample * steps_per_sample)
         part = Segment(
@@ -138,7 +139,8 @@ class TritonEngine:
         )
         kernels = Kernels(self._program, spec, part)
         if told is not None:
-            end = _fly_looped(kernels, part, partial(_tell, tell, part, watched))
+            asks = (watched, spec.by_task)
+            end = _fly_looped(kernels, part, partial(_tell, tell, part, *asks))
         elif self._program.interpret:
             end = _fly_looped(kernels, part, None)
         else:
@@ -151,29 +153,30 @@ def _tell(
     tell: Callable[..., tuple[Minds, Told]],
     part: Segment,
     watched: bool,
+    by_task: bool,
     base: jax.Array,
     k: jax.Array,
     x: Arrays,
 ) -> Arrays:
     """The phases of worlds in control step ``base + k``, and their record: no kernel.
 
-    Where a policy has obstacles ``watched``, they are not ahead of the robots yet.
+    Where a policy has obstacles ``watched``, they are not ahead of the robots yet; ``by_task``, a
+    task asks how robots ended.
     """
     tile, count = part.tile, base[0] + k[0]
     number = (part.first if tile.some_rows else part.first[0]) + count
-    vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], (tile.worlds, tile.robots))
+    lead = (tile.worlds, tile.robots)
+    vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], lead)
+    ended = part.layouts["tally"].unpack(x.slots["tally"], lead).outcome if by_task else None
     bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
-    minds, told = tell(x.minds, number, vehicles, bodies)
+    minds, told = tell(x.minds, number, vehicles, bodies, ended)
     place, is_sample = count // part.every, count % part.every == 0
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
         return kept.at[place].set(jnp.where(is_sample, new, kept[place]))
 
-    given = {"known": told.known, "command": told.command}
     packed = {
-        name: part.layouts[name].pack(tree, tile.dtype)
-        for name, tree in given.items()
-        if tree is not None
+        name: part.layouts[name].pack(tree, tile.dtype) for name, tree in told.given().items()
     }
     return replace(
         x,

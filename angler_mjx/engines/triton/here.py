@@ -123,7 +123,8 @@ class OfGroup(Program):
     @cached_property
     def params(self) -> ControlParams:
         """See `phase.Here`."""
-        return self._tile.params(self._data, self._group, self._constants)
+        loaded = self.slot("loaded")[()] if "loaded" in self._places else None
+        return self._tile.params(self._data, self._group, self._constants, loaded)
 
     @property
     def command(self) -> Any:
@@ -136,6 +137,16 @@ class OfGroup(Program):
     def goal_m(self) -> Any:
         """See `phase.Here`."""
         return self._constants.goal_m
+
+    @property
+    def finished(self) -> Any:
+        """See `phase.Here`."""
+        return self.slot("finished") if "finished" in self._places else None
+
+    @property
+    def fails_at_s(self) -> Any:
+        """See `phase.Here`."""
+        return self._constants.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
         """See `phase.Here`."""

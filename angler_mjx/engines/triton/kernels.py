@@ -15,7 +15,10 @@ from angler_mjx.engines.triton.segment import Arrays, Drift, Segment
 from angler_mjx.sim.fleet import Group
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.sim.step import ALONE, DECIDE, MEETING, OBSTACLES
+from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, MOVE, OBSTACLES
+
+TOLD = {DECIDE.name: ("command", "loaded"), MOVE.name: ("loaded",), JUDGE.name: ("finished",)}
+"""Slots that phases of robots read, by the phase's name, where somebody gives them."""
 
 _SEEN = OBSTACLES.name
 """Record of the obstacles."""
@@ -68,8 +71,8 @@ class Kernels:
         part, tile = self._part, self._tile
         read = [part.layout(slot)[0] for slot in phase.reads]
         constant = {slot: x.slots[slot] for slot in read if slot not in phase.gives}
-        if phase.name == DECIDE.name and "command" in x.slots:
-            constant["command"] = x.slots["command"]
+        told = TOLD.get(phase.name, ())
+        constant |= {slot: x.slots[slot] for slot in told if slot in x.slots}
         if phase.meets:
             constant["track"] = x.track
         changed = {slot: x.slots[slot] for slot in phase.gives}

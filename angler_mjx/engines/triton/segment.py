@@ -38,7 +38,7 @@ class Arrays:
 
     slots: dict[str, jax.Array]
     """What the phases of robots read and give, by name; see `angler_mjx.sim.step.Slots`. Also
-    ``known`` where robots are not told the truth, and ``command`` where one drives them."""
+    what `Told.given` gives, and ``command`` where one drives them."""
     bodies: jax.Array
     """`ObstacleState`, as far ahead as they were moved."""
     track: jax.Array
@@ -172,10 +172,8 @@ class Segment:
         thrusters = tile.shape(self._state.vehicles.thrust.shape[-1])
         shapes = step.handed_on(tile.shape(), thrusters)
         found = {name: tile.layout(shape, tile.robots) for name, shape in shapes.items()}
-        if told is not None and told.known is not None:
-            found["known"] = Layout.of(told.known, 2)
-        if told is not None and told.command is not None:
-            found["command"] = Layout.of(told.command, 2)
+        if told is not None:
+            found |= {name: Layout.of(tree, 2) for name, tree in told.given().items()}
         return found
 
     def _shelf(self, phase: Phase) -> Shelf | None:

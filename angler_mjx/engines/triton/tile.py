@@ -15,7 +15,7 @@ from angler_mjx.engines.lanes.layout import grid_shape, packed_cells
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.bank import Bank
-from angler_mjx.sim.fleet import Fleet, Group
+from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
 from angler_mjx.sim.state import Laid, World
 from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles.types import bounding_radius
@@ -30,6 +30,9 @@ class RobotConstants:
     path: Plan
     goal_m: Any
     cruise_speed_mps: Any
+    laden_cruise_mps: Any
+    """With their load; None where there are none, as with the next."""
+    fails_at_s: Any
 
 
 @jax.tree_util.register_dataclass
@@ -91,6 +94,7 @@ class Tile:
         self.some_obstacle = bool(environment.obstacles.kinds)
         self.grid = grid_shape(environment)
         self.groups = fleet.groups
+        self._numbered = fleet.numbered
         self._bank, bank = Bank.of(fleet, self.dtype)
         neighbours = packed_cells(worlds)
         self._cells = neighbours[0].size
@@ -100,6 +104,8 @@ class Tile:
                 path=worlds.path,
                 goal_m=environment.goal_m,
                 cruise_speed_mps=worlds.control.cruise_speed_mps,
+                laden_cruise_mps=laden_cruise(fleet, worlds) if fleet.carries else None,
+                fails_at_s=worlds.fails_at_s,
             ),
             2,
         )
@@ -158,10 +164,16 @@ class Tile:
         found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
         return found
 
-    def params(self, refs: Any, group: Group, constants: RobotConstants) -> ControlParams:
-        """Parameters of robots of a group."""
-        params = self._bank.read(triton.loader(refs[0]), group, constants.variant[()])
-        return replace(params, cruise_speed_mps=constants.cruise_speed_mps)
+    def params(
+        self, refs: Any, group: Group, constants: RobotConstants, loaded: Any = None
+    ) -> ControlParams:
+        """Parameters of robots of a group; ``loaded`` says who carries something, if any can."""
+        variant, cruise = constants.variant[()], constants.cruise_speed_mps
+        if loaded is not None:
+            variant = self._numbered(variant, loaded)
+            cruise = lanes.where(loaded, constants.laden_cruise_mps, cruise)
+        params = self._bank.read(triton.loader(refs[0]), group, variant)
+        return replace(params, cruise_speed_mps=cruise)
 
     def params_at(self, refs: Any, group: Group, lane: Any) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""

@@ -48,6 +48,9 @@ def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
             judged, note = episode.outcome(state), episode.numbers(state)
             tell.words("outcome", "bounded", stored, judged, "disagrees", note)
             return
+    if stored == "failed" and not scene.may_break_down(step):
+        tell.words("outcome", "bounded", stored, "running", "disagrees", "none breaks down then")
+        return
     after = int(np.searchsorted(world.step, step))
     if after < len(world.step) and not _allows(scene, episode, after, step, stored):
         note = episode.numbers(after)
@@ -59,8 +62,8 @@ def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
 def _allows(scene: Scene, episode: Episode, state: int, step: int, stored: str) -> bool:
     """Whether the first stored state at or after the end allows the stored outcome."""
     if scene.world.step[state] == step:
-        wanted = "running" if stored == "timeout" else stored
-        return stored == "diverged" or wanted in episode.possible(state)
+        wanted = {"timeout": {"running"}, "failed": {"running", "reached"}}.get(stored, {stored})
+        return stored == "diverged" or not wanted.isdisjoint(episode.possible(state))
     # It has stood there since: what stands still is where it was, what moves is not.
     still = episode.gap_to_what_stands(state)
     if stored == "collision_static":

@@ -23,8 +23,8 @@ class End:
     state: int
     result: Result
     note: str
-    seen: bool = True
-    """Whether the record shows it."""
+    how: How = "exact"
+    """How much of it the record shows."""
 
 
 def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
@@ -38,10 +38,9 @@ def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
     episode = Episode(scene, robot)
     end = _end(scene, episode, stored)
     tell = Telling(scene, robot)
-    how: How = "exact" if end.seen else "unchecked"
     end_s = float(scene.world.step[end.state]) * scene.run.control_dt_s
-    tell.words("outcome", how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
-    tell.time(end_s, how, end.result, end.note)
+    tell.words("outcome", end.how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
+    tell.time(end_s, end.how, end.result, end.note)
     tell.number("path_length_m", float(scene.way_m[end.state, robot]), say.PATH_M)
     _energy(tell, scene, robot, end.state)
     near = scene.near_until(robot, end.state)
@@ -68,7 +67,10 @@ def _end(scene: Scene, episode: Episode, stored: int) -> End:
         return End(outcome=outcome, state=stored, result="agrees", note="")
     if outcome == "diverged" and first in (None, stored) and _is_held(scene, robot, stored):
         note = "the state that was none is not stored; the robot was held before it"
-        return End(outcome=outcome, state=stored, result="agrees", note=note, seen=False)
+        return End(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
+    if outcome == "failed" and first in (None, stored) and _can_fail(scene, episode, stored):
+        note = "only between which times robots break down is known"
+        return End(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
     goes_on = all("running" in episode.possible(k) for k in range(first or stored, stored))
     allowed = episode.possible(stored)
     if stored <= last and goes_on and (outcome in allowed or (horizon and "running" in allowed)):
@@ -89,6 +91,12 @@ def _is_the_end(scene: Scene, state: int) -> bool:
     final = len(scene.world.step) - 1
     full = int(scene.world.step[-1]) >= scene.run.horizon_steps
     return state == final and (full or scene.run.one_scene)
+
+
+def _can_fail(scene: Scene, episode: Episode, state: int) -> bool:
+    """Whether a robot can have broken down with a state: what it touches or leaves comes first."""
+    else_on_its_way = {"running", "reached"} & episode.possible(state)
+    return bool(else_on_its_way) and scene.may_break_down(int(scene.world.step[state]))
 
 
 def _is_held(scene: Scene, robot: int, state: int) -> bool:

@@ -27,6 +27,7 @@ OUTCOMES = (
     "out_of_bounds",
     "timeout",
     "diverged",
+    "failed",
 )
 """By their numbers in ``trajectories.zarr``."""
 
@@ -41,6 +42,8 @@ class Run:
     """Control steps from one sample to the next."""
     horizon_steps: int
     goal_tolerance_m: float
+    breakdowns_s: tuple[float, float] | None
+    """Between which times robots may break down; None where none can."""
     robots: tuple[Robot, ...]
     variants: Sequence[Mapping[str, Any]]
     """Of ``variants.json``, by number; empty where vehicles are as their files say."""
@@ -151,6 +154,7 @@ def open_run(path: Path) -> Run:
             "horizon_steps": round(float(timing["horizon_s"]) / dt),
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
+            "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
         }
     drawn: Sequence[Mapping[str, Any]] = ()
     given = config.get("randomise", {})
@@ -169,6 +173,13 @@ def open_run(path: Path) -> Run:
         group=group,
         **facts,
     )
+
+
+def _breakdowns_s(table: Mapping[str, Any], horizon_s: float) -> tuple[float, float] | None:
+    if not table.get("share"):
+        return None
+    latest = table["latest_s"]
+    return float(table["earliest_s"]), horizon_s if latest is None else float(latest)
 
 
 def _is_one_scene(path: Path) -> bool:

@@ -20,7 +20,14 @@ TOUCH_ULPS, PLACE_ULPS = 4.0, 2.0
 """Rounding that a distance between hulls, and one between points, can have, in units of the last
 place of the largest coordinate in float32."""
 
-FAILED = ("collision_static", "collision_dynamic", "collision_robot", "out_of_bounds", "diverged")
+FAILED = (
+    "collision_static",
+    "collision_dynamic",
+    "collision_robot",
+    "out_of_bounds",
+    "diverged",
+    "failed",
+)
 """Outcomes that hold a robot where it is."""
 
 
@@ -95,6 +102,14 @@ class Scene:
         time = float(row["time_to_goal_s" if row["outcome"] == "reached" else "failure_time_s"])
         steps = time / self.run.control_dt_s
         return round(steps) if np.isfinite(steps) and abs(steps) < 2**31 else None
+
+    def may_break_down(self, step: int) -> bool:
+        """Whether a robot can have broken down in the control period before so many steps."""
+        if self.run.breakdowns_s is None:
+            return False
+        earliest, latest = self.run.breakdowns_s
+        end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)
+        return earliest - slack <= end_s < latest + self.run.control_dt_s + slack
 
     def state_at(self, step: int | None) -> int | None:
         """The state after so many control steps, if the record has it."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 
@@ -38,6 +39,11 @@ class Table:
         self._load = load
         self._base = base
         self._step = step
+
+    def where(self, condition: Any, other: "Table") -> "Table":
+        """This table for lanes of which a condition holds, another of the same array for others."""
+        base = jnp.where(condition, self._base, other._base)
+        return Table(self._load, self.shape, self.dtype, base=base, step=self._step)
 
     def take(self, index: Sequence[Any]) -> Any:
         """The entry at ``index``, one number or lanes of them for each axis."""

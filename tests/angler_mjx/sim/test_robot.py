@@ -206,6 +206,50 @@ def test_a_step_is_accounted_for(tallies, case):
         assert getattr(found, name).dtype == np.int32
 
 
+OUT = {"before": (5.8, 0.4, -8.0), "after": (6.3, 0.4, -8.0)}
+LATER, NOW = 4.15, 4.05
+"""The step ends at 4.1 s."""
+TASKS = {
+    "on its way, at what would be a goal": (AT_GOAL, False, LATER, Outcome.RUNNING),
+    "finished, far from a goal": ({}, True, LATER, Outcome.REACHED),
+    "breaks down": ({}, False, NOW, Outcome.FAILED),
+    "breaks down when it finishes": ({}, True, NOW, Outcome.FAILED),
+    "leaves when it breaks down": (OUT, False, NOW, Outcome.OUT_OF_BOUNDS),
+    "leaves when it finishes": (OUT, True, LATER, Outcome.OUT_OF_BOUNDS),
+    "meets a robot when it breaks down": (ROBOT, True, NOW, Outcome.COLLISION_ROBOT),
+    "diverges when it breaks down": ({"broken": True}, True, NOW, Outcome.DIVERGED),
+    "has ended before": ({"outcome": Outcome.TIMEOUT}, True, NOW, Outcome.TIMEOUT),
+}
+
+
+def test_a_task_says_who_has_finished_and_whatever_is_worse_comes_first():
+    rows = [CALM | changed for changed, *_ in TASKS.values()]
+    each = {name: jnp.array([row[name] for row in rows]) for name in CALM}
+
+    def one(given, finished, fails_at_s):
+        return robot.account(
+            SPEC,
+            given["goal"],
+            jnp.array(LO),
+            jnp.array(HI),
+            tally_of(given["outcome"]),
+            given["before"],
+            given["after"],
+            contact_of(given),
+            jnp.asarray(30.0),
+            given["broken"],
+            jnp.asarray(4.0),
+            finished,
+            fails_at_s,
+        ).outcome
+
+    _, finished, fails_at_s, expected = zip(*TASKS.values(), strict=True)
+    found = jax.jit(jax.vmap(one))(each, jnp.array(finished), jnp.array(fails_at_s))
+    assert dict(zip(TASKS, map(Outcome, found.tolist()), strict=True)) == dict(
+        zip(TASKS, expected, strict=True)
+    )
+
+
 FAST, BRISK = (9.0, -9.0, 9.0, -9.0, 9.0, -9.0), (8.0, -8.0, 8.0, -8.0, 8.0, -8.0)
 """54 and 48 in all: either side of a speed of nonsense, 50."""
 

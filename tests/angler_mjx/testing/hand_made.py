@@ -18,6 +18,7 @@ OUTCOMES = {
     "out_of_bounds": 5,
     "timeout": 6,
     "diverged": 7,
+    "failed": 8,
 }
 EDGE_M = 1.5
 CELLS = (8, 8, 8)

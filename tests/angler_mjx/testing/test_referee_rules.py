@@ -177,6 +177,44 @@ def test_a_flight_known_in_closed_form_agrees(name, tmp_path):
     assert verdict.counts["min_clearance_m"].largest < 1e-6
 
 
+def breaks_down():
+    """On its way, after 12 steps."""
+    robot = straight((0.0, 0.0, -5.0), (0.5, 0.0, 0.0), STEPS, end=12)
+    return flight([robot], ["failed"], [12], [{"min_clearance_m": CAP}])
+
+
+@pytest.mark.parametrize("every", [1, 4, 10])
+@pytest.mark.parametrize(
+    ("table", "right"),
+    [
+        ({"share": 0.2, "earliest_s": 0.0, "latest_s": None}, True),
+        ({"share": 0.2, "earliest_s": 12 * DT_S, "latest_s": 12 * DT_S}, True),
+        ({"share": 0.2, "earliest_s": 11.2 * DT_S, "latest_s": 11.9 * DT_S}, True),
+        ({"share": 0.2, "earliest_s": 12.2 * DT_S, "latest_s": None}, False),
+        ({"share": 0.2, "earliest_s": 0.0, "latest_s": 10.9 * DT_S}, False),
+        ({"share": 0.0, "earliest_s": 0.0, "latest_s": None}, False),
+        (None, False),
+    ],
+)
+def test_robots_break_down_where_and_when_the_scenario_lets_them(table, right, every, tmp_path):
+    path = write(tmp_path / "run", breaks_down(), every=every)
+    config = json.loads((path / "config.json").read_text())
+    more = {} if table is None else {"breakdowns": table}
+    (path / "config.json").write_text(json.dumps({**config, **more}))
+    assert ("outcome" in wrong(referee.judge(path))) is not right
+
+
+def test_what_a_robot_touches_comes_before_its_breakdown(tmp_path):
+    path = write(tmp_path / "run", replace(into_a_rock(), outcome=breaks_down().outcome))
+    edit_array(path, "outcome", (0, slice(18, None)), lambda x: x * 0 + OUTCOMES["failed"])
+    edit_array(path, "outcome", (0, slice(0, 18)), lambda x: x * 0)
+    edit_rows(path, 0, 0, outcome="failed", failure_pair="none", impact_speed_mps=None)
+    config = json.loads((path / "config.json").read_text())
+    table = {"share": 1.0, "earliest_s": 0.0, "latest_s": None}
+    (path / "config.json").write_text(json.dumps({**config, "breakdowns": table}))
+    assert "outcome" in wrong(referee.judge(path))
+
+
 DAMAGE = {
     "outcome": {"outcome": "out_of_bounds"},
     "end_time_s": {"failure_time_s": 18 * DT_S + 1e-3},

@@ -1,0 +1,1 @@
+"""Ways to places of a world, worked out before the start, and the policy that flies them."""

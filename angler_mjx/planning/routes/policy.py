@@ -1,0 +1,135 @@
+"""A fleet flown along ways that were worked out before the start: nothing is searched in flight."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.control.commands import PoseTarget
+from angler_mjx.control.laws.model import wrap
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.routes import guidance
+from angler_mjx.planning.routes.avoidance import STANDS_MPS, Bodies, choose
+from angler_mjx.sim.knowledge import KnownObstacles, Knows
+from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.world.routes import Routes
+
+NEAR_PER_S = 0.8
+"""Velocity per metre that is left to the place, below the cruise speed."""
+MOVES_MPS = 0.1
+"""Below this velocity the heading is kept."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """What it keeps of one world; [R] leads."""
+
+    stay_m: jax.Array
+    """[R, 3] where to stay, of robots that are to go nowhere."""
+    stays: jax.Array
+    """bool [R] whether they did at the last call."""
+    yaw_rad: jax.Array
+    """[R] heading to have."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class AlongRoutes(Policy):
+    """Flies each robot to its place along the field of `Known.routes`, clear of what moves."""
+
+    dt_s: float = 0.05
+    """Control period."""
+    horizon_s: float = 5.0
+    """How far ahead contacts count."""
+    margin_m: float = 0.2
+    """Kept from bodies that move, beside the radii."""
+    yaw_rate_radps: float = 0.6
+    """How fast the heading follows the course."""
+    routes_margin_m: float = field(default=0.1, metadata={"static": True})
+    period: int = field(default=4, metadata={"static": True})
+    looks: int = field(default=4, metadata={"static": True})
+    knows: Knows = field(default=Knows(obstacles="observed"), metadata={"static": True})
+
+    def reset(self, known: Known, key: jax.Array) -> Memory:
+        """See `Policy.reset`."""
+        _, place = _told(known)
+        return Memory(
+            stay_m=known.belief.p,
+            stays=jnp.zeros(place.shape, bool),
+            yaw_rad=jax.vmap(quaternion.yaw)(known.belief.q),
+        )
+
+    def act(self, carry: Memory, known: Known, key: jax.Array, step: jax.Array) -> Any:
+        """See `Policy.act`."""
+        routes, place = _told(known)
+        p = known.belief.p
+        v = jax.vmap(quaternion.rotate)(known.belief.q, known.belief.nu[:, :3])
+        aims = jax.vmap(lambda place, p: guidance.aim(routes, jnp.maximum(place, 0), p))(place, p)
+        stays = (place < 0) | ~aims.exists
+        stay = jnp.where((stays & ~carry.stays)[:, None], p, carry.stay_m)
+        point = jnp.where(stays[:, None], stay, aims.point_m)
+        ends = stays | aims.at_place
+        cruise, radius = known.params.cruise_speed_mps, known.params.known.radius_m
+        left = point - p
+        far = jnp.sqrt(jnp.sum(left**2, axis=-1) + 1e-12)
+        speed = jnp.where(ends, jnp.minimum(cruise, NEAR_PER_S * far), cruise)
+        wanted = left * (speed / far)[:, None]
+        told = _obstacles(known.obstacles)
+        robots = jnp.arange(place.shape[0])
+
+        def one(i: jax.Array) -> jax.Array:
+            reach = radius[i] + radius + self.margin_m
+            bodies = Bodies(
+                p_m=jnp.concatenate([p, told.p_m]),
+                v_mps=jnp.concatenate([v, told.v_mps]),
+                reach_m=jnp.concatenate(
+                    [
+                        jnp.where(robots == i, -1.0, reach),
+                        jnp.where(told.reach_m > 0.0, radius[i] + self.margin_m + told.reach_m, -1),
+                    ]
+                ),
+                yields=jnp.concatenate([jnp.sum(v**2, axis=-1) > STANDS_MPS**2, told.yields]),
+            )
+            return choose(routes, bodies, p[i], v[i], wanted[i], cruise[i], self.horizon_s)
+
+        chosen = jax.vmap(one)(robots)
+        hold_s = self.dt_s * self.period
+        yaw = _turned(carry.yaw_rad, chosen, self.yaw_rate_radps * hold_s)
+        # The loop of position adds what is left to the point; half the time that it holds.
+        command = PoseTarget(position_m=p + 0.5 * hold_s * chosen, velocity_mps=chosen, yaw_rad=yaw)
+        return Memory(stay_m=stay, stays=stays, yaw_rad=yaw), command
+
+
+def _told(known: Known) -> tuple[Routes, jax.Array]:
+    """Routes of the world, and the robots' places."""
+    if known.routes is None or known.place is None:
+        raise ConfigError(
+            "policy AlongRoutes: the worlds were drawn without routes; give it to the Simulator "
+            "that draws them"
+        )
+    return known.routes, known.place
+
+
+def _turned(yaw: jax.Array, velocity: jax.Array, most: jax.Array | float) -> jax.Array:
+    """Headings [R] turned towards the courses of velocities [R, 3], by ``most`` rad."""
+    moves = velocity[:, 0] ** 2 + velocity[:, 1] ** 2 > MOVES_MPS**2
+    course = jnp.arctan2(
+        jnp.where(moves, velocity[:, 1], 0.0), jnp.where(moves, velocity[:, 0], 1.0)
+    )
+    return jnp.where(moves, wrap(yaw + jnp.clip(wrap(course - yaw), -most, most)), yaw)
+
+
+def _obstacles(known: KnownObstacles | None) -> Bodies:
+    """Those that move, as bounding spheres; those that stand are rock to the routes already."""
+    if known is None:
+        none = jnp.zeros((0, 3))
+        return Bodies(p_m=none, v_mps=none, reach_m=none[:, 0], yields=jnp.zeros(0, bool))
+    return Bodies(
+        p_m=known.p_m[:, 0],
+        v_mps=known.velocity_mps,
+        reach_m=jnp.where(known.exists & known.moves, known.radius_m, -1.0),
+        yields=jnp.zeros(known.exists.shape, bool),
+    )

@@ -1,0 +1,55 @@
+"""The table of a scenario file that says how many robots break down on their way, and when."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from angler_mjx.files import FileModel
+from angler_mjx.scenario.tables import TimeConfig
+
+
+class BreakdownsConfig(FileModel):
+    """Robots that break down on their way, for good; their episode ends as `failed`.
+
+    Each robot is drawn by itself, so worlds have more or fewer of them than the share says, and a
+    robot more in the fleet changes nothing for those before it. Nothing else that is drawn changes.
+    """
+
+    share: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Of the robots: the chance of each; 0 for none."""
+    earliest_s: float = Field(default=0.0, ge=0.0, le=86400.0)
+    """Times are drawn evenly from here on. A robot ends with the first control period that is over
+    at its time or later, if its episode lasts that long."""
+    latest_s: float | None = Field(default=None, gt=0.0, le=86400.0)
+    """To here; the horizon if left out."""
+
+    @model_validator(mode="after")
+    def _there_are_some(self) -> Self:
+        given = self.model_fields_set - {"share"}
+        if self.share == 0.0 and (self.earliest_s > 0.0 or self.latest_s is not None):
+            raise ValueError(f"{', '.join(sorted(given))}: no robot breaks down; give share")
+        return self
+
+    def span_s(self, horizon_s: float) -> tuple[float, float]:
+        """The earliest and the latest time, s."""
+        return self.earliest_s, horizon_s if self.latest_s is None else self.latest_s
+
+
+def check_breakdowns(breakdowns: BreakdownsConfig, time: TimeConfig) -> None:
+    """Refuse times that are none, or that no episode reaches.
+
+    Raises:
+        ValueError: naming the key and its value.
+    """
+    earliest, latest = breakdowns.span_s(time.horizon_s)
+    if latest > time.horizon_s:
+        raise ValueError(
+            f"breakdowns.latest_s = {latest:g}: episodes end at time.horizon_s = "
+            f"{time.horizon_s:g}; take at most that, or leave it out"
+        )
+    if earliest > latest:
+        key = "time.horizon_s" if breakdowns.latest_s is None else "breakdowns.latest_s"
+        raise ValueError(
+            f"breakdowns.earliest_s = {earliest:g}: later than {key} = {latest:g}; "
+            "the earlier time comes first"
+        )

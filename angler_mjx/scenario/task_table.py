@@ -1,0 +1,287 @@
+"""The table of a scenario file that says what the robots of a world have to do."""
+
+import math
+from dataclasses import replace
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel
+from angler_mjx.quantities import FARTHEST_M
+from angler_mjx.scenario.policy_tables import PolicyConfig
+from angler_mjx.scenario.tables import TimeConfig, whole
+from angler_mjx.tasks import allocation, sight
+from angler_mjx.tasks.drawing import WHOLE, Places
+from angler_mjx.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
+from angler_mjx.world.config import Vector, WorldRecipe
+from angler_mjx.world.rules import OpenRule
+
+MOST_ROBOTS = 64
+"""Of a fleet with a task."""
+MOST_CELLS = 8192
+"""That a robot looks at, at a time."""
+
+type Share = Annotated[float, Field(ge=0.0, le=1.0)]
+type Corner = tuple[Share, Share, Share]
+
+
+class GoalTask(FileModel):
+    """Each robot has a goal of its own, which the world gives it."""
+
+    type: Literal["goal"] = "goal"
+
+
+class _Task(FileModel):
+    """What all tasks with several jobs have in common."""
+
+    tolerance_m: float = Field(default=0.5, gt=0.0, le=FARTHEST_M)
+    """How near the centre of a robot has to come to a place."""
+    look_s: float = Field(default=0.5, gt=0.0, le=60.0)
+    """Time from one look at what is done to the next; a whole number of control periods."""
+    allocation: str = "nearest"
+    """Who shares the jobs out: nearest, auction, sweep, or MODULE:FUNCTION; see `docs/tasks.md`."""
+    after: After = "hold"
+    """Whether a robot returns to its start when nothing is left for it; it ends its episode then,
+    and not before all that it knows of is done."""
+
+    @field_validator("allocation")
+    @classmethod
+    def _can_share_out(cls, name: str) -> str:
+        allocation.by_name(name)
+        return name
+
+
+class TourTask(_Task):
+    """Places that are to be visited."""
+
+    type: Literal["tour"]
+    places: int = Field(default=8, ge=1, le=MOST_JOBS)
+    """Number of places, drawn for each world among the cells that all robots can reach."""
+    within: tuple[Corner, Corner] = WHOLE
+    """Part of the cube that they are drawn in: lower and upper corner, as shares of its edges."""
+    places_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    """The places, instead of drawing; one that cannot be reached in a world is moved to the nearest
+    cell that can."""
+    shared: bool = True
+    """Whether each place is for one robot; if not, every robot visits all of them."""
+    ordered: bool = False
+    """Whether each robot visits them in their order; for those that are not shared."""
+
+    @model_validator(mode="after")
+    def _is_a_tour(self) -> Self:
+        if self.ordered and self.shared:
+            raise ValueError(
+                "ordered = true: one robot after the other would have to wait; give shared = false"
+            )
+        if self.places_m and "places" in self.model_fields_set:
+            raise ValueError("places and places_m: give one of them, not both")
+        return self
+
+
+class SurveyTask(_Task):
+    """Surfaces that are to be seen."""
+
+    type: Literal["survey"]
+    of: Surface = "floor"
+    """What is to be seen: the sea floor and the rock that stands on it, faces of rock, or both."""
+    half_angle_deg: float = Field(default=45.0, gt=0.0, le=180.0)
+    """Of the cone about a robot's downward axis that it sees; 180 sees everything around."""
+    range_m: float = Field(default=5.0, gt=0.0, le=FARTHEST_M)
+    """How far it sees."""
+    altitude_m: float = Field(default=3.0, gt=0.0, le=FARTHEST_M)
+    """Height of viewpoints above what they look at; to the nearest cell."""
+    coverage: float = Field(default=0.95, gt=0.0, le=1.0)
+    """Share of what can be seen that has to be."""
+    viewpoints: int = Field(default=64, ge=1, le=MOST_JOBS)
+    """Most viewpoints of a world; a run ends where they do not see enough."""
+
+
+class DeliverTask(_Task):
+    """Goods that are to be brought to other places; a robot carries one at a time."""
+
+    type: Literal["deliver"]
+    goods: int = Field(default=4, ge=1, le=MOST_JOBS)
+    """Number of goods."""
+    from_within: tuple[Corner, Corner] = WHOLE
+    """Part of the cube that they lie in: lower and upper corner, as shares of its edges."""
+    to_within: tuple[Corner, Corner] = WHOLE
+    """Part that they are to be brought to."""
+    from_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    """Where they lie, instead of drawing; moved as places_m of a tour are."""
+    to_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
+    """Where each is to be brought, instead of drawing."""
+    dropped: Dropped = "lost"
+    """What becomes of goods whose robot collides or breaks down: lost, or back where they lay."""
+
+    @model_validator(mode="after")
+    def _goods_have_places(self) -> Self:
+        for name in ("from_m", "to_m"):
+            places = getattr(self, name)
+            if places and len(places) != self.count:
+                raise ValueError(
+                    f"{name} has {len(places)} places for {self.count} goods: give one to each"
+                )
+        return self
+
+    @property
+    def count(self) -> int:
+        """Number of goods."""
+        if "goods" in self.model_fields_set or not (self.from_m or self.to_m):
+            return self.goods
+        return len(self.from_m or self.to_m)
+
+
+type TaskConfig = Annotated[
+    GoalTask | TourTask | SurveyTask | DeliverTask, Field(discriminator="type")
+]
+
+
+def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig) -> TaskSpec | None:
+    """What a task is compiled from; None where each robot has a goal of its own.
+
+    Raises:
+        ValueError: it cannot be done in such worlds, by so many robots; names the key.
+    """
+    if isinstance(task, GoalTask):
+        return None
+    if robots > MOST_ROBOTS:
+        raise ValueError(
+            f"task.type = {task.type!r}: the fleet has {robots} robots; {MOST_ROBOTS} are the most"
+        )
+    dt_s = time.control_dt_s
+    whole(f"task.look_s = {task.look_s:g}: look_s / control_dt_s", task.look_s, dt_s)
+    for name, wanted, count in drawn_places(task):
+        _check_places(f"task.{name}", wanted, count, world)
+    spec = TaskSpec(
+        kind=task.type,
+        jobs=1,
+        robots=robots,
+        tolerance_m=task.tolerance_m,
+        period=round(task.look_s / dt_s),
+        allocation=task.allocation,
+        after=task.after,
+    )
+    if isinstance(task, TourTask):
+        jobs = len(task.places_m) or task.places
+        return replace(spec, jobs=jobs, shared=task.shared, ordered=task.ordered)
+    if isinstance(task, DeliverTask):
+        return replace(spec, jobs=task.count, dropped=task.dropped)
+    return replace(spec, jobs=task.viewpoints, survey=_survey(task, world))
+
+
+def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:
+    """Places of a task by the keys that say where they are, where jobs begin first."""
+    if isinstance(task, TourTask):
+        where = Places(within=task.within, given_m=task.places_m)
+        return (("places_m" if task.places_m else "within", where, task.places),)
+    if isinstance(task, DeliverTask):
+        begin = Places(within=task.from_within, given_m=task.from_m)
+        end = Places(within=task.to_within, given_m=task.to_m)
+        return (
+            ("from_m" if task.from_m else "from_within", begin, task.count),
+            ("to_m" if task.to_m else "to_within", end, task.count),
+        )
+    return ()
+
+
+def _check_places(key: str, wanted: Places, count: int, world: WorldRecipe) -> None:
+    low = np.array(world.origin_m)
+    high = low + world.size_m
+    low[2] = max(low[2], world.floor_z_m)
+    for i, place in enumerate(wanted.given_m):
+        if np.any(place < low) or np.any(place > high):
+            raise ValueError(
+                f"{key}[{i}] = {place}: outside the world, {low.tolist()} to {high.tolist()}"
+            )
+    if wanted.given_m:
+        return
+    first, last = wanted.within
+    if not all(a < b for a, b in zip(first, last, strict=True)):
+        raise ValueError(f"{key} = {wanted.within}: the second corner must lie above the first")
+    cells = 1
+    for n, a, b in zip(world.shape, first, last, strict=True):
+        share = (np.arange(n) + 0.5) / n
+        cells *= int(np.sum((share >= a) & (share <= b)))
+    if count > cells:
+        raise ValueError(
+            f"{key} = {wanted.within}: {count} places do not fit {cells} cells; take fewer, or a "
+            "larger part of the world"
+        )
+
+
+def _survey(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
+    cell_m = world.cell_m
+    seen = sight.footprint(math.radians(task.half_angle_deg), task.range_m, cell_m)
+    spec = SurveySpec(
+        of=task.of,
+        footprint=seen,
+        altitude_cells=max(1, round(task.altitude_m / cell_m)),
+        coverage=task.coverage,
+    )
+    if isinstance(world.rule, OpenRule) and task.of == "rock":
+        raise ValueError('task.of = "rock": there is none in such worlds; take "floor"')
+    if task.of != "rock" and world.floor_z_m < world.origin_m[2] - cell_m:
+        raise ValueError(
+            f"task.of = {task.of!r}: the sea floor lies {world.origin_m[2] - world.floor_z_m:g} m "
+            "below the world's cells; give world.floor_depth_m of their lower face"
+        )
+    _check_footprint(task, spec, cell_m)
+    if spec.altitude_cells >= world.shape[2]:
+        raise ValueError(f"task.altitude_m = {task.altitude_m:g}: higher than the world's cells")
+    cells = sight.window_size(spec)
+    if cells > MOST_CELLS:
+        raise ValueError(
+            f"task.range_m = {task.range_m:g}: a robot would look at {cells} cells at a time; "
+            f"{MOST_CELLS} are the most: take a shorter range, or a larger world.cell_m"
+        )
+    return spec
+
+
+def _check_footprint(task: SurveyTask, spec: SurveySpec, cell_m: float) -> None:
+    """Refuse a footprint in which nothing lies, however steadily a viewpoint is held."""
+    half, height = math.radians(task.half_angle_deg), spec.altitude_cells * cell_m
+    ahead = task.tolerance_m / math.sin(half) if half < math.pi - 1e-3 else 0.0
+    farthest = task.range_m - task.tolerance_m
+    if height > farthest or (half < math.pi / 2 and ahead >= height):
+        raise ValueError(
+            f"task.range_m = {task.range_m:g}, half_angle_deg = {task.half_angle_deg:g}: the "
+            f"footprint of a robot {height:g} m (altitude_m in whole cells) above a surface and "
+            f"up to tolerance_m = {task.tolerance_m:g} beside its viewpoint holds nothing; take a "
+            "longer range, a wider cone, a smaller tolerance or another altitude"
+        )
+
+
+def check_flown(task: TaskConfig, policy: PolicyConfig, *, online: bool) -> None:
+    """Refuse what flies to one goal alone.
+
+    Raises:
+        ValueError: naming the keys.
+    """
+    if isinstance(task, GoalTask):
+        return
+    if policy.name == "mppi":
+        raise ValueError(
+            f"task.type = {task.type!r}: its robots have one place after another to go to, and "
+            'policy.name = "mppi" makes its map for one goal; leave it out, or take "routes"'
+        )
+    if online:
+        raise ValueError(
+            f"task.type = {task.type!r}: its robots have one place after another to go to, and "
+            "planner.replan_hz and execution.order look after plans to one goal; leave them out"
+        )
+
+
+def refuse_task(task: TaskConfig, who: str) -> None:
+    """Refuse a task where each robot must have a goal of its own.
+
+    Args:
+        task: of a scenario.
+        who: cannot do it, and what to do instead, for the message.
+
+    Raises:
+        ConfigError: it is another task.
+    """
+    if not isinstance(task, GoalTask):
+        raise ConfigError(f"task.type = {task.type!r}: {who}")

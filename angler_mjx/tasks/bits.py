@@ -1,0 +1,39 @@
+"""One bit for each job, 32 to a word: small enough to be sent in a packet."""
+
+import jax
+import jax.numpy as jnp
+
+WORD = 32
+
+
+def pack(flags: jax.Array) -> jax.Array:
+    """Words uint32 [..., W] of flags bool [..., M]; job j is bit j % 32 of word j // 32."""
+    jobs = flags.shape[-1]
+    words = -(-jobs // WORD)
+    fill = [(0, 0)] * (flags.ndim - 1) + [(0, words * WORD - jobs)]
+    bits = jnp.pad(flags, fill).reshape(*flags.shape[:-1], words, WORD)
+    weight = jnp.uint32(1) << jnp.arange(WORD, dtype=jnp.uint32)
+    return jnp.sum(jnp.where(bits, weight, jnp.uint32(0)), axis=-1, dtype=jnp.uint32)
+
+
+def unpack(words: jax.Array, jobs: int) -> jax.Array:
+    """Flags bool [..., M] of words uint32 [..., W]."""
+    place = jnp.arange(WORD, dtype=jnp.uint32)
+    flags = ((words[..., None] >> place) & 1).astype(bool)
+    return flags.reshape(*words.shape[:-1], -1)[..., :jobs]
+
+
+def merged(knows: jax.Array, delivered: jax.Array, said: jax.Array) -> jax.Array:
+    """What robots know after they have heard others.
+
+    Args:
+        knows: uint32 [R, W] before.
+        delivered: bool [R, R] whose packet arrived, receiver first.
+        said: uint32 [R, W] what each sender knew when it sent.
+
+    Returns:
+        uint32 [R, W].
+    """
+    heard = jnp.where(delivered[:, :, None], said[None], jnp.uint32(0))
+    told: jax.Array = jax.lax.reduce(heard, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return knows | told

@@ -1,0 +1,314 @@
+"""A look at the task of a world: what was done, who knows it, and what each robot does next.
+
+In truth a job is done when a robot was there; robots decide by what they know. Whoever knows
+everything at once decides as all others do; the rest go by their own knowledge alone.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.quaternion import rotate
+from angler_mjx.tasks import allocation, bits, deliver, sight
+from angler_mjx.tasks.allocation import View
+from angler_mjx.tasks.spec import SurveySpec, SurveyWorld, TaskSpec, TaskState, TaskWorld
+from angler_mjx.tasks.travel import Travel
+from angler_mjx.world.grid import Grid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What a look sees of one world."""
+
+    t: jax.Array
+    """[] s."""
+    p: jax.Array
+    """[R, 3] where robots are, m in W."""
+    q: jax.Array
+    """[R, 4] their attitudes, wxyz, body to W."""
+    running: jax.Array
+    """bool [R] robots whose episode goes on."""
+    believed_m: jax.Array
+    """[R, 3] where they take themselves to be."""
+    grid: Grid
+    others: "Others | None" = None
+    """What they have heard of each other; None: all know all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Others:
+    """What each robot knows of the others; the knowing one leads."""
+
+    p: jax.Array
+    """[R, R, 3] where they last said they were, m in W."""
+    active: jax.Array
+    """bool [R, R] who is taken to be at work."""
+
+
+def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
+    """Nothing done, nobody sent anywhere."""
+    jobs, robots, kind = spec.jobs, spec.robots, start_m.dtype
+    return TaskState(
+        done=jnp.zeros(jobs, bool),
+        lost=jnp.zeros(jobs, bool),
+        by=jnp.full(jobs, -1, jnp.int32),
+        done_at_s=jnp.full(jobs, jnp.nan, kind),
+        knows=jnp.zeros((robots, spec.words), jnp.uint32),
+        target=jnp.full(robots, -1, jnp.int32),
+        goal_m=start_m,
+        carrying=jnp.full(robots, -1, jnp.int32),
+        did=jnp.zeros(robots, jnp.int32),
+        finished=jnp.zeros(robots, bool),
+        complete=jnp.zeros((), bool),
+        completed_s=jnp.full((), jnp.nan, kind),
+        progress=jnp.zeros((), kind),
+        seen=None if task.survey is None else jnp.zeros_like(task.survey.cells),
+    )
+
+
+def look(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, travel: Travel
+) -> TaskState:
+    """The state after a look.
+
+    Args:
+        spec: settings.
+        task: of the world.
+        state: before.
+        scene: what is seen of the world.
+        travel: ways between its places.
+    """
+    after = _known(spec, task, _done(spec, task, state, scene), scene)
+    return _sent(spec, task, after, scene, travel, _news(spec, state, after, scene))
+
+
+def _news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> jax.Array:
+    """Whether a robot has learned anything since the last look, bool [R]: it then thinks anew."""
+    learned = jnp.any(before.knows != after.knows, axis=1) | (scene.t == 0.0)
+    if scene.others is None and spec.shared:
+        learned |= jnp.any(~scene.running & (before.target >= 0))
+    return learned
+
+
+def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
+    """What has become true since the last look."""
+    near = _near(spec, scene.p, task.place_m) & scene.running[:, None]
+    by = near[:, : spec.jobs]
+    if spec.kind == "deliver":
+        state, by = deliver.advance(spec, state, scene.running, near)
+    if not spec.shared:
+        return _visited(spec, task, state, scene, by)
+    seen, survey, world = state.seen, spec.survey, task.survey
+    if seen is not None and survey is not None and world is not None:
+        seen = _seen(survey, world, seen, scene)
+        state, by = replace(state, seen=seen), _over(spec, survey, task, world, seen, scene, by)
+    new = jnp.any(by, axis=0) & task.exists & ~state.done
+    who = jnp.argmax(by, axis=0).astype(jnp.int32)
+    state = _with_done(state, new, who, scene.t)
+    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
+    state = replace(state, did=jnp.sum(mine, axis=1, dtype=jnp.int32))
+    progress = jnp.sum(state.done) / jnp.maximum(jnp.sum(task.exists), 1)
+    complete = jnp.all(state.done | ~task.exists)
+    if seen is not None and survey is not None and world is not None:
+        count, total = jnp.sum(seen), jnp.maximum(world.count, 1)
+        progress, complete = count / total, count >= jnp.ceil(survey.coverage * total)
+    return _with_progress(state, progress, complete, scene.t)
+
+
+def _near(spec: TaskSpec, p: jax.Array, place_m: jax.Array) -> jax.Array:
+    """Which robots are at which places, bool [R, P]."""
+    apart = p[:, None] - place_m
+    return jnp.sum(apart * apart, axis=-1) <= spec.tolerance_m**2
+
+
+def _with_done(state: TaskState, new: jax.Array, who: jax.Array, t: jax.Array) -> TaskState:
+    return replace(
+        state,
+        done=state.done | new,
+        by=jnp.where(new, who, state.by),
+        done_at_s=jnp.where(new, t, state.done_at_s),
+    )
+
+
+def _with_progress(
+    state: TaskState, progress: jax.Array, complete: jax.Array, t: jax.Array
+) -> TaskState:
+    new = complete & ~state.complete
+    return replace(
+        state,
+        progress=progress.astype(state.progress.dtype),
+        complete=state.complete | complete,
+        completed_s=jnp.where(new, t, state.completed_s),
+    )
+
+
+def _visited(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, near: jax.Array
+) -> TaskState:
+    """A tour of which every robot visits all places: what each knows is where it was."""
+    before = bits.unpack(state.knows, spec.jobs)
+    if spec.ordered:
+        jobs = jnp.arange(spec.jobs)
+        near &= jobs == jnp.argmin(before, axis=1)[:, None]
+    visited = before | near
+    everybody = jnp.all(visited, axis=0)
+    new = everybody & ~state.done
+    last = jnp.argmax(near & ~before, axis=0).astype(jnp.int32)
+    count = jnp.sum(visited, axis=1, dtype=jnp.int32)
+    state = replace(state, knows=bits.pack(visited), did=count)
+    state = _with_done(state, new, last, scene.t)
+    return _with_progress(state, jnp.mean(visited), jnp.all(everybody), scene.t)
+
+
+def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
+    """Cells that some robot has seen by now, bool [nx, ny, nz]."""
+    down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
+
+    def one(p: jax.Array, down: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return sight.seen_cells(survey, scene.grid, world.cells, world.ground, p, down)
+
+    cells, sees = jax.vmap(one)(scene.p, down)
+    sees &= scene.running[:, None]
+    return seen.at[cells[..., 0], cells[..., 1], cells[..., 2]].max(sees)
+
+
+def _over(
+    spec: TaskSpec,
+    survey: SurveySpec,
+    task: TaskWorld,
+    world: SurveyWorld,
+    seen: jax.Array,
+    scene: Scene,
+    near: jax.Array,
+) -> jax.Array:
+    """Whose jobs of a survey are over, bool [R, M].
+
+    A job is over when all its cells are seen, whoever saw them, or when a robot has looked from its
+    viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells that were seen in
+    passing are the nearest robot's.
+    """
+    points = task.place_m[: spec.jobs]
+
+    def whole(point: jax.Array, mine: jax.Array) -> jax.Array:
+        cell = sight.cell_of(scene.grid, point)
+        at, _ = sight.window(survey, seen.shape, world.ground, cell)
+        return jnp.all(seen[at[:, 0], at[:, 1], at[:, 2]] | ~mine)
+
+    apart = jnp.sum((scene.p[:, None] - points) ** 2, axis=-1)
+    apart = jnp.where(scene.running[:, None], apart, jnp.inf)
+    nearest = jnp.argmin(apart, axis=0) == jnp.arange(spec.robots)[:, None]
+    return near | (jax.vmap(whole)(points, world.of_job) & nearest)
+
+
+def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
+    """Who knows which jobs to be over."""
+    if not spec.shared:
+        return state
+    over = state.done | state.lost | ~task.exists
+    if scene.others is None:
+        # Nobody works on when enough is seen.
+        over |= state.complete
+        knows = jnp.broadcast_to(bits.pack(over), state.knows.shape)
+        return replace(state, knows=knows)
+    # Who comes to a place sees that there is nothing left to do.
+    gone = over | deliver.carried(spec, state)
+    there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
+    mine = over & (state.by == jnp.arange(spec.robots)[:, None])
+    known = bits.pack(mine | (gone & there) | ~task.exists)
+    return replace(state, knows=state.knows | known)
+
+
+def _sent(
+    spec: TaskSpec,
+    task: TaskWorld,
+    state: TaskState,
+    scene: Scene,
+    travel: Travel,
+    news: jax.Array,
+) -> TaskState:
+    """Where each robot goes next: on to where it goes, unless it has learned something."""
+    over = bits.unpack(state.knows, spec.jobs)
+    robots = jnp.arange(spec.robots)
+    carries = state.carrying >= 0
+    before = jnp.where(state.target < spec.jobs, state.target, -1)
+    job = jnp.where(news, _jobs(spec, task, state, scene, travel, over), before)
+    target = jnp.where(carries, spec.jobs + state.carrying, job)
+    left = ~jnp.all(over, axis=1) | carries
+    home = spec.homes + robots
+    if spec.after == "return":
+        target = jnp.where(target < 0, home, target)
+        apart = jnp.sum((scene.p - task.place_m[spec.homes :]) ** 2, axis=-1)
+        finished = ~left & (apart <= spec.tolerance_m**2)
+    else:
+        finished = ~left
+    target = jnp.where(scene.running, target, -1).astype(jnp.int32)
+    stays, stayed = target < 0, state.target < 0
+    here = jnp.where((stays & ~stayed)[:, None], scene.believed_m, state.goal_m)
+    return replace(
+        state,
+        target=target,
+        goal_m=jnp.where(stays[:, None], here, task.place_m[jnp.maximum(target, 0)]),
+        finished=state.finished | finished,
+    )
+
+
+def _jobs(
+    spec: TaskSpec,
+    task: TaskWorld,
+    state: TaskState,
+    scene: Scene,
+    travel: Travel,
+    over: jax.Array,
+) -> jax.Array:
+    """Next job of each robot, int32 [R]; -1 for none."""
+    jobs = jnp.arange(spec.jobs, dtype=jnp.int32)
+    length = jnp.zeros(spec.jobs, scene.p.dtype)
+    if spec.kind == "deliver":
+        length = jax.vmap(lambda j: travel.ways(task.place_m[j][None], spec.jobs + j[None])[0, 0])(
+            jobs
+        )
+
+    def between(job: jax.Array) -> jax.Array:
+        end = task.place_m[job + (spec.jobs if spec.kind == "deliver" else 0)]
+        return travel.ways(end[None], jobs)[0]
+
+    allocate = allocation.in_order if spec.ordered else allocation.by_name(spec.allocation)
+
+    def view(
+        p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array
+    ) -> View:
+        return View(
+            open=open_,
+            able=able & active,
+            active=active,
+            reach_m=travel.ways(p, jobs),
+            length_m=length,
+            between_m=between,
+            rank=task.rank,
+            share=share,
+            exists=task.exists,
+        )
+
+    able = scene.running & (state.carrying < 0)
+    if not spec.shared:
+
+        def alone(p: jax.Array, able: jax.Array, over: jax.Array) -> jax.Array:
+            share = jnp.zeros(1, jnp.int32)
+            return allocate(view(p[None], able[None], able[None], ~over, share))[0]
+
+        return jax.vmap(alone)(scene.believed_m, able, over)
+    carried = deliver.carried(spec, state)
+    if scene.others is None:
+        open_ = ~over[0] & ~carried
+        return allocate(view(scene.believed_m, scene.running, able, open_, task.share))
+
+    def of_one(robot: jax.Array, p: jax.Array, active: jax.Array, over: jax.Array) -> jax.Array:
+        all_able = active.at[robot].set(able[robot])
+        return allocate(view(p, active, all_able, ~over, task.share))[robot]
+
+    robots = jnp.arange(spec.robots)
+    # What a robot knows of itself needs no packet.
+    p = scene.others.p.at[robots, robots].set(scene.believed_m)
+    active = scene.others.active.at[robots, robots].set(scene.running)
+    return jax.vmap(of_one)(robots, p, active, over)

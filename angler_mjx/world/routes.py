@@ -1,0 +1,101 @@
+"""Ways of one world to given places, worked out once: from any cell, where to go next and how far.
+
+For each place there is a field over the cells of the grid: the length of the shortest free way from
+the cell's centre to the place's cell, by steps to any of the 26 neighbours, and the first of these
+steps. Both stand in one word of 16 bits. A field has no local minimum but its place, so whoever
+goes down it arrives. `angler_mjx.planning.routes.fields` works fields out.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+MOVE_BITS = 5
+"""Of a word: the step, its place in a block of 3 x 3 x 3; the middle one (`STAY`) is none."""
+STAY = 13
+PARTS = 8
+"""Parts of a cell's edge that lengths are counted in: 0.19 m for cells of 1.5 m."""
+MOST_PARTS = 2**11 - 2
+"""Longest way that is told, 255 cell edges; longer ones are told as this, with the right step."""
+NO_WAY = ((MOST_PARTS + 1) << MOVE_BITS) | STAY
+"""The word of a cell from which no way leads to the place."""
+FINER = 4
+"""Cubes that a cell's edge is divided into, where `Routes.clear` is looked up."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Routes:
+    """Ways to P places of one world, for any of its robots."""
+
+    place_m: jax.Array
+    """[P, 3] in W."""
+    words: jax.Array
+    """uint16 [P, nx, ny, nz] length and first step of the way from each cell."""
+    clear: jax.Array
+    """uint32 [4 nx, 4 ny, words along z] bit k of a word: the centre of cube k, a quarter of a cell
+    wide, keeps the clearance from rock, floor, faces of the cube and obstacles that stand."""
+    origin_m: jax.Array
+    """[3] lower corner of the grid, in W."""
+    cell_m: jax.Array
+    """[] edge of a cell."""
+
+
+def cell_of(routes: Routes, p: jax.Array) -> jax.Array:
+    """Cell int32 [3] that holds p [3] in W; the nearest one outside the grid."""
+    last = jnp.array(routes.words.shape[1:]) - 1
+    cell = jnp.floor((p - routes.origin_m) / routes.cell_m).astype(jnp.int32)
+    return jnp.clip(cell, 0, last)
+
+
+def centre_m(routes: Routes, cell: jax.Array) -> jax.Array:
+    """Centre [3] of a cell int32 [3], m in W."""
+    return routes.origin_m + (cell + 0.5) * routes.cell_m
+
+
+def step_on(routes: Routes, place: jax.Array, cell: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """One step down the field of a place.
+
+    Args:
+        routes: of the world.
+        place: int32 [] one of P.
+        cell: int32 [3].
+
+    Returns:
+        The next cell int32 [3], the same where there is none, and the length [] of the way from
+        ``cell`` on in m; inf where there is none.
+    """
+    word = routes.words[place, cell[0], cell[1], cell[2]].astype(jnp.int32)
+    move = word & (2**MOVE_BITS - 1)
+    step = jnp.stack([move // 9, move // 3 % 3, move % 3]) - 1
+    length = (word >> MOVE_BITS) * (routes.cell_m / PARTS)
+    return cell + step, jnp.where(word == NO_WAY, jnp.inf, length)
+
+
+def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
+    """Length [] of the free way from p [3] in W to a place int32 [], m; inf where there is none.
+
+    Straight to the centre of the next cell of the way, and along the way from there; straight to
+    the place where that is the next cell. Ways of cells are up to 13 % longer than straight ones,
+    and lengths are told in eighths of a cell's edge.
+    """
+    here = cell_of(routes, p)
+    after, length = step_on(routes, place, here)
+    _, rest = step_on(routes, place, after)
+    target = routes.place_m[place]
+    last = jnp.all(after == cell_of(routes, target))
+    to = jnp.where(last, target, centre_m(routes, after))
+    whole = jnp.sqrt(jnp.sum((to - p) ** 2)) + jnp.where(last, 0.0, rest)
+    return jnp.where(jnp.isinf(length), jnp.inf, whole)
+
+
+def is_clear(routes: Routes, p: jax.Array) -> jax.Array:
+    """Whether a robot may be at p [..., 3] in W, bool [...]; nowhere outside the grid."""
+    at = jnp.floor((p - routes.origin_m) * (FINER / routes.cell_m)).astype(jnp.int32)
+    n = FINER * jnp.array(routes.words.shape[1:])
+    inside = jnp.all((at >= 0) & (at < n), axis=-1)
+    at = jnp.clip(at, 0, n - 1)
+    word = routes.clear[at[..., 0], at[..., 1], at[..., 2] >> 5]
+    bit = (at[..., 2] & 31).astype(jnp.uint32)
+    return inside & (((word >> bit) & 1) == 1)

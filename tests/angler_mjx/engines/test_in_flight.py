@@ -1,0 +1,129 @@
+"""What changes while robots fly, in all engines: who has finished, breaks down, carries a load."""
+
+from dataclasses import replace
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.engines.base import by_name
+from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.sim import aboard, fleet
+from angler_mjx.sim.phase import Done, Phase
+from angler_mjx.sim.state import Outcome
+from angler_mjx.vehicles.load import Load
+
+from ..compiling import quickly
+
+STEPS, EVERY = 8, 2
+"""Control steps of 0.05 s, and from one sample to the next."""
+FINISHED_FROM = np.array([1000, 4, 1000, 4])
+"""Number of the control step from which on each robot's part is done."""
+FAILS_AT_S = np.array([[np.inf, np.inf, 0.12, 0.12], [0.2, 0.11, 0.0, np.inf]])
+"""When each robot of the two worlds breaks down."""
+LOADED = np.array([(2, 5), (3, 8), (0, 2), (9, 9)])
+"""Control steps from and to which each robot carries a load."""
+LOAD = Load(
+    mass_kg=4.0,
+    volume_m3=0.001,
+    drag_area_m2=(0.1, 0.2, 0.3),
+    added_mass_kg=(1.0, 2.0, 3.0),
+    density_kgpm3=1000.0,
+)
+ENGINES = {
+    "mjx": by_name("mjx", "xla"),
+    "lanes": by_name("fused", "xla"),
+    "kernels": TritonEngine(lanes=2, interpret=True),
+}
+
+
+def work(here, now):
+    """A task that is done at a given time."""
+    slots = {
+        "finished": here.number >= FINISHED_FROM,
+        "loaded": (here.number >= LOADED[:, 0]) & (here.number < LOADED[:, 1]),
+    }
+    return Done(slots=lambda: slots)
+
+
+WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
+
+
+@pytest.fixture(scope="module")
+def scene(scenes):
+    """Two worlds of four robots with nothing in their way, that stand at their goals.
+
+    Each draws its parameter set; what it carries changes whichever it has.
+    """
+    build, members, obstacles = scenes
+    four = members("bluerov2") * len(FINISHED_FROM)
+    built = build(2, members=four, config=obstacles["none"])
+    kinds, environment = fleet.build(four, load=LOAD), built.worlds.environment
+    control, body = fleet.parameters(kinds, built.worlds.variant)
+    cruise = built.worlds.control.cruise_speed_mps
+    worlds = replace(
+        built.worlds,
+        control=replace(control, cruise_speed_mps=cruise),
+        body=body,
+        environment=replace(environment, goal_m=environment.start_m),
+        fails_at_s=jnp.asarray(FAILS_AT_S, environment.start_m.dtype),
+    )
+    spec = replace(built.spec, task="by the clock")
+    return replace(built, spec=spec, fleet=kinds, worlds=worlds)
+
+
+@pytest.fixture(scope="module")
+def fly(scene):
+    """State at the end and samples, of an engine by its name."""
+
+    @cache
+    def with_engine(name):
+        engine = ENGINES[name]
+        run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+            return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
+
+    return with_engine
+
+
+@pytest.fixture(params=ENGINES)
+def flown(request, fly):
+    """Of each engine."""
+    return fly(request.param)
+
+
+@pytest.mark.parametrize("name", ["mjx", "kernels"])
+def test_engines_agree(name, fly, deviation):
+    """Eight steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
+    (state, samples), (others, theirs) = fly(name), fly("lanes")
+    for ours, other in ((state.vehicles, others.vehicles), (samples, theirs)):
+        deviation.close(f"in_flight.{name}", ours.p, other.p, rtol=4e-6, atol=4e-6)
+        deviation.close(f"in_flight.{name}", ours.nu, other.nu, rtol=4e-6, atol=4e-6)
+    np.testing.assert_array_equal(state.tally.outcome, others.tally.outcome)
+
+
+def test_robots_end_when_they_have_finished_or_break_down(flown):
+    """By hand: a step ends at 0.05 s, 0.1 s ...; the first end at or after the time counts."""
+    state, _ = flown
+    running, reached, failed = Outcome.RUNNING, Outcome.REACHED, Outcome.FAILED
+    np.testing.assert_array_equal(
+        state.tally.outcome,
+        [[running, reached, failed, failed], [failed, failed, failed, reached]],
+    )
+    np.testing.assert_allclose(
+        state.tally.end_time_s, [[0.4, 0.25, 0.15, 0.15], [0.2, 0.15, 0.05, 0.25]], rtol=1e-6
+    )
+
+
+def test_who_broke_down_stays_where_it_was(flown):
+    """World 0: robots 2 and 3 ended in the third step, so the samples from the fourth on agree."""
+    state, samples = flown
+    np.testing.assert_array_equal(samples.outcome[0, :, 2], [0, 0, Outcome.FAILED, Outcome.FAILED])
+    np.testing.assert_array_equal(samples.p[0, 3, 2:], samples.p[0, 2, 2:])
+    np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 2, 2:])
+    assert (state.vehicles.p[0, :2] != samples.p[0, 3, :2]).any(-1).all()
+    np.testing.assert_array_equal(state.vehicles.nu[0, 2:], 0.0)
