@@ -15,9 +15,11 @@ from angler_mjx.cli.shared.progress import Shown
 def fleet_size(
     source: Annotated[Path, tyro.conf.Positional],
     out: Path | None = None,
+    only: tuple[str, ...] = (),
     batch: int | None = None,
     most_worlds: int | None = None,
     most_minutes: float | None = None,
+    smoke: bool = False,
     resume: bool = False,
     device: Device | None = None,
     devices: int | None = None,
@@ -31,9 +33,11 @@ def fleet_size(
     Args:
         source: Fleet-size file (.toml).
         out: Folder to make; runs/NAME if left out.
+        only: Names of the conditions to look at; all of the file if left out.
         batch: Worlds of one size and condition at a time; the file's if left out.
         most_worlds: Of one size and condition; the file's if left out.
         most_minutes: No batch begins later than this; the file's if left out.
+        smoke: Fly four worlds of the first two sizes in each condition, to see that it runs.
         resume: Go on with an interrupted study in the same folder; nothing is flown twice.
         device: Where to compute; JAX's choice if left out.
         devices: Number of devices to spread the worlds over; all there are if left out. Changes no
@@ -44,7 +48,9 @@ def fleet_size(
     keep_all_programs()
     from angler_mjx.studies.fleet_size import asking, running
 
-    study = asking.read(source, batch=batch, most_worlds=most_worlds, most_minutes=most_minutes)
+    study = asking.read(
+        source, only, batch=batch, most_worlds=most_worlds, most_minutes=most_minutes
+    )
     place = out or Path("runs") / study.config.name
     with _Bar(quiet=json) as bar:
         found = running.run(study, source, place, told=bar, resume=resume, devices=devices)

@@ -2,7 +2,7 @@
 
 import itertools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,15 +74,18 @@ class Study:
         return {
             "study": config,
             "scenario": dict(self.table),
+            "conditions": [one.name for one in self.conditions],
             "problems": [self.scenario(one, self.sizes[0]).digest() for one in self.conditions],
         }
 
 
-def read(path: Path, **budget: Any) -> Study:
+def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any) -> Study:
     """A study from its file.
 
     Args:
         path: of the file.
+        only: names of conditions; all of the file if empty.
+        smoke: two sizes and a few worlds, to see that it runs.
         **budget: keys of its table budget that are otherwise.
 
     Raises:
@@ -93,18 +96,22 @@ def read(path: Path, **budget: Any) -> Study:
     if given:
         table = merged(table, {"budget": given})
     config = parse(FleetSizeConfig, table, source=str(path))
+    config = config.smoke() if smoke else config
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else path.absolute().parent / config.scenario)
-    return build(config, table_of(scenario), str(path))
+    return build(config, table_of(scenario), str(path), only)
 
 
-def build(config: FleetSizeConfig, table: Mapping[str, Any], source: str) -> Study:
+def build(
+    config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
+) -> Study:
     """A study from its table and that of its scenario.
 
     Args:
         config: of the study.
         table: of `scenario.editing.table_of`.
         source: for messages.
+        only: as of `read`.
 
     Raises:
         ConfigError: as `read`.
@@ -112,13 +119,13 @@ def build(config: FleetSizeConfig, table: Mapping[str, Any], source: str) -> Stu
     batches = -(-config.budget.most_worlds // config.budget.batch)
     base = merged(
         merged(table, config.set),
-        {"worlds": batches * config.budget.batch, "seed": config.seed, "time": {"record_hz": 0.0}},
+        {"worlds": batches * config.budget.batch, "seed": config.seed},
     )
     made = Study(
         config=config,
         source=source,
         table=table,
-        conditions=tuple(_conditions(config, base)),
+        conditions=_chosen(_conditions(config, base), only, source),
         sizes=config.all_sizes(),
     )
     for condition in made.conditions:
@@ -137,11 +144,14 @@ def _check(study: Study, condition: Condition, size: int) -> None:
             f"{where}: deadline_s = {deadline_s:g}: worlds end after time.horizon_s = "
             f"{horizon_s:g}; give a deadline of at most that, or set.time.horizon_s"
         )
-    check_reachable(scenario, f"{where}: set.time.horizon_s")
-    if scenario.time.steps_per_sample:
+    if scenario.task_spec() is None:
+        check_reachable(scenario, f"{where}: set.time.horizon_s")
+        return
+    key = "share" if study.config.share < 1.0 else "arrivals"
+    if getattr(study.config, key) not in (1.0, None):
         raise ConfigError(
-            f"{where}: time.record_hz = {scenario.time.record_hz:g}: no trajectories are kept; "
-            "leave it out"
+            f"{where}: {key} = {getattr(study.config, key):g}: the scenario has a task "
+            f"({scenario.task.type}), which is done or not; leave it out"
         )
 
 
@@ -167,6 +177,19 @@ def _conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condit
     return made
 
 
+def _chosen(
+    conditions: Sequence[Condition], only: Sequence[str], source: str
+) -> tuple[Condition, ...]:
+    names = [one.name for one in conditions]
+    for name in only:
+        if name not in names:
+            raise ConfigError(
+                f"--only {shown(name)}: {named(source)} has no such condition; it has "
+                + ", ".join(shown(one) for one in names)
+            )
+    return tuple(one for one in conditions if not only or one.name in only)
+
+
 def _lists(value: Any) -> Any:
     """The same with lists for tuples: a checked file holds tuples."""
     if isinstance(value, Mapping):
@@ -176,7 +199,7 @@ def _lists(value: Any) -> Any:
 
 def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
     """The first key in which two resolved studies differ; None where they are the same."""
-    for part in ("study", "scenario", "problems"):
+    for part in ("study", "scenario", "conditions", "problems"):
         a, b = now[part], then.get(part)
         if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
             if isinstance(a, Mapping) and isinstance(b, Mapping):
@@ -184,15 +207,3 @@ def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
                 return f"{part}.{keys[0]}" if keys else part
             return part
     return None
-
-
-def find(study: Study, name: str) -> Condition:
-    """The condition of a name.
-
-    Raises:
-        ConfigError: there is none.
-    """
-    for one in study.conditions:
-        if one.name == name:
-            return one
-    raise ConfigError(f"{named(study.source)}: there is no condition {shown(name)}")

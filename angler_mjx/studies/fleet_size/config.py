@@ -1,6 +1,7 @@
 """What a fleet-size file says: a task, sizes of teams, conditions, and when the answer is good."""
 
 import itertools
+import math
 from typing import Annotated, Any, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -98,6 +99,8 @@ class FleetSizeConfig(FileModel):
     share: float = Field(default=1.0, gt=0.0, le=1.0)
     """Where the scenario has no task but a goal for each robot: the share of the team that is to
     arrive."""
+    arrivals: int | None = Field(default=None, ge=1, le=1024)
+    """Instead of a share: so many robots are to arrive, however many set off."""
     probability: float = Field(default=0.95, ge=0.01, le=0.999)
     """With which the deadline is to be met."""
     confidence: float = Field(default=0.95, ge=0.5, le=0.999)
@@ -113,6 +116,16 @@ class FleetSizeConfig(FileModel):
     does. Conditions are all combinations."""
     condition: tuple[ConditionConfig, ...] = ()
     """Conditions that are no combination; combined with axes where both are given."""
+
+    @model_validator(mode="after")
+    def _one_measure(self) -> Self:
+        if self.arrivals is not None and "share" in self.model_fields_set:
+            raise ValueError("share and arrivals: give one of them, not both")
+        if self.arrivals is not None and self.arrivals > self.all_sizes()[-1]:
+            raise ValueError(
+                f"arrivals = {self.arrivals}: no team of sizes has so many robots; give fewer"
+            )
+        return self
 
     @field_validator("sizes")
     @classmethod
@@ -163,6 +176,18 @@ class FleetSizeConfig(FileModel):
         if isinstance(self.sizes, SpanConfig):
             return tuple(range(self.sizes.from_, self.sizes.to + 1))
         return self.sizes
+
+    def needed(self, robots: int) -> int:
+        """Robots of a team that have to arrive; of a task with several jobs nobody asks."""
+        if self.arrivals is not None:
+            return self.arrivals
+        return max(1, math.ceil(self.share * robots - 1e-9))
+
+    def smoke(self) -> "FleetSizeConfig":
+        """The same with two sizes and a few worlds, to see that it runs."""
+        budget = BudgetConfig(batch=4, most_worlds=4)
+        sizes = self.first_sizes()[:2]
+        return self.model_copy(update={"sizes": sizes, "budget": budget})
 
     def first_sizes(self) -> tuple[int, ...]:
         """Sizes that are flown whatever the answer is: all of a list, or powers of two of a span.

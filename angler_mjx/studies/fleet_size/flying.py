@@ -62,9 +62,15 @@ def fly(study: Study, simulators: Simulators, condition: Condition, size: int, f
 def _of_tile(study: Study, tile: FinishedTile) -> dict[str, np.ndarray]:
     """Of each world of a tile, [w]."""
     result = harvest.tile_result(tile)
-    no_room = ~np.asarray(tile.constants.valid)[: tile.kept]
+    fits = np.asarray(tile.constants.valid)
+    if tile.constants.task is not None:
+        fits = fits & np.asarray(tile.constants.task.fits)
+    no_room = ~fits[: tile.kept]
     reached = result.outcome == Outcome.REACHED
-    completed = arrival(reached, result.end_time_s, study.config.share)
+    if result.task is None:
+        completed = arrival(reached, result.end_time_s, study.config.needed(reached.shape[1]))
+    else:
+        completed = np.nan_to_num(result.task.completed_s.astype(float), nan=np.inf)
     return {
         "completed_s": np.where(no_room, np.inf, completed),
         "arrived": np.sum(reached, axis=1),
@@ -75,18 +81,19 @@ def _of_tile(study: Study, tile: FinishedTile) -> dict[str, np.ndarray]:
     }
 
 
-def arrival(reached: np.ndarray, end_time_s: np.ndarray, share: float) -> np.ndarray:
-    """When a share of the robots had arrived.
+def arrival(reached: np.ndarray, end_time_s: np.ndarray, needed: int) -> np.ndarray:
+    """When as many robots as are needed had arrived.
 
     Args:
         reached: bool [w, r].
         end_time_s: [w, r].
-        share: of the team, above 0; as many robots as are needed for it are counted.
+        needed: robots, 1 or more.
 
     Returns:
         [w] inf where they never had.
     """
-    needed = max(1, math.ceil(share * reached.shape[1] - 1e-9))
     times = np.sort(np.where(reached, end_time_s.astype(float), np.inf), axis=1)
+    if needed > times.shape[1]:
+        return np.full(len(times), np.inf)
     found: np.ndarray = times[:, needed - 1]
     return found

@@ -36,7 +36,7 @@ class Batch:
     path_m: list[float]
     """Way of all robots of each."""
     no_room: list[bool]
-    """Whether a world had no room for the team; it counts as not done."""
+    """Whether a world had no room for the team, or for the task; it counts as not done."""
 
     @property
     def worlds(self) -> int:
