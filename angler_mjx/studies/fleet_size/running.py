@@ -45,8 +45,6 @@ class _Work:
     study: Study
     rule: Rule
     store: Store
-    tile: int
-    devices: int | None
     told: Told
     known: dict[tuple[str, int, int], Batch]
     taken: dict[str, dict[int, tuple[int, int]]]
@@ -94,6 +92,7 @@ def run(
     told: Told,
     resume: bool = False,
     devices: int | None = None,
+    simulators: Simulators | None = None,
 ) -> dict[str, Any]:
     """Make a study, or go on with one.
 
@@ -104,6 +103,7 @@ def run(
         told: of how far it is.
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
+        simulators: of the same study, to use what they have compiled; they are left open.
 
     Returns:
         What ``study.json`` holds; its ``complete`` is false where a resumption would fly more.
@@ -116,16 +116,21 @@ def run(
     if resume:
         claimed, tile = folder.reopen(study, out)
     else:
-        tile = tile_of(study)
+        tile = tile_of(study) if simulators is None else simulators.tile
         claimed = folder.begin(study, source, out, tile)
     try:
-        return _run(study, claimed, tile, devices, told)
+        made = simulators or Simulators(study, tile=tile, devices=devices)
+        try:
+            return _run(study, claimed, tile, made, told)
+        finally:
+            if simulators is None:
+                made.close()
     finally:
         claimed.release()
 
 
 def _run(
-    study: Study, claimed: Claim, tile: int, devices: int | None, told: Told
+    study: Study, claimed: Claim, tile: int, simulators: Simulators, told: Told
 ) -> dict[str, Any]:
     minutes = study.config.budget.most_minutes
     begun = time.monotonic()
@@ -134,14 +139,11 @@ def _run(
         study=study,
         rule=rule_of(study),
         store=store,
-        tile=tile,
-        devices=devices,
         told=told,
         known={(one.condition, one.size, one.first): one for one in store.batches},
         taken={one.name: {} for one in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
     )
-    simulators = Simulators(study, tile=tile, devices=devices)
     try:
         ended = _rounds(work, simulators)
     except KeyboardInterrupt:
@@ -149,7 +151,6 @@ def _run(
             raise
         ended = STOPPED
     finally:
-        simulators.close()
         store.close()
     took = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
     found = report.gather(study, work.rule, store.batches, ended)

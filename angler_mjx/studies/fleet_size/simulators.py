@@ -47,7 +47,9 @@ class Simulators:
             tile: worlds of one device in one call.
             devices: to fly on; all if None.
         """
-        self._study, self._tile, self._devices = study, tile, devices
+        self._study, self._devices = study, devices
+        self.tile = tile
+        """Worlds of one device in one call."""
         self._threads = ThreadPoolExecutor(
             max(1, (os.cpu_count() or 1) // 4), thread_name_prefix="simulator"
         )
@@ -99,7 +101,7 @@ class Simulators:
             one = partial(water_and_breakdowns, scenario)
             self._drawing[key] = jax.jit(jax.vmap(one, in_axes=(None, 0)))
         index = np.concatenate(
-            [np.arange(first, first + self._tile, dtype=np.uint32) for first in firsts]
+            [np.arange(first, first + self.tile, dtype=np.uint32) for first in firsts]
         )
         current, fails_at_s = self._drawing[key](np.uint32(scenario.seed), index)
         if fails_at_s is None and w.fails_at_s is not None:
@@ -136,7 +138,7 @@ class Simulators:
         return scenario.model_copy(update=update)
 
     def _make(self, scenario: Scenario) -> Simulator:
-        made = Simulator(self._canonical(scenario), tile=self._tile, devices=self._devices)
+        made = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
         made.compile()
         self.compiled += 1
         return made
