@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.storage.claims import Claim
@@ -110,7 +110,7 @@ def run(
 
     Raises:
         ConfigError: the folder is taken, or is of another study.
-        RunError: the disk or the device gave out.
+        RunError: the disk or the device gave out, or no batch had time.
         KeyboardInterrupt: before the first batch was whole.
     """
     if resume:
@@ -152,6 +152,11 @@ def _run(
         ended = STOPPED
     finally:
         store.close()
+    if not store.batches:
+        raise RunError(
+            f"{study.source}: budget.most_minutes = {minutes:g}: was over before the first batch; "
+            "give more"
+        )
     took = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
     found = report.gather(study, work.rule, store.batches, ended)
     found |= {"timing": took, "tile": tile, "environment": describe_environment()}

@@ -9,11 +9,29 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.fleet_size import asking, folder, report, running
 from angler_mjx.studies.fleet_size.flying import arrival
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch, Store
+
+PLANNER = '''
+import jax.numpy as jnp
+from angler_mjx.control.trajectory import Trajectory
+
+
+class Straight:
+    """Straight on at cruise speed: compiles in a moment."""
+
+    def plan_batch(self, problems):
+        team = problems.team
+        time = jnp.linalg.norm(team.goal_m - team.start_m, axis=-1) / team.cruise_speed_mps
+        return Trajectory(
+            time_s=jnp.stack([0.0 * time, time], axis=-1),
+            position_m=jnp.stack([team.start_m, team.goal_m], axis=-2),
+            found=time > 0.0,
+        )
+'''
 
 FILE = """
 name = "small"
@@ -25,6 +43,7 @@ seed = 3
 [set]
 engine = "fused"
 kernels = "xla"
+planner = { name = "FOLDER/straight.py:Straight", points = 2 }
 time = { horizon_s = 24.0 }
 fleet = [{ vehicle = "bluerov2_heavy" }]
 
@@ -72,7 +91,8 @@ class Told:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "small.toml"
-    path.write_text(FILE)
+    path.with_name("straight.py").write_text(PLANNER)
+    path.write_text(FILE.replace("FOLDER", str(path.parent)))
     return path
 
 
@@ -174,11 +194,13 @@ def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
 
 def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
     study = asking.read(source, most_minutes=1e-9)
+    with pytest.raises(RunError, match=r"most_minutes.*over before the first batch"):
+        running.run(study, source, tmp_path / "late", told=Told(), simulators=simulators)
+    assert not (tmp_path / "late").exists()
+    given = asking.read(source)
     with pytest.raises(KeyboardInterrupt):
-        # It begins at once with one that is interrupted before anything is flown.
-        running.run(study, source, tmp_path / "no", told=_Never(), simulators=simulators)
-    found = running.run(study, source, tmp_path / "late", told=Told(), simulators=simulators)
-    assert (found["ended"], found["complete"], found["worlds"]) == ("most_minutes", False, 0)
+        running.run(given, source, tmp_path / "no", told=_Never(), simulators=simulators)
+    assert not (tmp_path / "no").exists()
 
 
 class _Never(Told):
