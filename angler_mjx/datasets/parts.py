@@ -15,6 +15,7 @@ from angler_mjx.files import named, parse, read_toml
 from angler_mjx.runs.several import RUNS
 from angler_mjx.scenario.editing import table_of, without_horizon
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.task_table import refuse_task
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +47,7 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
     )
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    refuse_task(scenario.task, f"{path}: experts plan ways to one goal; leave it out")
     return config.model_copy(update={"expert": experts}), table_of(scenario)
 
 

@@ -10,6 +10,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from angler_mjx.acoustics.channel import Channel
+from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
@@ -18,6 +20,7 @@ from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
 from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
@@ -30,12 +33,19 @@ from angler_mjx.scenario.tables import (
     WaterConfig,
     check_online,
 )
-from angler_mjx.scenario.task_table import GoalTask, TaskConfig, check_flown, spec_of
+from angler_mjx.scenario.task_table import (
+    DeliverTask,
+    GoalTask,
+    TaskConfig,
+    check_flown,
+    spec_of,
+)
 from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles import library
+from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GaussMarkovConfig
@@ -76,6 +86,7 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+    acoustics: AcousticsConfig = AcousticsConfig()
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
     task: TaskConfig = GoalTask()
@@ -202,6 +213,26 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _talks(self) -> Self:
+        try:
+            self.channel()
+        except ValueError as error:
+            raise ValueError(f"acoustics.{error}") from error
+        if "acoustics" in self.store.also and self.acoustics.model == "perfect":
+            raise ValueError(
+                'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
+                "leave it out, or take another model"
+            )
+        if self.acoustics.model != "perfect" and self.planner.replan_hz:
+            raise ValueError(
+                f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "
+                "all robots are, which acoustics tell nobody; leave it out, or take "
+                'acoustics.model = "perfect", or order = "kept" or a policy, which go by what each '
+                "robot has heard"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _flies_by_policy(self) -> Self:
         if self.policy.name == "none":
             return self
@@ -218,7 +249,15 @@ class Scenario(FileModel):
     def _task_can_be_done(self) -> Self:
         check_flown(self.task, self.policy, online=self.online)
         self.task_spec()
+        if load := self.carried():
+            check_load(load, self.fleet)
         return self
+
+    def carried(self) -> Load | None:
+        """What each robot carries at a time; None where the task has nothing that weighs."""
+        if not isinstance(self.task, DeliverTask) or self.task.load is None:
+            return None
+        return self.task.load.load(self.water.density_kgpm3)
 
     def task_spec(self) -> TaskSpec | None:
         """What the task is compiled from; None where each robot has a goal of its own."""
@@ -239,6 +278,15 @@ class Scenario(FileModel):
     def senses(self) -> bool:
         """Whether the controllers of any robot are told something other than the truth."""
         return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
+
+    def channel(self) -> Channel | None:
+        """That robots talk by; None where everybody knows everything."""
+        return self.acoustics.channel(
+            sum(entry.count for entry in self.fleet),
+            resolve(self.world).size_m,
+            self.time.control_dt_s,
+            self.time.horizon_s,
+        )
 
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
@@ -281,6 +329,7 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
             also=self.store.also,
+            acoustics=self.channel(),
             task=self.task_spec(),
         )
 

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import FARTHEST_M
+from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, whole
 from angler_mjx.tasks import allocation, sight
@@ -112,6 +113,8 @@ class DeliverTask(_Task):
     """Where they lie, instead of drawing; moved as places_m of a tour are."""
     to_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
     """Where each is to be brought, instead of drawing."""
+    load: LoadConfig | None = None
+    """What each of the goods is; nothing that a robot would feel, if left out."""
     dropped: Dropped = "lost"
     """What becomes of goods whose robot collides or breaks down: lost, or back where they lay."""
 

@@ -122,7 +122,9 @@ class Simulator:
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
         self._fleet: Fleet = jax.device_put(
-            fleet.build(scenario.members(), multibody=scenario.engine == "mjx"),
+            fleet.build(
+                scenario.members(), multibody=scenario.engine == "mjx", load=scenario.carried()
+            ),
             NamedSharding(self._mesh, SAME),
         )
         timing = scenario.time

@@ -60,11 +60,13 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
         "s",
         "when the world's task was complete; null where it never was",
     ),
+    ("packets_sent", pa.int32(), "1", "packets that the robot began; null without acoustics"),
+    ("packets_heard", pa.int32(), "1", "packets of others that it understood; null likewise"),
 )
 
-SINCE = (3, 6, 7, 13)
-"""Columns at the end that older runs lack: before there were tasks, before vehicles were
-randomised, before failed replans were told, and before there was a choice of planners."""
+SINCE = (5, 8, 9, 15)
+"""Columns at the end that older runs lack: before there were tasks and acoustics, before vehicles
+were randomised, before failed replans were told, and before there was a choice of planners."""
 
 MISSING = (
     "time_to_goal_s",
@@ -85,6 +87,8 @@ MISSING = (
     "jobs_done",
     "task_progress",
     "task_completed_s",
+    "packets_sent",
+    "packets_heard",
 )
 """Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
 

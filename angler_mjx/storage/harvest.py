@@ -80,6 +80,8 @@ class End:
     """int32 [tile, r] until each robot's end; None where nothing was planned anew."""
     task: TaskState | None = None
     """None where each robot has a goal of its own."""
+    packets: jax.Array | None = None
+    """int32 [tile, r, 2] that each sent, and heard; None without acoustics."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +138,13 @@ def end(state: WorldState, *, recorded: bool) -> End:
         last=last if recorded else None,
         failed_replans=_failed_replans(state),
         task=state.task,
+        packets=_packets(state),
     )
+
+
+def _packets(state: WorldState) -> jax.Array | None:
+    radio = state.radio
+    return None if radio is None else jnp.stack([radio.air.sent, radio.caught], axis=-1)
 
 
 def _failed_replans(state: WorldState) -> jax.Array | None:
@@ -213,6 +221,7 @@ def tile_result(tile: FinishedTile) -> TileResult:
         notes=None if tile.notes is None else tile.notes.rows(slice(kept)),
         redraws=np.asarray(tile.constants.redraws)[:kept],
         task=_task_result(tile),
+        packets=None if tile.end.packets is None else np.asarray(tile.end.packets)[:kept],
         failed_replans=None
         if tile.end.failed_replans is None
         else np.asarray(tile.end.failed_replans)[:kept],

@@ -65,6 +65,8 @@ class TileResult:
     """[w, r]."""
     task: TaskResult | None = None
     """None where each robot has a goal of its own."""
+    packets: np.ndarray | None = None
+    """int [w, r, 2] that each robot sent, and heard; None without acoustics."""
 
 
 def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
@@ -115,6 +117,7 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         **_plan_columns(result, end, reached),
         **_factor_columns(result),
         **_task_columns(result),
+        **_packet_columns(result),
     }
     return pa.table({**columns, **more}, schema=EPISODE_SCHEMA)
 
@@ -174,6 +177,15 @@ def _task_columns(result: TileResult) -> dict[str, Any]:
         "task_progress": _known(np.repeat(task.progress, robots)),
         "task_completed_s": _known(np.repeat(task.completed_s, robots)),
     }
+
+
+def _packet_columns(result: TileResult) -> dict[str, Any]:
+    """What robots said and heard; [w * r] values each."""
+    names = ("packets_sent", "packets_heard")
+    if result.packets is None:
+        return {name: pa.nulls(result.outcome.size, pa.int32()) for name in names}
+    rows = result.packets.reshape(-1, len(names))
+    return {name: pa.array(rows[:, i], pa.int32()) for i, name in enumerate(names)}
 
 
 def _known(values: np.ndarray) -> pa.Array:

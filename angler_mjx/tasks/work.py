@@ -36,6 +36,7 @@ class Scene:
     """What they have heard of each other; None: all know all."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Others:
     """What each robot knows of the others; the knowing one leads."""
@@ -44,6 +45,8 @@ class Others:
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
+    knows: jax.Array
+    """uint32 [R, R, W] what they last said they know to be over."""
 
 
 def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
@@ -216,7 +219,8 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)
-    return replace(state, knows=state.knows | known)
+    heard = jax.lax.reduce(scene.others.knows, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return replace(state, knows=state.knows | known | heard)
 
 
 def _sent(

@@ -48,7 +48,7 @@ def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
             judged, note = episode.outcome(state), episode.numbers(state)
             tell.words("outcome", "bounded", stored, judged, "disagrees", note)
             return
-    if stored == "failed" and not scene.may_break_down(step):
+    if stored == "failed" and stored not in scene.unseen(step):
         tell.words("outcome", "bounded", stored, "running", "disagrees", "none breaks down then")
         return
     after = int(np.searchsorted(world.step, step))
@@ -62,7 +62,9 @@ def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
 def _allows(scene: Scene, episode: Episode, state: int, step: int, stored: str) -> bool:
     """Whether the first stored state at or after the end allows the stored outcome."""
     if scene.world.step[state] == step:
-        wanted = {"timeout": {"running"}, "failed": {"running", "reached"}}.get(stored, {stored})
+        wanted = {"running"} if stored == "timeout" else {stored}
+        if stored in scene.unseen(step):
+            wanted = {"running", "reached"}
         return stored == "diverged" or not wanted.isdisjoint(episode.possible(state))
     # It has stood there since: what stands still is where it was, what moves is not.
     still = episode.gap_to_what_stands(state)

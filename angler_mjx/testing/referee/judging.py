@@ -68,8 +68,8 @@ def _end(scene: Scene, episode: Episode, stored: int) -> End:
     if outcome == "diverged" and first in (None, stored) and _is_held(scene, robot, stored):
         note = "the state that was none is not stored; the robot was held before it"
         return End(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
-    if outcome == "failed" and first in (None, stored) and _can_fail(scene, episode, stored):
-        note = "only between which times robots break down is known"
+    if first in (None, stored) and _comes_unseen(scene, episode, stored):
+        note = "no trajectory shows when a task is done, or when a robot breaks down"
         return End(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
     goes_on = all("running" in episode.possible(k) for k in range(first or stored, stored))
     allowed = episode.possible(stored)
@@ -93,10 +93,14 @@ def _is_the_end(scene: Scene, state: int) -> bool:
     return state == final and (full or scene.run.one_scene)
 
 
-def _can_fail(scene: Scene, episode: Episode, state: int) -> bool:
-    """Whether a robot can have broken down with a state: what it touches or leaves comes first."""
+def _comes_unseen(scene: Scene, episode: Episode, state: int) -> bool:
+    """Whether a robot's outcome can come with a state that does not show it.
+
+    What it touches or leaves comes first.
+    """
     else_on_its_way = {"running", "reached"} & episode.possible(state)
-    return bool(else_on_its_way) and scene.may_break_down(int(scene.world.step[state]))
+    told = scene.unseen(int(scene.world.step[state]))
+    return bool(else_on_its_way) and scene.stored_outcome(episode.robot) in told
 
 
 def _is_held(scene: Scene, robot: int, state: int) -> bool:

@@ -44,6 +44,8 @@ class Run:
     goal_tolerance_m: float
     breakdowns_s: tuple[float, float] | None
     """Between which times robots may break down; None where none can."""
+    by_task: bool
+    """Whether a task says who has reached, and not the distance to a goal."""
     robots: tuple[Robot, ...]
     variants: Sequence[Mapping[str, Any]]
     """Of ``variants.json``, by number; empty where vehicles are as their files say."""
@@ -154,6 +156,7 @@ def open_run(path: Path) -> Run:
             "horizon_steps": round(float(timing["horizon_s"]) / dt),
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
+            "by_task": config.get("task", {}).get("type", "goal") != "goal",
             "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
         }
     drawn: Sequence[Mapping[str, Any]] = ()

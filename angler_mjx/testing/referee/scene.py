@@ -57,7 +57,9 @@ class Scene:
 
     @cached_property
     def to_goal_m(self) -> Floats:
-        """[T, R] distance to the goal less the tolerance: arrived below zero."""
+        """[T, R] distance to the goal less the tolerance: arrived below zero; inf without one."""
+        if self.run.by_task:
+            return np.full(self.world.p.shape[:2], np.inf)
         goal = np.asarray(self.world.place["goal_m"], float)
         gap: Floats = np.linalg.norm(self.world.p - goal, axis=2) - self.run.goal_tolerance_m
         return gap
@@ -103,13 +105,15 @@ class Scene:
         steps = time / self.run.control_dt_s
         return round(steps) if np.isfinite(steps) and abs(steps) < 2**31 else None
 
-    def may_break_down(self, step: int) -> bool:
-        """Whether a robot can have broken down in the control period before so many steps."""
-        if self.run.breakdowns_s is None:
-            return False
-        earliest, latest = self.run.breakdowns_s
-        end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)
-        return earliest - slack <= end_s < latest + self.run.control_dt_s + slack
+    def unseen(self, step: int) -> set[str]:
+        """Outcomes that can come after so many control steps without that a trajectory shows it."""
+        found = {"reached"} if self.run.by_task else set[str]()
+        if self.run.breakdowns_s is not None:
+            earliest, latest = self.run.breakdowns_s
+            end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)
+            if earliest - slack <= end_s < latest + self.run.control_dt_s + slack:
+                found.add("failed")
+        return found
 
     def state_at(self, step: int | None) -> int | None:
         """The state after so many control steps, if the record has it."""

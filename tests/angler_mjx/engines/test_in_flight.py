@@ -84,7 +84,9 @@ def fly(scene):
         run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
-            start = quickly(partial(engine.reset, scene.spec))(scene.fleet, scene.worlds)
+            start = quickly(partial(engine.reset, replace(scene.spec, task=None)))(
+                scene.fleet, scene.worlds
+            )
             return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
 
     return with_engine

@@ -84,7 +84,7 @@ def sunk(scenes):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
         engine = FusedEngine()
-        start = quickly(partial(engine.reset, spec, policy=policy))(kinds, worlds)
+        start = quickly(partial(engine.reset, scene.spec, policy=policy))(kinds, worlds)
         run = partial(engine.segment, spec, n_sample=STEPS, steps_per_sample=1, policy=policy)
         return jax.device_get(quickly(run)(kinds, worlds, start)[1])
 

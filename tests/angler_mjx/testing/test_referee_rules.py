@@ -204,6 +204,29 @@ def test_robots_break_down_where_and_when_the_scenario_lets_them(table, right, e
     assert ("outcome" in wrong(referee.judge(path))) is not right
 
 
+@pytest.mark.parametrize("every", [1, 4])
+@pytest.mark.parametrize(("kind", "right"), [("tour", True), ("goal", False)])
+def test_a_task_says_who_has_reached_and_no_goal_does(kind, right, every, tmp_path):
+    """It flies past its goal, far from any rock, and has reached after 35 steps, not after 29."""
+    made = to_a_goal()
+    outcome = made.outcome * 0
+    outcome[35:] = OUTCOMES["reached"]
+    path = write(tmp_path / "run", replace(made, outcome=outcome), every=every)
+    edit_rows(
+        path,
+        0,
+        0,
+        time_to_goal_s=35 * DT_S,
+        path_length_m=0.5 * 35 * DT_S,
+        energy_j=8 * WATTS * 35 * DT_S,
+    )
+    config = json.loads((path / "config.json").read_text())
+    (path / "config.json").write_text(json.dumps({**config, "task": {"type": kind}}))
+    verdict = referee.judge(path)
+    assert verdict.agrees is right, [one.line() for one in verdict.differences]
+    assert right or "outcome" in wrong(verdict)
+
+
 def test_what_a_robot_touches_comes_before_its_breakdown(tmp_path):
     path = write(tmp_path / "run", replace(into_a_rock(), outcome=breaks_down().outcome))
     edit_array(path, "outcome", (0, slice(18, None)), lambda x: x * 0 + OUTCOMES["failed"])

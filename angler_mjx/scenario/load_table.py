@@ -1,0 +1,87 @@
+"""The table of a scenario file that says what goods weigh, and how water holds them up and back."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import Field
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import FileModel
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.randomise_table import SPARE
+from angler_mjx.vehicles import library
+from angler_mjx.vehicles.load import Load, laden
+from angler_mjx.vehicles.variation import Variation, heave
+
+SPHERE_CD = 0.47
+"""Drag coefficient of a sphere below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965, ch. 3)."""
+
+type Area = Annotated[float, Field(ge=0.0, le=100.0)]
+type Added = Annotated[float, Field(ge=0.0, le=1e4)]
+
+
+class LoadConfig(FileModel):
+    """A compact thing at the centre of mass of the robot that carries it; controllers know of it.
+
+    What is left out is that of a sphere of its volume; see `docs/randomise.md`.
+    """
+
+    mass_kg: float = Field(gt=0.0, le=1e4)
+    """In air."""
+    volume_m3: float = Field(ge=0.0, le=10.0)
+    """Displaced: what the water holds of it."""
+    drag_area_m2: tuple[Area, Area, Area] | None = None
+    """Drag coefficient times area, in surge, sway and heave."""
+    added_mass_kg: tuple[Added, Added, Added] | None = None
+    """In surge, sway and heave."""
+
+    def load(self, density_kgpm3: float) -> Load:
+        """As fleets take it.
+
+        A sphere's added mass is half of the water that it displaces (Lamb, Hydrodynamics, 6th ed.
+        1932, art. 92).
+
+        Args:
+            density_kgpm3: of the water.
+        """
+        radius = (3.0 * self.volume_m3 / (4.0 * math.pi)) ** (1.0 / 3.0)
+        area, added = SPHERE_CD * math.pi * radius**2, 0.5 * density_kgpm3 * self.volume_m3
+        return Load(
+            mass_kg=self.mass_kg,
+            volume_m3=self.volume_m3,
+            drag_area_m2=self.drag_area_m2 or (area, area, area),
+            added_mass_kg=self.added_mass_kg or (added, added, added),
+            density_kgpm3=density_kgpm3,
+        )
+
+
+def check_load(load: Load, fleet: Sequence[FleetEntry]) -> None:
+    """Refuse a load with which a vehicle cannot hold its depth.
+
+    A vehicle that cannot by its own file is not looked at: the load is not to blame.
+
+    Args:
+        load: of each robot, at a time.
+        fleet: entries of the scenario.
+
+    Raises:
+        ValueError: naming the table and the vehicle.
+    """
+    for i, entry in enumerate(fleet):
+        config = library.load(entry.vehicle)
+        for name in entry.sets():
+            told = (name, Variation(), entry.battery_v, load.density_kgpm3)
+            try:
+                own_n, force_n = heave(config, *told)
+                lift_n, _ = heave(laden(config, name, load), *told)
+            except ConfigError as error:
+                raise ValueError(f"fleet[{i}]: {error}") from error
+            if abs(own_n) <= SPARE * force_n < abs(lift_n):
+                raise ValueError(
+                    f"task.load: {load.mass_kg:g} kg of {load.volume_m3:g} m3: with it fleet[{i}], "
+                    f"vehicle {config.name!r}, parameter set {name!r}, "
+                    f"{'rises' if lift_n > 0 else 'sinks'} with {abs(lift_n):.1f} N, and its "
+                    f"thrusters give {force_n:.1f} N in heave at {entry.battery_v:g} V; half of "
+                    "that may go into holding depth: take a lighter load, or one of more volume"
+                )
