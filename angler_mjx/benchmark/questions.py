@@ -14,6 +14,7 @@ from angler_mjx.benchmark.config import BenchmarkConfig, merged
 from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, parse, read_toml
+from angler_mjx.scenario.editing import table_of, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig
@@ -176,8 +177,7 @@ def _settings(
 ) -> list[Setting]:
     for table in (config.set, *(one.set for one in config.scene)):
         _require_ours_left(table, source)
-    base = scenario.model_dump(mode="json", exclude_unset=True)
-    base["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]
+    base = table_of(scenario)
     base["worlds"] = config.problems
     base["planner"] = {
         "margin_m": scenario.planner.margin_m,
@@ -186,7 +186,7 @@ def _settings(
     }
     base["policy"] = {**base.get("policy", {}), "name": "none"}
     if config.presets:  # The scenario's horizon is that of its own world.
-        base["time"] = {key: x for key, x in base.get("time", {}).items() if key != "horizon_s"}
+        base = without_horizon(base)
     base = merged(base, config.set)
     known = [] if all(one.knows for one in contestants) else _told(config, scenario)
     known += [one.knows for one in contestants if one.knows is not None]
@@ -243,7 +243,7 @@ def with_team(
     whole: Scenario, table: Mapping[str, Any], robots: int, source: str, called: str
 ) -> Scenario:
     """A scenario with another number of robots."""
-    entries = [one.model_dump(mode="json", exclude_unset=True) for one in whole.fleet]
+    entries = table_of(whole)["fleet"]
     about = f"{source} ({called}, {robots} robots)"
     return parse(Scenario, {**table, "fleet": _fleet(entries, robots)}, source=about)
 

@@ -33,6 +33,7 @@ from angler_mjx.cli.planners import benchmark, plan
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck
+from angler_mjx.cli.studies import fleet_size, sweep
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
@@ -58,6 +59,7 @@ GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
         "show": scenarios.show,
         "reference": scenarios.reference,
     },
+    "study": {"fleet_size": fleet_size.fleet_size},
     "vehicle": {"list": vehicle.list_, "show": vehicle.show, "export": vehicle.export},
 }
 """Commands of two words."""
@@ -78,6 +80,10 @@ def _scenarios() -> None:
     """List the shipped scenarios, print one, or print what a file of yours may hold."""
 
 
+def _study() -> None:
+    """Answer a question with as many worlds as it takes: how many robots does a task need."""
+
+
 def _vehicle() -> None:
     """List vehicles, show what one can do, export its MuJoCo model."""
 
@@ -94,6 +100,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "scenarios": _scenarios,
     "figures": rollout.figures,
     "replay": rollout.replay,
+    "sweep": sweep.sweep,
+    "study": _study,
     "verify": verify.verify,
     "export": export.export,
     "teleop": teleop.teleop,

@@ -10,9 +10,9 @@ import pyarrow.compute as pc
 
 from angler_mjx.datasets import croissant, figures, gaps
 from angler_mjx.datasets.manifest import SPLITS, Manifest
-from angler_mjx.datasets.parts import RUNS
 from angler_mjx.datasets.sampling import DIFFICULTIES, FAILED, is_of
 from angler_mjx.errors import size
+from angler_mjx.runs.several import RUNS
 from angler_mjx.storage import atomic, folder, results
 
 README, CROISSANT = "README.md", "croissant.json"

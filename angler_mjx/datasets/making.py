@@ -4,43 +4,29 @@ It is built like a run, in a hidden folder beside its place; the manifest comes 
 was broken off is resumed as any run is, so nothing but tiles in flight is lost.
 """
 
-import gc
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
-
-import jax
+from typing import Any
 
 from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets import parts as flown
 from angler_mjx.datasets.config import DatasetConfig
 from angler_mjx.datasets.parts import Part
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import rollout
-from angler_mjx.runs.processes import OneOfMany, OneProcess, Processes, telling
-from angler_mjx.runs.progress import Progress
+from angler_mjx.runs import several
+from angler_mjx.runs.processes import OneProcess, Processes, telling
+from angler_mjx.runs.several import Told
 from angler_mjx.simulator.simulator import default_tile
-from angler_mjx.storage import claims, folder
+from angler_mjx.storage import claims
 from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table
 from angler_mjx.storage.recorder import Shape
 from angler_mjx.world.config import resolve
-
-MAKING = "making.json"
-"""What is made, while it is: the resolved file and the episodes; a resume must ask for the same."""
 
 TILE_BYTES = 2 * 10**9
 """Samples of a tile at most, where the file names no tile: one is flown while another is written,
 and a GPU is as fast with half its tile."""
-
-
-class Told(Progress, Protocol):
-    """What a dataset in the making tells: as a run does, and which part it is at."""
-
-    def part(self, number: int, of: int, name: str) -> None:
-        """A part begins."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +47,9 @@ class Asked:
     def resolved(self) -> dict[str, Any]:
         """All of it in plain values."""
         return {
+            "episodes": self.episodes,
             "dataset": self.config.model_dump(mode="json"),
             "scenario": dict(self.table),
-            "episodes": self.episodes,
         }
 
 
@@ -124,16 +110,19 @@ def _make(
     with ExitStack() as stack:
         claimed = None
         if together.index == 0:
-            claimed = _again(asked, out) if resume else _begin(asked, parts, out)
+            whole = (out / manifest.MANIFEST).is_file()
+            claimed = (
+                several.again(out, "dataset", asked.resolved(), whole=whole)
+                if resume
+                else several.begin(out, "dataset", asked.resolved())
+            )
             stack.callback(claimed.release)
         together.meet("dataset")
-        for number, part in enumerate(parts):
-            told.part(number, len(parts), part.path)
-            if not _fly(part, building / part.path, told, OneOfMany(together, part.path), how):
-                return None
-            # Programs of many parts together would use up the memory maps of a process.
-            jax.clear_caches()
-            gc.collect()
+        flights = [
+            (part.path, part.scenario.model_copy(update={"tile": tile_of(part)})) for part in parts
+        ]
+        if not several.fly(flights, building, told, together, {"chunk": 1, **how}):
+            return None
         if claimed is not None:
             _close(asked, parts, claimed)
         together.meet("whole")
@@ -167,64 +156,6 @@ def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str
         )
 
 
-def _begin(asked: Asked, parts: Sequence[Part], out: Path) -> Claim:
-    claimed = claims.claim(out, what="dataset")
-    try:
-        folder.write_json(claimed.building / MAKING, asked.resolved())
-        (claimed.building / flown.RUNS).mkdir()
-    except OSError as error:
-        claimed.withdraw()
-        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
-    return claimed
-
-
-def _again(asked: Asked, out: Path) -> Claim:
-    """The folder of a dataset that was broken off.
-
-    Raises:
-        ConfigError: there is none, it is whole, or of another file or number of episodes.
-    """
-    if (out / manifest.MANIFEST).is_file():
-        raise ConfigError(f"--resume {out}: this dataset is complete; nothing is left to do")
-    building = claims.partial_path(out)
-    if not (building / MAKING).is_file():
-        raise ConfigError(f"--resume {out}: there is no interrupted dataset of that name")
-    before, now = read_table(building / MAKING), asked.resolved()
-    for key in ("episodes", "dataset", "scenario"):
-        if before.get(key) != now[key]:
-            was = f" ({before.get(key)}, now {now[key]})" if key == "episodes" else ""
-            raise ConfigError(
-                f"--resume {out}: was begun with other {key}{was}; give what it was begun with, or "
-                "begin a new one"
-            )
-    claimed = claims.reclaim(out, what="dataset")
-    if claimed is None:
-        raise ConfigError(f"--resume {out}: there is no interrupted dataset of that name")
-    return claimed
-
-
-def _fly(part: Part, place: Path, told: Told, together: Processes, how: Mapping[str, Any]) -> bool:
-    """Fly a part, or what is left of it; whether it is whole now."""
-    found = together.meet("stands", _stands(place) if together.index == 0 else None)[0]
-    if found == "whole":
-        return True
-    shared: dict[str, Any] = {"progress": told, "processes": together, "chunk": 1, **how}
-    if found == "begun":
-        run = rollout.resume(place, **shared)
-    else:
-        scenario = part.scenario.model_copy(update={"tile": tile_of(part)})
-        run = rollout.rollout(scenario, out=place, **shared)
-    return bool(run.summary["complete"])
-
-
-def _stands(place: Path) -> str:
-    """How far a part is: whole, begun or none."""
-    if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
-        return "whole"
-    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
-    return "begun" if (begun / folder.CONFIG).is_file() else "none"
-
-
 def tile_of(part: Part) -> int:
     """Worlds in one device call: the file's, or as many as memory is to hold of them."""
     scenario = part.scenario
@@ -253,7 +184,7 @@ def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
         made = describing.counted(made, table)
         index.write(place, table)
         card.write(place, made, table)
-        (place / MAKING).unlink()
+        (place / several.MAKING).unlink()
         manifest.write(place, made.model_copy(update={"sums": sums.write(place)}))
     except OSError as error:
         raise RunError(

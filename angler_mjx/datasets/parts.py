@@ -12,11 +12,10 @@ from angler_mjx.benchmark.questions import with_team
 from angler_mjx.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named, parse, read_toml
+from angler_mjx.runs.several import RUNS
+from angler_mjx.scenario.editing import table_of, without_horizon
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.task_table import refuse_task
-
-RUNS = "runs"
-"""Folder of the parts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +48,7 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else folder / config.scenario)
     refuse_task(scenario.task, f"{path}: experts plan ways to one goal; leave it out")
-    table = scenario.model_dump(mode="json", exclude_unset=True)
-    table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
-    return config.model_copy(update={"expert": experts}), table
+    return config.model_copy(update={"expert": experts}), table_of(scenario)
 
 
 def parts(
@@ -124,7 +121,7 @@ def _part(
         **config.set.get("time", {}),
         **scene.set.get("time", {}),
     }:  # The scenario's horizon is that of its own world.
-        whole["time"] = {k: v for k, v in whole.get("time", {}).items() if k != "horizon_s"}
+        whole = without_horizon(whole)
     whole |= _flown(whole, expert)
     whole |= {"worlds": worlds, "seed": seed_of(config.seed, number)}
     made = parse(Scenario, whole, source=about)

@@ -31,6 +31,10 @@ from angler_mjx.storage.recorder import Recorder
 from angler_mjx.storage.writer import Writer
 
 
+class NothingKeptError(RunError):
+    """A run was interrupted before its first tile was finished."""
+
+
 @dataclass(kw_only=True)
 class _Clock:
     """Where the time of a run went, and the steps it was spent on."""
@@ -338,7 +342,9 @@ class _Rollout:
         if episodes is None or self._claimed is None:
             if self._claimed is not None and not folder.holds_results(self._building):
                 self._claimed.withdraw()
-            raise RunError("interrupted before the first tile was finished; nothing was kept")
+            raise NothingKeptError(
+                "interrupted before the first tile was finished; nothing was kept"
+            )
         done = len(set(episodes["world"].to_pylist()))
         simulate_s = max(share["simulate_s"] for share in shares)
         steps = sum(share["vehicle_steps"] for share in shares)

@@ -7,7 +7,7 @@ tile is cut where that tile ended, whatever ran beside it.
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -67,6 +67,7 @@ def simulate(
     plans: Given | None = None,
     seed: int | None = None,
     strict: bool = True,
+    changed: Callable[[list[int], World], World] | None = None,
 ) -> Iterator[list[FinishedTile]]:
     """Run tiles, a wave at a time.
 
@@ -78,6 +79,8 @@ def simulate(
         plans: made before; instead of the scenario's planner.
         seed: of the worlds; the scenario's if left out.
         strict: refuse worlds that cannot hold the fleet.
+        changed: gives worlds other numbers before they are flown, from the first world of each
+            device's tile and the worlds as they were drawn.
 
     Yields:
         The finished tiles of each wave.
@@ -98,6 +101,8 @@ def simulate(
             if plans is not None:
                 path, notes = plans.of(firsts, worlds, simulator)
                 worlds = simulator.with_paths(worlds, path)
+            if changed is not None:
+                worlds = changed(_padded(simulator, firsts), worlds)
             flight = _Flight(simulator, firsts, recorded, progress, notes, strict)
             if simulator.hosted:  # so that the host plans while the device flies
                 draw(i + 1)
@@ -114,7 +119,12 @@ def _draw(simulator: Simulator, firsts: list[int], seed: int | None) -> Drawn:
     """Begin with a wave; devices without a tile repeat the last one, which is dropped."""
     idle, total = simulator.devices - len(firsts), simulator.scenario.worlds
     kept = [min(simulator.tile, total - first) for first in firsts]
-    return simulator.begin([*firsts, *firsts[-1:] * idle], seed=seed, kept=[*kept, *[0] * idle])
+    return simulator.begin(_padded(simulator, firsts), seed=seed, kept=[*kept, *[0] * idle])
+
+
+def _padded(simulator: Simulator, firsts: list[int]) -> list[int]:
+    """A first world for each device."""
+    return [*firsts, *firsts[-1:] * (simulator.devices - len(firsts))]
 
 
 class _Flight:

@@ -263,6 +263,31 @@ def _one_world(
     )
 
 
+def water_and_breakdowns(
+    scenario: Scenario, seed: jax.Array, index: jax.Array
+) -> tuple[currents.Current, jax.Array | None]:
+    """The current of a world and its robots' breakdowns alone, as drawn with all else.
+
+    To be traced. Nothing else that is drawn hangs on them, but for what planners know of a current.
+
+    Args:
+        scenario: whose world.
+        seed: [] of the run.
+        index: [] of the world.
+
+    Returns:
+        The current, and times as of `breakdowns`.
+    """
+    key = jax.random.fold_in(jax.random.key(seed), index)
+    _, of_world, _, _, of_factors = children(key, 5)
+    recipe = resolve(scenario.world)
+    current = generate.draw_current(recipe, of_world, scenario.time.horizon_s)
+    factors = _factors(scenario.randomise, of_factors, 1)
+    if factors is not None:
+        current = currents.scaled(current, factors.current)
+    return current, breakdowns(scenario, key, len(scenario.members()))
+
+
 def _routes(
     policy: Policy | None,
     environment: Environment,

@@ -87,6 +87,44 @@ def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, R
     return rates
 
 
+@dataclass(frozen=True, kw_only=True)
+class Mean:
+    """A mean, and the interval in which it lies with 95 %."""
+
+    count: int
+    """Values."""
+    mean: float
+    """NaN of no value, as the ends of the interval are of fewer than two worlds."""
+    low: float
+    high: float
+
+
+def clustered_mean(values: np.ndarray, world: np.ndarray) -> Mean:
+    """Mean of values that share worlds.
+
+    A mean over robots is a ratio of sums over worlds: its variance is the estimator above with
+    sums of values for counts of robots, and the interval is Student's with one degree of freedom
+    fewer than worlds.
+
+    Args:
+        values: [n]; those that are not finite are left out.
+        world: [n] of each.
+    """
+    known = np.isfinite(values)
+    values, world = np.asarray(values, float)[known], np.asarray(world)[known]
+    if len(values) == 0:
+        return Mean(count=0, mean=math.nan, low=math.nan, high=math.nan)
+    mean = float(np.mean(values))
+    of = np.unique(world, return_inverse=True)[1]
+    worlds = int(of.max()) + 1
+    if worlds < 2:
+        return Mean(count=len(values), mean=mean, low=math.nan, high=math.nan)
+    over = np.bincount(of, weights=values - mean)
+    error = math.sqrt(worlds / (worlds - 1) * float(np.sum(over**2))) / len(values)
+    half = student(worlds - 1) * error
+    return Mean(count=len(values), mean=mean, low=mean - half, high=mean + half)
+
+
 def _effect(hit: np.ndarray, number: np.ndarray, robots: np.ndarray) -> float | None:
     """Design effect of a share; None where it cannot be estimated."""
     share, worlds = float(np.mean(hit)), len(robots)

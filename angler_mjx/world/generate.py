@@ -41,9 +41,7 @@ def generate(
     """
     cells_key, obstacles_key, current_key = jax.random.split(key, 3)
     drawing = draw(recipe, radius_m, cells_key)
-    lo = jnp.array(recipe.origin_m, float)
-    hi = lo + jnp.array(recipe.size_m, float)
-    lo = lo.at[2].max(recipe.floor_z_m)
+    lo, hi = _region(recipe)
     grid = Grid(
         occupied=drawing.occupied,
         origin_m=jnp.array(recipe.origin_m, float),
@@ -75,6 +73,19 @@ def generate(
         redraws=drawing.redraws,
         valid=drawing.fits,
     )
+
+
+def draw_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> currents.Current:
+    """The current alone of the world that `generate` makes; arguments as there."""
+    lo, hi = _region(recipe)
+    return currents.draw(recipe.currents, jax.random.split(key, 3)[2], lo, hi, horizon_s)
+
+
+def _region(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
+    """Lower and upper corner of the water, [3] m, W."""
+    lo = jnp.array(recipe.origin_m, float)
+    hi = lo + jnp.array(recipe.size_m, float)
+    return lo.at[2].max(recipe.floor_z_m), hi
 
 
 def generate_batch(

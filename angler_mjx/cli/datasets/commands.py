@@ -59,14 +59,14 @@ def make(
         process=process,
     )
     from angler_mjx.cli.shared.given import at_least_one
-    from angler_mjx.cli.shared.progress import DatasetBar
+    from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.datasets import making, manifest
     from angler_mjx.runs.processes import telling
 
     with telling(shared):
         asked = making.ask(config, episodes)
     place = out or Path("datasets") / asked.config.name
-    with DatasetBar(quiet=shared.index > 0) as bar:
+    with PartsBar(quiet=shared.index > 0) as bar:
         made = making.make(
             asked,
             place,
@@ -179,10 +179,10 @@ def repair(
     """
     choose(device, distributed=False)
     keep_all_programs()
-    from angler_mjx.cli.shared.progress import DatasetBar
+    from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.datasets.keeping import repair as keeping
 
-    with DatasetBar() as bar:
+    with PartsBar() as bar:
         done = keeping.repair(dataset, bar, accept=accept)
     if not done.damaged:
         print("nothing is damaged")

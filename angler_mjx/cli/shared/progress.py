@@ -98,8 +98,8 @@ class Bar(Shown):
         self._bar.console.print(text, highlight=False, markup=False)
 
 
-class DatasetBar(Bar):
-    """The same for a dataset, part by part; a `datasets.making.Told`."""
+class PartsBar(Bar):
+    """The same for several runs, one by one; a `runs.several.Told`."""
 
     def __init__(self, *, quiet: bool = False) -> None:
         """A bar, or nothing at all if ``quiet``."""
@@ -107,5 +107,5 @@ class DatasetBar(Bar):
 
     def part(self, number: int, of: int, name: str) -> None:
         """See `Told`."""
-        self._bar.console.print(f"part {number + 1} of {of}: {name}", highlight=False)
+        self._bar.console.print(f"run {number + 1} of {of}: {name}", highlight=False)
         self._bar.reset(self._task, description="drawing up", total=None, steps=0)

@@ -8,8 +8,8 @@ from pathlib import Path
 from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets.index import of_manifest, shared_environment
 from angler_mjx.datasets.manifest import Manifest, PartEntry
-from angler_mjx.datasets.parts import RUNS
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs.several import RUNS
 from angler_mjx.storage import claims
 
 SAME = ("arrays", "time", "conventions", "split_shares", "sample", "licence")

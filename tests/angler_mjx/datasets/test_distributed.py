@@ -16,7 +16,7 @@ import pytest
 
 from angler_mjx.datasets import index, making, manifest
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import rollout
+from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import Silent
 from angler_mjx.storage import claims, folder
 from angler_mjx.storage.folder import Run
@@ -121,7 +121,7 @@ def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_befo
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
     asked, out = making.ask(file, 6), tmp_path / "out"
     claimed = claims.claim(out, what="dataset")
-    folder.write_json(claimed.building / making.MAKING, asked.resolved())
+    folder.write_json(claimed.building / several.MAKING, asked.resolved())
     first = manifest.read(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
     claimed.release()

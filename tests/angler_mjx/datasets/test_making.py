@@ -13,7 +13,7 @@ from angler_mjx.cli import main
 from angler_mjx.datasets import index, making, manifest, parts
 from angler_mjx.datasets.config import SplitConfig
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs import rollout
+from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import Silent
 from angler_mjx.storage.folder import Run
 
@@ -50,7 +50,7 @@ def test_what_is_made_is_whole(made):
         check=False,
     )
     assert checked.returncode == 0, checked.stderr
-    assert not (made / making.MAKING).exists()
+    assert not (made / several.MAKING).exists()
     text = (made / "README.md").read_text()
     assert "- here: `variants` 3; `mass` [0.97, 1.03]; `thrust` [0.9, 1.0]" in text
     assert "test_there" in text

@@ -1,0 +1,1 @@
+"""`angler sweep` and `angler compare`."""

@@ -1,0 +1,127 @@
+"""`angler sweep`: a scenario over a grid of settings."""
+
+import json as text
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
+
+
+def sweep(
+    scenario: Annotated[str, tyro.conf.Positional],
+    set: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    out: Path | None = None,
+    worlds: int | None = None,
+    seed: int | None = None,
+    engine: Literal["mjx", "fused"] | None = None,
+    kernels: Literal["xla", "triton"] | None = None,
+    tile: int | None = None,
+    record_hz: float = 0.0,
+    resume: bool = False,
+    device: Device | None = None,
+    devices: int | None = None,
+    workers: int | None = None,
+    distributed: bool = False,
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Run a scenario with every combination of some settings, in the same worlds.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        set: KEY=VALUE,VALUE,... once for each key that is varied: a dotted key of scenario files
+            such as fleet.0.count=1,2,4, and values as they stand there.
+        out: Folder to make; runs/NAME-sweep if left out.
+        worlds: Number of worlds of each cell; the scenario's if left out.
+        seed: Seed of the worlds, of all cells; the scenario's if left out.
+        engine: Physics engine; the scenario's if left out. fused is the faster one, for rigid
+            vehicles.
+        kernels: What the fused engine is compiled by; triton on a GPU, else xla, if left out.
+        tile: Worlds in one device call; part of the results' bytes.
+        record_hz: Rate of the stored trajectories; none are stored if left out.
+        resume: Go on with an interrupted sweep; give all else as it was begun with.
+        device: Where to compute; JAX's choice if left out.
+        devices: Number of devices to spread the worlds over; all there are if left out. Changes no
+            byte of the results.
+        workers: Processes that plan, where the planner is one of the host; one for each processor
+            if left out. Changes no byte of the results.
+        distributed: Share the run of each cell with other processes, here or on other hosts; each
+            is started with the same arguments and sees the same folder.
+        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
+        processes: How many processes there are; Slurm and Open MPI tell it.
+        process: Index of this one, from 0; Slurm and Open MPI tell it.
+        json: Print one JSON object instead of the tables.
+    """
+    choose(device, distributed=distributed)
+    keep_all_programs()
+    shared = join(
+        device,
+        distributed=distributed,
+        coordinator=coordinator,
+        processes=processes,
+        process=process,
+    )
+    from angler_mjx.cli.shared.given import at_least_one, scenario_given
+    from angler_mjx.cli.shared.progress import PartsBar
+    from angler_mjx.runs.processes import telling
+    from angler_mjx.studies import settings
+    from angler_mjx.studies import sweep as sweeping
+
+    with telling(shared):
+        axes = settings.axes(set)
+        loaded = scenario_given(
+            scenario,
+            worlds=worlds,
+            seed=seed,
+            engine=engine,
+            kernels=kernels,
+            tile=tile,
+            time={"record_hz": record_hz},
+        )
+        asked = sweeping.ask(loaded, axes, scenario)
+    place = out or Path("runs") / f"{loaded.name}-sweep"
+    with PartsBar(quiet=json or shared.index > 0) as bar:
+        found = sweeping.make(
+            asked,
+            place,
+            told=bar,
+            resume=resume,
+            devices=devices,
+            workers=at_least_one("workers", workers),
+            processes=shared,
+        )
+    shared.leave()
+    if shared.index == 0:
+        _report(found, place, as_json=json)
+    if not found["complete"]:
+        print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
+        sys.exit(130)
+
+
+def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
+    """End of a sweep: one JSON object, or the tables and the place of the folder."""
+    if as_json:
+        print(text.dumps({**found, "sweep": str(place)}))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    from angler_mjx.studies import tables
+
+    console = Console()
+    titles = (f"{found['scenario']}: {found['worlds']:,} worlds a cell", "what changes, paired")
+    for title, (head, rows) in zip(
+        titles, (tables.cells_table(found), tables.pairs_table(found)), strict=True
+    ):
+        shown = Table(title=title)
+        for name in head:
+            shown.add_column(name, overflow="fold")
+        for row in rows:
+            shown.add_row(*row)
+        console.print(shown)
+    print(place / "sweep.md")

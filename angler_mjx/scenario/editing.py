@@ -1,0 +1,59 @@
+"""Scenarios with other values than their files say: plain tables, changed key by key."""
+
+import copy
+from typing import Any
+
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.tables import PlannerConfig
+
+
+def table_of(scenario: Scenario) -> dict[str, Any]:
+    """What a scenario's file said, in plain values; paths in it are absolute."""
+    table = scenario.model_dump(mode="json", exclude_unset=True)
+    table["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]
+    return table
+
+
+def without_horizon(table: dict[str, Any]) -> dict[str, Any]:
+    """A table whose horizon is that of its world's preset: for one that gets another world."""
+    time = {key: value for key, value in table.get("time", {}).items() if key != "horizon_s"}
+    return {**table, "time": time}
+
+
+def with_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
+    """A table in which one key has another value.
+
+    Args:
+        table: of a scenario.
+        key: dotted, such as ``time.horizon_s``; entries of lists by their index from 0, as in
+            ``fleet.0.count``. Settings of a planner stand in ``planner.NAME``, as in a file.
+        value: plain. A table takes the place of a whole table.
+
+    Raises:
+        ConfigError: the key leads through something that is no table, or to no entry of a list.
+    """
+    parts = key.split(".")
+    if parts[0] == "planner" and len(parts) > 2 and parts[1] not in PlannerConfig.model_fields:
+        parts.insert(1, "settings")
+    made = copy.deepcopy(table)
+    at: Any = made
+    for i, part in enumerate(parts):
+        here = ".".join(parts[:i])
+        last = i == len(parts) - 1
+        if isinstance(at, list):
+            if not part.isdecimal() or int(part) >= len(at):
+                held = f"entries 0 to {len(at) - 1}" if at else "no entries"
+                raise ConfigError(f"{key}: {here} is a list with {held}; there is no {part}")
+            step: Any = int(part)
+        elif isinstance(at, dict):
+            step = part
+            if not last:
+                at.setdefault(part, {})
+        else:
+            raise ConfigError(f"{key}: {here} = {shown(at)} is no table; no key can stand in it")
+        if last:
+            at[step] = value
+        else:
+            at = at[step]
+    return made

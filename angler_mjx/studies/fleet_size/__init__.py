@@ -1,0 +1,1 @@
+"""How many robots a task takes: the smallest team that meets a deadline, with its interval."""

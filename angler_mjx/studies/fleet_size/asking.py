@@ -1,0 +1,209 @@
+"""What a fleet-size study asks: conditions, and the scenario of each with a team of each size."""
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.benchmark.config import merged
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import named, parse, read_toml
+from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.scenario.reachable import check_reachable
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.simulator.on_device import device_planner
+from angler_mjx.studies.fleet_size.config import FleetSizeConfig
+
+PLAIN = "as it is"
+"""Name of the only condition of a study that names none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """Worlds and robots of one kind."""
+
+    name: str
+    values: Mapping[str, str]
+    """Of each axis, by name."""
+    table: Mapping[str, Any]
+    """Of its scenario."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A fleet-size file with all that it names."""
+
+    config: FleetSizeConfig
+    source: str
+    """Of the file, for messages."""
+    table: Mapping[str, Any]
+    """Of the scenario as its file says it."""
+    conditions: tuple[Condition, ...]
+    sizes: tuple[int, ...]
+    _made: dict[tuple[str, int], Scenario] = field(default_factory=dict, repr=False, compare=False)
+
+    def scenario(self, condition: Condition, size: int) -> Scenario:
+        """What is flown in a condition by a team of a size.
+
+        Raises:
+            ConfigError: it cannot be flown.
+        """
+        key = (condition.name, size)
+        if key not in self._made:
+            self._made[key] = self._scenario(condition, size)
+        return self._made[key]
+
+    def _scenario(self, condition: Condition, size: int) -> Scenario:
+        where = f"{named(self.source)} ({condition.name}, {size} robot{'s' if size > 1 else ''})"
+        try:
+            table = with_value(_lists(condition.table), self.config.size.key, size)
+        except ConfigError as error:
+            raise ConfigError(f"{where}: size.key: {error}") from error
+        made = parse(Scenario, table, source=where)
+        spec = made.planner.chosen()
+        if spec.reference.on_device:
+            device_planner(made, spec)  # refuses what it can make no use of
+        return made
+
+    def resolved(self) -> dict[str, Any]:
+        """All of it in plain values: the same table is the same study."""
+        config = self.config.model_dump(mode="json", by_alias=True)
+        config["budget"].pop("most_minutes")
+        return {
+            "study": config,
+            "scenario": dict(self.table),
+            "conditions": [one.name for one in self.conditions],
+            "problems": [self.scenario(one, self.sizes[0]).digest() for one in self.conditions],
+        }
+
+
+def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any) -> Study:
+    """A study from its file.
+
+    Args:
+        path: of the file.
+        only: names of conditions; all of the file if empty.
+        smoke: two sizes and a few worlds, to see that it runs.
+        **budget: keys of its table budget that are otherwise.
+
+    Raises:
+        ConfigError: naming every fault of it, or the first of what it names.
+    """
+    table = read_toml(path)
+    given = {key: value for key, value in budget.items() if value is not None}
+    if given:
+        table = merged(table, {"budget": given})
+    config = parse(FleetSizeConfig, table, source=str(path))
+    config = config.smoke() if smoke else config
+    there = config.scenario in shipped()
+    scenario = load_scenario(config.scenario if there else path.absolute().parent / config.scenario)
+    return build(config, table_of(scenario), str(path), only)
+
+
+def build(
+    config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
+) -> Study:
+    """A study from its table and that of its scenario.
+
+    Args:
+        config: of the study.
+        table: of `scenario.editing.table_of`.
+        source: for messages.
+        only: as of `read`.
+
+    Raises:
+        ConfigError: as `read`.
+    """
+    batches = -(-config.budget.most_worlds // config.budget.batch)
+    base = merged(
+        merged(table, config.set),
+        {"worlds": batches * config.budget.batch, "seed": config.seed},
+    )
+    made = Study(
+        config=config,
+        source=source,
+        table=table,
+        conditions=_chosen(_conditions(config, base), only, source),
+        sizes=config.all_sizes(),
+    )
+    for condition in made.conditions:
+        for size in (made.sizes[0], made.sizes[-1]):
+            _check(made, condition, size)
+    return made
+
+
+def _check(study: Study, condition: Condition, size: int) -> None:
+    """Refuse what no world can decide, or no robot can do."""
+    scenario = study.scenario(condition, size)
+    where = f"{named(study.source)} ({condition.name})"
+    deadline_s, horizon_s = study.config.deadline_s, scenario.time.horizon_s
+    if deadline_s > horizon_s:
+        raise ConfigError(
+            f"{where}: deadline_s = {deadline_s:g}: worlds end after time.horizon_s = "
+            f"{horizon_s:g}; give a deadline of at most that, or set.time.horizon_s"
+        )
+    if scenario.task_spec() is None:
+        check_reachable(scenario, f"{where}: set.time.horizon_s")
+        return
+    key = "share" if study.config.share < 1.0 else "arrivals"
+    if getattr(study.config, key) not in (1.0, None):
+        raise ConfigError(
+            f"{where}: {key} = {getattr(study.config, key):g}: the scenario has a task "
+            f"({scenario.task.type}), which is done or not; leave it out"
+        )
+
+
+def _conditions(config: FleetSizeConfig, base: Mapping[str, Any]) -> list[Condition]:
+    """All combinations, the last axis changing fastest."""
+    axes: list[tuple[str, Mapping[str, Mapping[str, Any]]]] = []
+    if config.condition:
+        axes.append(("condition", {one.name: one.set for one in config.condition}))
+    axes += list(config.axis.items())
+    made = []
+    for chosen in itertools.product(*(values.items() for _, values in axes)):
+        table = dict(base)
+        for _, changes in chosen:
+            table = merged(table, changes)
+        table["time"] = {**table.get("time", {}), "record_hz": 0.0}
+        made.append(
+            Condition(
+                name=", ".join(name for name, _ in chosen) or PLAIN,
+                values={axis: name for (axis, _), (name, _) in zip(axes, chosen, strict=True)},
+                table=table,
+            )
+        )
+    return made
+
+
+def _chosen(
+    conditions: Sequence[Condition], only: Sequence[str], source: str
+) -> tuple[Condition, ...]:
+    names = [one.name for one in conditions]
+    for name in only:
+        if name not in names:
+            raise ConfigError(
+                f"--only {shown(name)}: {named(source)} has no such condition; it has "
+                + ", ".join(shown(one) for one in names)
+            )
+    return tuple(one for one in conditions if not only or one.name in only)
+
+
+def _lists(value: Any) -> Any:
+    """The same with lists for tuples: a checked file holds tuples."""
+    if isinstance(value, Mapping):
+        return {key: _lists(entry) for key, entry in value.items()}
+    return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
+
+
+def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
+    """The first key in which two resolved studies differ; None where they are the same."""
+    for part in ("study", "scenario", "conditions", "problems"):
+        a, b = now[part], then.get(part)
+        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
+            if isinstance(a, Mapping) and isinstance(b, Mapping):
+                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
+                return f"{part}.{keys[0]}" if keys else part
+            return part
+    return None

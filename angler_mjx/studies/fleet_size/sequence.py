@@ -1,0 +1,255 @@
+"""The sequential part: which sizes are decided, what is flown next, and what the answer is.
+
+Size n meets the deadline with probability p(n). The answer n* is the smallest size of the file with
+p(n) >= P. A size is *accepted* when the lower end of its interval is P or more, and *excluded* when
+the upper end is below P; the intervals hold at all times (`bernoulli`). With confidence 1 - alpha
+the answer lies in
+
+    [smallest size that is not excluded, smallest size that is accepted]:
+
+- too high would be a size below n* that was accepted though p < P. Each of the K sizes may err so
+  with alpha / (2 K), all together with alpha / 2 (Bonferroni);
+- too low would be n* itself excluded though p(n*) >= P. That is one size, whichever it is, and one
+  upper end: alpha / 2.
+
+Nothing is asked of p but that worlds are independent; it may fall again as robots meet each other.
+Of a span not all sizes are flown: one that lies between two that were both excluded is taken to be
+excluded too. That is the only assumption, and a list of sizes does not need it.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from angler_mjx.studies.fleet_size import bernoulli
+
+PATIENCE = 4
+"""A size beside the estimate is given this part of its worlds before one farther off is tried."""
+
+type Counts = Mapping[int, tuple[int, int]]
+"""By position of a size: worlds that met the deadline, and worlds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """What is asked, and how much may be flown for it."""
+
+    sizes: tuple[int, ...]
+    first: tuple[int, ...]
+    """Positions that are flown whatever the answer is; the first size's among them."""
+    probability: float
+    confidence: float
+    within: int
+    most_worlds: int
+    """Of one size: no batch begins once so many were flown."""
+
+    def ends(self, hits: int, total: int) -> tuple[float, float]:
+        """The interval of a size that decides about it."""
+        if total == 0:
+            return 0.0, 1.0
+        return (
+            bernoulli.low(hits, total, self._half / len(self.sizes), self.probability),
+            bernoulli.high(hits, total, self._half, self.probability),
+        )
+
+    def verdict(self, hits: int, total: int) -> int:
+        """1: the size is accepted; -1: it is excluded; 0: it is open. As `ends` has it."""
+        p = self.probability
+        if total == 0 or hits == p * total:
+            return 0
+        enough = hits > p * total
+        alpha = self._half / len(self.sizes) if enough else self._half
+        if bernoulli.log_ratio(p, hits, total, p) < -math.log(alpha):
+            return 0
+        return 1 if enough else -1
+
+    @property
+    def _half(self) -> float:
+        """Probability of an error of either kind."""
+        return 0.5 * (1.0 - self.confidence)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What is known of a condition."""
+
+    excluded: int
+    """Last position up to which all sizes are excluded; -1 if none."""
+    accepted: int
+    """First position that is accepted; the number of sizes if none."""
+    below: int
+    """Last flown position before the estimate; -1 if none."""
+    estimate: int
+    """First flown position whose share is P or more; the number of sizes if none."""
+
+    def good(self, rule: Rule) -> bool:
+        """Whether the interval is as short as it is to be, or holds no size of the file."""
+        last = len(rule.sizes) - 1
+        short = self.accepted - self.excluded - 1 <= 2 * rule.within and self.accepted <= last
+        return short or self.excluded == last
+
+
+def stand(rule: Rule, counts: Counts) -> Standing:
+    """What counts tell."""
+    flown = sorted(at for at, (_, total) in counts.items() if total > 0)
+    verdicts = {at: rule.verdict(*counts[at]) for at in flown}
+    excluded = -1
+    for at in flown:
+        if verdicts[at] != -1:
+            break
+        excluded = at
+    none = len(rule.sizes)
+    accepted = next((at for at in flown if verdicts[at] == 1), none)
+    enough = [at for at in flown if counts[at][0] >= rule.probability * counts[at][1]]
+    estimate = enough[0] if enough else none
+    below = max((at for at in flown if at < estimate), default=-1)
+    return Standing(excluded=excluded, accepted=accepted, below=below, estimate=estimate)
+
+
+def lowest(rule: Rule, now: Standing) -> int:
+    """Position up to which all sizes have to be excluded."""
+    if now.estimate == len(rule.sizes):  # that none is enough has to be shown of the last one
+        return now.estimate - 1
+    return now.estimate - rule.within - 1
+
+
+def highest(rule: Rule, now: Standing) -> int:
+    """Position by which a size has to be accepted."""
+    return now.estimate + rule.within if now.estimate < len(rule.sizes) else now.estimate
+
+
+def wanted(rule: Rule, counts: Counts) -> list[int]:
+    """Positions of the sizes of which the next batch is to be flown, in order; none at the end."""
+    lacking = [at for at in rule.first if _worlds(counts, at) == 0]
+    if lacking:
+        return lacking
+    now = stand(rule, counts)
+    none = now.estimate == len(rule.sizes)
+    between = _beside_best(rule, counts) if none else []
+    if between or now.good(rule):
+        return between
+    if not none and now.estimate - now.below > rule.within + 1:
+        return [(now.below + now.estimate) // 2]
+    asked = [*_to_exclude(rule, counts, now), *_to_accept(rule, counts, now)]
+    return sorted(dict.fromkeys(asked))
+
+
+def _beside_best(rule: Rule, counts: Counts) -> list[int]:
+    """Middles of the gaps beside the best size, where none was good enough.
+
+    Success that falls with more robots may have passed between two sizes that were flown. Empty
+    where the largest may be as good as the best, or no gap is left.
+    """
+    rates = {at: hits / total for at, (hits, total) in counts.items()}
+    best, last = max(sorted(rates), key=lambda at: rates[at]), len(rule.sizes) - 1
+    if best == last or rule.ends(*counts[best])[0] <= rates[last]:
+        return []
+    before = max((at for at in counts if at < best), default=best)
+    after = min(at for at in counts if at > best)
+    gaps = ((before, best), (best, after))
+    return [(a + b) // 2 for a, b in gaps if b - a > rule.within + 1]
+
+
+def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
+    """What is to be flown so that the lower end rises."""
+    target = lowest(rule, now)
+    if now.excluded >= target:
+        return []
+    near = [at for at in range(now.below, target, -1) if at > now.excluded]
+    chosen = _choose(rule, counts, near, target, -1, now.excluded)
+    if chosen is None:
+        return []
+    # Those below it that were flown and are not excluded stand in its way.
+    before = [at for at in counts if now.excluded < at < chosen and _open(rule, counts, at)]
+    return [*before, chosen]
+
+
+def _to_accept(rule: Rule, counts: Counts, now: Standing) -> list[int]:
+    """What is to be flown so that the upper end falls."""
+    target = min(highest(rule, now), len(rule.sizes) - 1)
+    if now.accepted <= target:
+        return []
+    near = list(range(now.estimate, target))
+    chosen = _choose(rule, counts, near, target, 1, now.accepted)
+    return [] if chosen is None else [chosen]
+
+
+def _choose(
+    rule: Rule, counts: Counts, near: Sequence[int], target: int, step: int, stop: int
+) -> int | None:
+    """The size that is to decide: beside the estimate, at the target, or farther off.
+
+    Args:
+        rule: of the study.
+        counts: so far.
+        near: positions before the target, those beside the estimate first.
+        target: position that would be good enough.
+        step: -1 down, 1 up.
+        stop: position that is decided already; nothing is gained from there on.
+    """
+    for at in near:
+        if _worlds(counts, at) and _worlds(counts, at) * PATIENCE < rule.most_worlds:
+            return at
+    away = 0
+    while (target + step * away - stop) * step < 0 and 0 <= target + step * away < len(rule.sizes):
+        if _open(rule, counts, target + step * away):
+            return target + step * away
+        away = max(1, 2 * away)
+    return next((at for at in near if _open(rule, counts, at)), None)
+
+
+def _worlds(counts: Counts, at: int) -> int:
+    return counts.get(at, (0, 0))[1]
+
+
+def _open(rule: Rule, counts: Counts, at: int) -> bool:
+    """Whether more worlds may be flown of a size that is not decided."""
+    hits, total = counts.get(at, (0, 0))
+    return total < rule.most_worlds and rule.verdict(hits, total) == 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The answer for one condition, as far as it is known."""
+
+    estimate: int | None
+    """The smallest size that was flown and met the deadline often enough; None if none did."""
+    low: int | None
+    """Least size that the answer can be; None: it is more than the largest."""
+    high: int | None
+    """Greatest; None: it may be more than the largest."""
+    good: bool
+    """Whether the interval is as short as it is to be."""
+    worlds: int
+    """That were flown for it."""
+    largest: int
+    """Size of the file."""
+
+    def text(self, confidence: float) -> str:
+        """In words."""
+        sure = f"{100 * confidence:g} %"
+        if self.low is None:
+            return f"more than {self.largest} robots ({sure})"
+        if self.high is None:
+            known = f"{self.low} or more"
+        elif self.low == self.high:
+            known = f"{self.low}"
+        else:
+            known = f"between {self.low} and {self.high}"
+        if self.good:
+            best = self.estimate
+            return f"{best} robot{'s' if best != 1 else ''} ({sure}: {known})"
+        return f"open: {known} ({sure}) after {self.worlds:,} worlds"
+
+
+def answer(rule: Rule, counts: Counts) -> Answer:
+    """What counts tell of the answer."""
+    now, none = stand(rule, counts), len(rule.sizes)
+    return Answer(
+        estimate=None if now.estimate == none else rule.sizes[now.estimate],
+        low=None if now.excluded == none - 1 else rule.sizes[now.excluded + 1],
+        high=None if now.accepted == none else rule.sizes[now.accepted],
+        good=now.good(rule),
+        worlds=sum(total for _, total in counts.values()),
+        largest=rule.sizes[-1],
+    )

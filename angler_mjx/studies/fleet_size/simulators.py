@@ -1,0 +1,166 @@
+"""Compiled simulators, as few as the sizes and conditions of a study need.
+
+A team of another size is another program, and compiling one takes longer than flying a batch. Two
+conditions share a simulator where their scenarios differ in nothing but the current and breakdowns:
+the worlds are drawn once, and each gets the current and the breakdowns that it would have been
+drawn with. Two things are needed for it:
+
+- currents of the same form. So still water among moving ones is ``randomise.current = [0.0, 0.0]``;
+  an empty list of currents is another form, and another program;
+- that no planner knows of currents or of obstacles that drift with them.
+"""
+
+import gc
+import json
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.scenario.randomise_table import AS_SAID
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.state import World
+from angler_mjx.simulator.on_device import CURRENT
+from angler_mjx.simulator.prepare import water_and_breakdowns
+from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.studies.fleet_size.asking import Condition, Study
+
+MOST = 24
+"""Simulators that are held at a time: the programs of more would use up the memory maps that a
+process may have."""
+
+
+class Simulators:
+    """The simulators of a study, compiled when they are needed or a little before."""
+
+    def __init__(self, study: Study, *, tile: int, devices: int | None) -> None:
+        """Nothing is compiled yet.
+
+        Args:
+            study: whose.
+            tile: worlds of one device in one call.
+            devices: to fly on; all if None.
+        """
+        self._study, self._devices = study, devices
+        self.tile = tile
+        """Worlds of one device in one call."""
+        self._threads = ThreadPoolExecutor(
+            max(1, (os.cpu_count() or 1) // 4), thread_name_prefix="simulator"
+        )
+        self._keys: dict[tuple[str, int], str] = {}
+        several = [study.scenario(one, study.sizes[0]).breakdowns for one in study.conditions]
+        # Where some conditions have breakdowns, programs of all can have them.
+        self._breakdowns = max(several, key=lambda one: one.share)
+        self._held: OrderedDict[str, Future[Simulator]] = OrderedDict()
+        self._drawing: dict[tuple[str, int], Any] = {}
+        self.compiled = 0
+        """How many were compiled."""
+
+    def begin(self, condition: Condition, size: int) -> None:
+        """Begin to compile what will be needed, if it is not there."""
+        self._future(condition, size)
+
+    def of(self, condition: Condition, size: int) -> Simulator:
+        """A compiled simulator.
+
+        Raises:
+            ConfigError, RunError: as of `Simulator` and its ``compile``.
+        """
+        made = self._future(condition, size).result()
+        while len(self._held) > MOST:
+            _, old = self._held.popitem(last=False)
+            if not old.cancel():
+                old.result().close()
+            del old
+            gc.collect()
+        return made
+
+    def change(
+        self, condition: Condition, size: int, simulator: Simulator, firsts: Sequence[int], w: World
+    ) -> World:
+        """Worlds of a simulator as the condition has them.
+
+        Args:
+            condition: that is flown.
+            size: of the team.
+            simulator: of `of`.
+            firsts: first world of each device's tile.
+            w: worlds as the simulator drew them.
+        """
+        scenario = self._study.scenario(condition, size)
+        if not _parts(scenario):
+            return w
+        key = (condition.name, size)
+        if key not in self._drawing:
+            one = partial(water_and_breakdowns, scenario)
+            self._drawing[key] = jax.jit(jax.vmap(one, in_axes=(None, 0)))
+        index = np.concatenate(
+            [np.arange(first, first + self.tile, dtype=np.uint32) for first in firsts]
+        )
+        current, fails_at_s = self._drawing[key](np.uint32(scenario.seed), index)
+        if fails_at_s is None and w.fails_at_s is not None:
+            fails_at_s = np.full(w.fails_at_s.shape, np.inf, w.fails_at_s.dtype)
+        place = w.environment.start_m.sharding
+        current, fails_at_s = jax.device_put((current, fails_at_s), place)
+        environment = replace(w.environment, current=current)
+        return replace(w, environment=environment, fails_at_s=fails_at_s)
+
+    def close(self) -> None:
+        """End what plans on the host, and wait for what is being compiled."""
+        self._threads.shutdown(cancel_futures=True)
+        for future in self._held.values():
+            if not future.cancelled() and future.exception() is None:
+                future.result().close()
+
+    def _future(self, condition: Condition, size: int) -> Future[Simulator]:
+        scenario = self._study.scenario(condition, size)
+        key = self._keys.get((condition.name, size))
+        if key is None:
+            scenario = self._canonical(scenario)
+            key = self._keys[condition.name, size] = _key(scenario)
+        if key not in self._held:
+            self._held[key] = self._threads.submit(self._make, scenario)
+        self._held.move_to_end(key)
+        return self._held[key]
+
+    def _canonical(self, scenario: Scenario) -> Scenario:
+        """The scenario whose programs serve all that differ in current and breakdowns alone."""
+        if not _parts(scenario):
+            return scenario
+        randomise = scenario.randomise.model_copy(update={"current": AS_SAID})
+        update = {"randomise": randomise, "breakdowns": self._breakdowns}
+        return scenario.model_copy(update=update)
+
+    def _make(self, scenario: Scenario) -> Simulator:
+        made = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
+        made.compile()
+        self.compiled += 1
+        return made
+
+
+def _parts(scenario: Scenario) -> bool:
+    """Whether current and breakdowns can be put into worlds that were drawn without regard to them.
+
+    A task asks no planner; of others it must know neither the current nor what drifts with it.
+    """
+    if scenario.randomise.sensor_noise != AS_SAID:
+        return False
+    knows = scenario.planner.knows
+    blind = knows.current == knows.obstacles == "nothing"
+    return scenario.task_spec() is not None or (blind and scenario.planner.name != CURRENT)
+
+
+def _key(scenario: Scenario) -> str:
+    """Of the programs of a canonical scenario: the same text is the same programs."""
+    table = scenario.model_dump(mode="json", exclude={"name", "description"})
+    if _parts(scenario):
+        number = jax.ShapeDtypeStruct((), np.uint32)
+        form = jax.eval_shape(partial(water_and_breakdowns, scenario), number, number)
+        table["world"]["currents"] = f"{jax.tree.structure(form)} {jax.tree.leaves(form)}"
+    return json.dumps(table, sort_keys=True)

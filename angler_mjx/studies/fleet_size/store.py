@@ -1,0 +1,103 @@
+"""What was flown: a line of JSON for each batch, on the disk before the next one begins.
+
+A line that was not written whole (its process was killed) is taken away when the file is opened
+again, and its batch is flown again.
+"""
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import RunError
+from angler_mjx.storage.damage import reading
+
+FILE = "batches.jsonl"
+ADVICE = "put back a copy of it, or begin a new study"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """Neighbouring worlds of one condition and size."""
+
+    condition: str
+    size: int
+    first: int
+    """Index of the first world."""
+    completed_s: list[float | None]
+    """When the task of each was done; None if it was not."""
+    arrived: list[int]
+    """Robots of each that reached their goal, or did their part."""
+    lost: list[int]
+    """Robots of each that ended otherwise, before the time was over."""
+    energy_j: list[float]
+    """Electrical energy of all thrusters of each."""
+    path_m: list[float]
+    """Way of all robots of each."""
+    no_room: list[bool]
+    """Whether a world had no room for the team, or for the task; it counts as not done."""
+
+    @property
+    def worlds(self) -> int:
+        """How many they are."""
+        return len(self.completed_s)
+
+    def hits(self, deadline_s: float) -> int:
+        """Worlds that met a deadline."""
+        return sum(t is not None and t <= deadline_s for t in self.completed_s)
+
+
+class Store:
+    """The batches of a study."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file, made if it is not there.
+
+        Raises:
+            ConfigError: it is damaged.
+            RunError: it cannot be written.
+        """
+        self._path = path
+        self.batches: list[Batch] = []
+        try:
+            self._file = path.open("a+b")
+        except OSError as error:
+            raise RunError(f"{path}: cannot be written ({error.strerror})") from error
+        self._file.seek(0)
+        with reading(path, ADVICE):
+            whole, _, torn = self._file.read().rpartition(b"\n")
+            self.batches = [_batch(json.loads(line)) for line in whole.splitlines()]
+        if torn:
+            self._file.truncate(self._file.tell() - len(torn))
+
+    def add(self, batch: Batch) -> None:
+        """Keep a batch.
+
+        Raises:
+            RunError: the disk gave out; what was kept before is still there.
+        """
+        line = json.dumps(asdict(batch), separators=(",", ":")).encode() + b"\n"
+        try:
+            self._file.write(line)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise RunError(
+                f"{self._path}: cannot be written ({error.strerror or error}); all batches before "
+                "are in it: make room and go on with --resume"
+            ) from error
+        self.batches.append(batch)
+
+    def close(self) -> None:
+        """Part from the file."""
+        self._file.close()
+
+
+def _batch(table: dict[str, Any]) -> Batch:
+    """A batch from a line; TypeError or ValueError for anything else."""
+    made = Batch(**table)
+    lists = (made.arrived, made.lost, made.energy_j, made.path_m, made.no_room)
+    if any(len(one) != made.worlds for one in lists):
+        raise ValueError("a batch is none")
+    return made

@@ -1,0 +1,85 @@
+"""What the runs of a sweep come to: rates and means with 95 % intervals, clustered by world."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from angler_mjx.storage.folder import Run
+from angler_mjx.storage.intervals import Mean, clustered_mean, wilson
+from angler_mjx.storage.results import rates
+
+COSTS = {
+    "time_to_goal_s": "of robots that arrived",
+    "energy_j": "of robots that arrived",
+    "path_length_m": "of robots that arrived",
+    "min_clearance_m": "of all robots",
+}
+"""Columns of episodes whose means are taken, and of whom."""
+
+
+def of_run(run: Run) -> dict[str, Any]:
+    """Measures of a run.
+
+    Returns:
+        ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``outcomes``
+        (`storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
+        interval; by cost its mean; and what it took.
+    """
+    episodes = run.episodes
+    world, arrived = worlds_of(episodes), arrived_of(episodes)
+    each = by_world(arrived, world)
+    whole = int(np.sum(each == 1.0))
+    low, high = wilson(whole, len(each))
+    timing = run.summary["timing"]
+    return {
+        "worlds": len(each),
+        "robots": len(run.scenario.members()),
+        "problems": run.scenario.digest(),
+        "outcomes": rates(episodes),
+        "team": {"count": whole, "rate": whole / len(each), "low": low, "high": high},
+        **{name: plain(cost(episodes, name)) for name in COSTS},
+        "vehicle_steps_per_s": timing["vehicle_steps_per_s"],
+        "simulate_s": timing["simulate_s"],
+        "compile_s": timing["compile_s"],
+    }
+
+
+def cost(episodes: pa.Table, name: str) -> Mean:
+    """Mean of a cost, of those robots that it is taken of."""
+    values = numbers(episodes, name)
+    if COSTS[name] != "of all robots":
+        values = np.where(arrived_of(episodes), values, np.nan)
+    return clustered_mean(values, worlds_of(episodes))
+
+
+def worlds_of(episodes: pa.Table) -> np.ndarray:
+    """[n] world of each row."""
+    return np.asarray(episodes["world"].to_numpy())
+
+
+def arrived_of(episodes: pa.Table) -> np.ndarray:
+    """Bool [n]: whether each robot reached its goal."""
+    return np.array([name == "reached" for name in episodes["outcome"].to_pylist()], bool)
+
+
+def numbers(episodes: pa.Table, name: str) -> np.ndarray:
+    """[n] values of a column, NaN where there is none."""
+    return np.asarray(episodes[name].to_numpy(zero_copy_only=False), float)
+
+
+def by_world(values: np.ndarray, world: Sequence[int] | np.ndarray) -> np.ndarray:
+    """[w] means over the robots of each world, in the worlds' order."""
+    of = np.unique(world, return_inverse=True)[1]
+    found: np.ndarray = np.bincount(of, weights=values) / np.bincount(of)
+    return found
+
+
+def plain(found: Any) -> Any:
+    """Dataclasses of numbers as tables, null for NaN."""
+    table = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
+    if isinstance(table, dict):
+        return {key: plain(value) for key, value in table.items()}
+    return None if isinstance(table, float) and not np.isfinite(table) else table

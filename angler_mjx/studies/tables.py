@@ -1,0 +1,171 @@
+"""Tables of a sweep: Parquet for those who ask their own questions, Markdown for people."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.storage import atomic
+from angler_mjx.storage.results import OUTCOMES
+from angler_mjx.studies.measures import COSTS
+
+type Table = tuple[list[str], list[list[str]]]
+"""Head and rows."""
+
+HOW_TO_READ = (
+    "Each row sets one key otherwise and leaves all else as it was, in the same worlds. "
+    "*Arrived* is the change of the share of robots that arrive, in points, with its 95 % "
+    "interval by world; p is that of the exact sign test over worlds. *Won* and *lost* count "
+    "worlds whose whole team arrived only with the second value, and only with the first. Times "
+    "and energies are changes of the mean over robots that arrived both times. An interval that "
+    "holds 0 shows no change; with many rows, one in twenty leaves 0 out by chance."
+)
+
+OTHER_PROBLEMS = (
+    "The setting belongs to what problems are made of: world, fleet, horizon or what is drawn of "
+    "them. Pairs share the seed and the index of the world; its rock, current, starts and goals "
+    "are the same only as far as the setting lets them."
+)
+
+
+def write_parquet(found: Mapping[str, Any], path: Path) -> None:
+    """A row for each cell.
+
+    Args:
+        found: as ``sweep.json`` holds it.
+        path: of the file.
+    """
+    with atomic.whole(path) as writing:
+        pq.write_table(table(found), writing, compression="zstd")
+
+
+def table(found: Mapping[str, Any]) -> pa.Table:
+    """The rows; a column of settings holds numbers where all its values are."""
+    cells = found["cells"]
+    columns: dict[str, Any] = {key: [row[key] for row in cells] for key in ("cell", "run")}
+    for axis in found["axes"]:
+        by_name = dict(zip(axis["names"], axis["values"], strict=True))
+        values = [by_name[row["set"][axis["key"]]] for row in cells]
+        numbers = all(type(value) in (int, float) for value in values)
+        names = [row["set"][axis["key"]] for row in cells]
+        columns[axis["key"]] = [float(x) for x in values] if numbers else names
+    for key in ("worlds", "robots", "problems"):
+        columns[key] = [row[key] for row in cells]
+    for outcome in OUTCOMES:
+        for part in ("rate", "low", "high"):
+            columns[f"{outcome}_{part}"] = [row["outcomes"][outcome][part] for row in cells]
+    for part in ("rate", "low", "high"):
+        columns[f"team_{part}"] = [row["team"][part] for row in cells]
+    for name in COSTS:
+        for part in ("mean", "low", "high", "count"):
+            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
+    for key in ("vehicle_steps_per_s", "simulate_s", "compile_s"):
+        columns[key] = [row[key] for row in cells]
+    return pa.table(columns)
+
+
+def write_page(found: Mapping[str, Any], path: Path) -> None:
+    """The tables as Markdown.
+
+    Args:
+        found: as ``sweep.json`` holds it.
+        path: of the file.
+    """
+    atomic.write_text(path, page(found))
+
+
+def page(found: Mapping[str, Any]) -> str:
+    """The same as text."""
+    about = found["environment"]
+    lines = [f"# Sweep of {found['scenario']}", ""]
+    lines += [
+        f"{len(found['cells'])} cells of {found['worlds']:,} worlds, seed {found['seed']}, on "
+        f"{about['device']}. 95 % intervals are clustered by world.",
+        "",
+    ]
+    if not found["complete"]:
+        lines += ["Interrupted: cells that were not finished are missing.", ""]
+    lines += [*grid(cells_table(found)), ""]
+    if found["pairs"]:
+        lines += ["## What each setting changes, paired", "", HOW_TO_READ, ""]
+        lines += [*grid(pairs_table(found)), ""]
+        if not all(pair["same_problems"] for pair in found["pairs"]):
+            lines += [f"\\* {OTHER_PROBLEMS}", ""]
+    return "\n".join(lines)
+
+
+def cells_table(found: Mapping[str, Any]) -> Table:
+    """A row for each cell."""
+    keys = [axis["key"] for axis in found["axes"]]
+    head = [*keys, "robots", "arrived, %", "whole teams, %", "time to goal, s", "energy, kJ"]
+    rows = [
+        [
+            *(row["set"][key] for key in keys),
+            str(row["robots"]),
+            percent(row["outcomes"]["reached"]),
+            percent(row["team"]),
+            span(row["time_to_goal_s"], 1.0),
+            span(row["energy_j"], 1e-3),
+            span(row["min_clearance_m"], 1.0),
+        ]
+        for row in found["cells"]
+    ]
+    return [*head, "clearance, m"], rows
+
+
+def pairs_table(found: Mapping[str, Any]) -> Table:
+    """A row for each pair of cells."""
+    cells = {row["cell"]: row for row in found["cells"]}
+    head = ["key", "from", "to", "others", "arrived, points", "p", "won", "lost", "time, s"]
+    rows = []
+    for pair in found["pairs"]:
+        first, second = cells[pair["first"]]["set"], cells[pair["second"]]["set"]
+        others = [f"{key}={x}" for key, x in first.items() if key != pair["key"]]
+        rows.append(
+            [
+                pair["key"] + ("" if pair["same_problems"] else " *"),
+                first[pair["key"]],
+                second[pair["key"]],
+                " ".join(others) or "-",
+                shift(pair["share"], 100.0, 1),
+                f"{pair['share_p']:.2g}",
+                str(pair["teams"]["only_second"]),
+                str(pair["teams"]["only_first"]),
+                shift(pair["costs"].get("time_to_goal_s"), 1.0, 2),
+                shift(pair["costs"].get("energy_j"), 1e-3, 2),
+            ]
+        )
+    return [*head, "energy, kJ"], rows
+
+
+def grid(table: Table) -> list[str]:
+    """Lines of a table in Markdown."""
+    head, rows = table
+    shown = [[text.replace("|", "&#124;").replace("*", "\\*") for text in row] for row in rows]
+    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *shown)]
+
+
+def percent(rate: Mapping[str, float]) -> str:
+    """A rate with its interval, in %."""
+    return f"{100 * rate['rate']:.1f} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f})"
+
+
+def span(mean: Mapping[str, Any], scale: float) -> str:
+    """A mean with its interval."""
+    if mean["mean"] is None:
+        return "-"
+    if mean["low"] is None:
+        return f"{scale * mean['mean']:.4g}"
+    return f"{scale * mean['mean']:.4g} ({scale * mean['low']:.4g} to {scale * mean['high']:.4g})"
+
+
+def shift(found: Mapping[str, Any] | None, scale: float, digits: int) -> str:
+    """A difference with its interval."""
+    if found is None or found["difference"] is None:
+        return "-"
+    text = f"{scale * found['difference']:+.{digits}f}"
+    if found["low"] is None:
+        return text
+    return f"{text} ({scale * found['low']:+.{digits}f} to {scale * found['high']:+.{digits}f})"

@@ -1,0 +1,1 @@
+"""Studies that ship: how many robots a task takes."""

@@ -1,0 +1,241 @@
+"""A small study in open water: flown whole, and interrupted and gone on with."""
+
+import json
+import math
+import shutil
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.studies.fleet_size import asking, folder, report, running
+from angler_mjx.studies.fleet_size.flying import arrival
+from angler_mjx.studies.fleet_size.simulators import Simulators
+from angler_mjx.studies.fleet_size.store import Batch, Store
+
+PLANNER = '''
+import jax.numpy as jnp
+from angler_mjx.control.trajectory import Trajectory
+
+
+class Straight:
+    """Straight on at cruise speed: compiles in a moment."""
+
+    def plan_batch(self, problems):
+        team = problems.team
+        time = jnp.linalg.norm(team.goal_m - team.start_m, axis=-1) / team.cruise_speed_mps
+        return Trajectory(
+            time_s=jnp.stack([0.0 * time, time], axis=-1),
+            position_m=jnp.stack([team.start_m, team.goal_m], axis=-2),
+            found=time > 0.0,
+        )
+'''
+
+FILE = """
+name = "small"
+scenario = "reef_fleet"
+sizes = [1, 2]
+deadline_s = 21.0
+seed = 3
+
+[set]
+engine = "fused"
+kernels = "xla"
+planner = { name = "FOLDER/straight.py:Straight", points = 2 }
+time = { horizon_s = 24.0 }
+fleet = [{ vehicle = "bluerov2_heavy" }]
+
+[set.world]
+preset = "open"
+shape = [8, 4, 2]
+placement = "parallel"
+currents = [{ type = "gauss_markov", max_speed_mps = 0.4 }]
+obstacles = { dynamic = { count = 0 } }
+
+[budget]
+batch = 4
+most_worlds = 8
+
+[[condition]]
+name = "calm"
+set = { randomise = { current = [0.5, 0.5] } }
+
+[[condition]]
+name = "moving"
+
+[[condition]]
+name = "breaking"
+set = { randomise = { current = [0.0, 0.0] }, breakdowns = { share = 1.0, latest_s = 2.0 } }
+"""
+
+
+class Told:
+    """Keeps what it is told; interrupts after some batches."""
+
+    def __init__(self, batches=None):
+        self.left, self.said = batches, []
+
+    def begin(self, condition, size):
+        pass
+
+    def flown(self, condition, worlds, so_far):
+        self.said.append((condition, so_far))
+        if self.left is not None:
+            self.left -= 1
+            if self.left == 0:
+                raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "small.toml"
+    path.with_name("straight.py").write_text(PLANNER)
+    path.write_text(FILE.replace("FOLDER", str(path.parent)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(source):
+    return asking.read(source)
+
+
+@pytest.fixture(scope="module")
+def simulators(study):
+    made = Simulators(study, tile=4, devices=1)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def whole(study, source, simulators, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "small"
+    found = running.run(study, source, out, told=Told(), simulators=simulators)
+    return out, found
+
+
+def test_every_world_has_a_row(whole, study):
+    out, found = whole
+    rows = pq.read_table(out / folder.RESULTS)
+    assert rows.schema == report.SCHEMA
+    keys = [(r["condition"], r["size"], r["world"]) for r in rows.to_pylist()]
+    assert len(set(keys)) == len(keys) == found["worlds"]
+    for row in rows.to_pylist():
+        done = row["completed_s"]
+        assert row["success"] == (done is not None and done <= 21.0)
+        assert row["arrived"] + row["lost"] <= row["size"]
+    assert found == folder.read(out) | {"timing": found["timing"]}
+    assert found["ended"] == "most_worlds"
+
+
+def test_conditions_that_differ_in_numbers_share_programs(whole, simulators):
+    _, found = whole
+    assert simulators.compiled == 2  # one for each size
+    by_name = {one["name"]: one["sizes"][0] for one in found["conditions"]}
+    assert by_name["calm"]["energy_j"] != by_name["moving"]["energy_j"]
+    # 10.5 m are left to 0.5 m/s; within 2 s of that nobody arrives.
+    assert by_name["breaking"]["done"] == 0
+    assert by_name["breaking"]["lost_per_robot"] == 1.0
+    assert by_name["calm"]["done"] > 0
+
+
+def test_worlds_get_the_current_that_they_would_be_drawn_with(study, simulators):
+    simulator = simulators.of(study.conditions[1], 2)
+    drawn = simulator.worlds(4, seed=3)
+    changed = [simulators.change(one, 2, simulator, [4], drawn) for one in study.conditions]
+    for factor, world in zip((0.5, 1.0, 0.0), changed, strict=True):
+        for made, had in zip(
+            jax.tree.leaves(world.environment.current),
+            jax.tree.leaves(drawn.environment.current),
+            strict=True,
+        ):
+            if made.ndim > 1:  # velocities; the time between them stays
+                np.testing.assert_allclose(made, factor * np.asarray(had), atol=1e-6)
+    times = [np.asarray(world.fails_at_s) for world in changed]
+    assert np.isinf(times[0]).all()
+    assert np.isinf(times[1]).all()
+    assert ((times[2] >= 0.0) & (times[2] <= 2.0)).all()
+    # Those that the simulator drew itself, with the breakdowns of the study.
+    np.testing.assert_array_equal(times[2], np.asarray(drawn.fails_at_s))
+
+
+def test_an_interrupted_study_goes_on_to_the_same_bytes(whole, study, source, simulators, tmp_path):
+    out = tmp_path / "again"
+    begun = running.run(study, source, out, told=Told(4), simulators=simulators)
+    assert (begun["ended"], begun["complete"]) == ("interrupted", False)
+    assert (out / folder.PAGE).is_file()
+    # As if the process had been killed in the middle of a line.
+    with (out / "batches.jsonl").open("a") as file:
+        file.write('{"condition":"ca')
+    with pytest.raises(ConfigError, match="exists"):
+        running.run(study, source, out, told=Told(), simulators=simulators)
+    told = Told()
+    found = running.run(study, source, out, told=told, resume=True, simulators=simulators)
+    for name in ("batches.jsonl", folder.RESULTS):
+        assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
+    same = ("conditions", "ended", "worlds", "complete")
+    assert {key: found[key] for key in same} == {key: whole[1][key] for key in same}
+    with pytest.raises(ConfigError, match="is complete"):
+        running.run(study, source, out, told=Told(), resume=True, simulators=simulators)
+
+
+def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
+    out = tmp_path / "small"
+    shutil.copytree(whole[0], out)
+    table = json.loads((out / folder.STUDY).read_text())
+    (out / folder.STUDY).write_text(json.dumps(table | {"complete": False}))
+    other = asking.read(source, batch=8)
+    with pytest.raises(ConfigError, match=r"another study\.budget"):
+        running.run(other, source, out, told=Told(), resume=True)
+    with pytest.raises(ConfigError, match="no interrupted study"):
+        running.run(other, source, tmp_path / "nothing", told=Told(), resume=True)
+
+
+def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
+    study = asking.read(source, most_minutes=1e-9)
+    with pytest.raises(RunError, match=r"most_minutes.*over before the first batch"):
+        running.run(study, source, tmp_path / "late", told=Told(), simulators=simulators)
+    assert not (tmp_path / "late").exists()
+    given = asking.read(source)
+    with pytest.raises(KeyboardInterrupt):
+        running.run(given, source, tmp_path / "no", told=_Never(), simulators=simulators)
+    assert not (tmp_path / "no").exists()
+
+
+class _Never(Told):
+    def begin(self, condition, size):
+        raise KeyboardInterrupt
+
+
+def test_arrival_of_some_robots():
+    reached = np.array([[True, True, False], [False, False, True], [True, True, True]])
+    end = np.array([[5.0, 9.0, 1.0], [2.0, 2.0, 7.0], [3.0, 1.0, 2.0]])
+    assert arrival(reached, end, 1).tolist() == [5.0, 7.0, 1.0]
+    assert arrival(reached, end, 2).tolist() == [9.0, math.inf, 2.0]
+    assert arrival(reached, end, 3).tolist() == [math.inf, math.inf, 3.0]
+    assert arrival(reached, end, 4).tolist() == [math.inf] * 3
+
+
+def test_a_damaged_file_of_batches_is_refused(tmp_path):
+    path = tmp_path / "batches.jsonl"
+    store = Store(path)
+    batch = Batch(
+        condition="a",
+        size=1,
+        first=0,
+        completed_s=[None, 3.0],
+        arrived=[0, 1],
+        lost=[1, 0],
+        energy_j=[1.0, 2.0],
+        path_m=[1.0, 2.0],
+        no_room=[False, False],
+    )
+    store.add(batch)
+    store.close()
+    assert Store(path).batches == [batch]
+    assert batch.hits(3.0) == 1
+    assert batch.hits(2.9) == 0
+    path.write_text(path.read_text().replace('"lost":[1,0]', '"lost":[1]'))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        Store(path)
