@@ -112,6 +112,14 @@ def test_a_key_that_leads_nowhere_is_refused(table, key, said):
     assert said in str(caught.value)
 
 
+def test_a_star_stands_for_all_entries_of_a_list(table):
+    made = with_value(table, "fleet.*.estimate", "ekf")
+    assert [one["estimate"] for one in made["fleet"]] == ["ekf", "ekf"]
+    assert "estimate" not in table["fleet"][0]
+    (cell,) = cells(table, axes(["fleet.*.cruise_speed_mps=0.4"]), "reef_fleet")
+    assert [one.cruise_speed_mps for one in cell.scenario.fleet] == [0.4, 0.4]
+
+
 def test_settings_of_a_planner_stand_by_its_name_beside_those_it_has(table):
     before = with_value(table, "planner.settings", {"RRTConnect": {"range_m": 2.0}})
     made = with_value(before, "planner.RRTConnect.goal_bias", 0.1)

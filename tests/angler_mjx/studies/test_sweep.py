@@ -152,7 +152,7 @@ def test_cells_fly_the_same_worlds_so_that_differences_are_paired(made):
 
 def test_page_and_figure_are_there(made):
     page = (made / sweep.PAGE).read_text()
-    assert f"| {KEY} | robots | arrived, % |" in page
+    assert f"| {KEY} | robots | planned, % | arrived, % |" in page
     assert f"| {KEY} \\* | 1.5 | 0.5 | - |" in page
     assert (made / sweep.FIGURE).stat().st_size > 10_000
 
