@@ -60,8 +60,8 @@ def _require_pairs(first: Run, second: Run) -> None:
         ("fleet", len(a.fleet), len(b.fleet)),
     ]
     for i, (x, y) in enumerate(zip(a.fleet, b.fleet, strict=False)):
-        names = [library.load(one.vehicle).name for one in (x, y)]
-        pairs += [(f"fleet[{i}].count", x.count, y.count), (f"fleet[{i}].vehicle", *names)]
+        mine, others = (library.load(one.vehicle).name for one in (x, y))
+        pairs += [(f"fleet[{i}].count", x.count, y.count), (f"fleet[{i}].vehicle", mine, others)]
     for key, mine, others in pairs:
         if mine != others:
             raise ConfigError(
