@@ -33,7 +33,7 @@ from angler_mjx.cli.planners import benchmark, plan
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck
-from angler_mjx.cli.studies import fleet_size, sweep
+from angler_mjx.cli.studies import compare, fleet_size, sweep
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
@@ -102,6 +102,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "replay": rollout.replay,
     "sweep": sweep.sweep,
     "study": _study,
+    "compare": compare.compare,
     "verify": verify.verify,
     "export": export.export,
     "teleop": teleop.teleop,
