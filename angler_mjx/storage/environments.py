@@ -36,6 +36,8 @@ _UNITS = {
     "_kgm2": "kg m^2",
     "_m3": "m^3",
     "_m2ps": "m^2/s",
+    "_1ps": "1/s",
+    "_radps": "rad/s",
     "nu0": "m/s, rad/s",
     "p0": "m",
     "M_A": "kg, kg m^2",
@@ -54,6 +56,8 @@ _CURRENTS: dict[str, type] = {
         currents.Vortices,
         currents.Rankine,
         currents.DoubleGyre,
+        currents.DepthProfile,
+        currents.Tide,
     )
 }
 """Kinds of current by the names in a group."""

@@ -2,7 +2,7 @@
 
 A current is the sum of its components; the material derivative is taken of the sum, because it is
 not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
-with a ``draw`` method for files, in `tables` or `eddies`.
+with a ``draw`` method for files, in `tables`, `eddies` or `sea`.
 """
 
 from collections.abc import Sequence
@@ -17,22 +17,27 @@ from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
 from angler_mjx.world.currents.fields import (
     Component,
     Current,
+    DepthProfile,
     DoubleGyre,
     Flow,
     GaussMarkov,
     Rankine,
+    Tide,
     Uniform,
     Vortices,
     evaluate,
     scaled,
     velocity,
 )
+from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
 
 __all__ = [
     "Component",
     "Current",
     "CurrentConfig",
+    "DepthProfile",
+    "DepthProfileConfig",
     "DoubleGyre",
     "DoubleGyreConfig",
     "Flow",
@@ -40,6 +45,8 @@ __all__ = [
     "GaussMarkovConfig",
     "Rankine",
     "RankineConfig",
+    "Tide",
+    "TideConfig",
     "Uniform",
     "UniformConfig",
     "Vortices",
@@ -50,7 +57,15 @@ __all__ = [
     "velocity",
 ]
 
-AnyConfig = UniformConfig | GaussMarkovConfig | VorticesConfig | RankineConfig | DoubleGyreConfig
+AnyConfig = (
+    UniformConfig
+    | GaussMarkovConfig
+    | VorticesConfig
+    | RankineConfig
+    | DoubleGyreConfig
+    | DepthProfileConfig
+    | TideConfig
+)
 type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
 
 
