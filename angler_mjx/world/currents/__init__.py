@@ -2,7 +2,7 @@
 
 A current is the sum of its components; the material derivative is taken of the sum, because it is
 not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
-with a ``draw`` method for files, in `tables`, `eddies` or `sea`.
+with a ``draw`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
 """
 
 from collections.abc import Sequence
@@ -29,6 +29,7 @@ from angler_mjx.world.currents.fields import (
     scaled,
     velocity,
 )
+from angler_mjx.world.currents.gridded import GridConfig, Gridded, fields_of, looked_up
 from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
 
@@ -43,6 +44,8 @@ __all__ = [
     "Flow",
     "GaussMarkov",
     "GaussMarkovConfig",
+    "GridConfig",
+    "Gridded",
     "Rankine",
     "RankineConfig",
     "Tide",
@@ -53,6 +56,8 @@ __all__ = [
     "VorticesConfig",
     "draw",
     "evaluate",
+    "fields_of",
+    "looked_up",
     "scaled",
     "velocity",
 ]
@@ -65,6 +70,7 @@ AnyConfig = (
     | DoubleGyreConfig
     | DepthProfileConfig
     | TideConfig
+    | GridConfig
 )
 type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
 
