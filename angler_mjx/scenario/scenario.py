@@ -227,8 +227,12 @@ class Scenario(FileModel):
         Scenarios that differ in other things (engine, controllers, planner, recording) pose the
         same problems.
         """
+        world = self.world.model_dump(mode="json")
+        for table, current in zip(world["currents"], self.world.currents, strict=True):
+            if isinstance(current, GridConfig):
+                table["file"] = current.field.digest
         drawn = {
-            "world": self.world.model_dump(mode="json"),
+            "world": world,
             "fleet": [_as_drawn(entry) for entry in self.fleet],
             "horizon_s": self.time.horizon_s,
             "control_dt_s": self.time.control_dt_s,

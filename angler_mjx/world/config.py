@@ -13,7 +13,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Length, Place, PositiveLength
 from angler_mjx.world import calibration, presets
-from angler_mjx.world.currents import CurrentConfig
+from angler_mjx.world.currents import CurrentConfig, GridConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
@@ -59,6 +59,12 @@ class WorldConfig(FileModel):
     """Components of the current, which add up."""
     obstacles: ObstaclesConfig | None = None
     """Obstacles beside the cells of rock."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Files of ocean models that it uses, each once."""
+        found = [one.file for one in self.currents if isinstance(one, GridConfig)]
+        return tuple(dict.fromkeys(found))
 
     @field_validator("preset")
     @classmethod

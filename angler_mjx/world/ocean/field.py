@@ -40,6 +40,10 @@ class Field:
     """Whether y and x are latitude and longitude."""
     begin: str
     """First time, UTC, as in ISO 8601; empty where there is none."""
+    source: str
+    """File that it was read from; of no account to whether two fields are the same."""
+    names: tuple[str | None, str | None, str | None]
+    """Of u, v and w in it, where they were given."""
 
     @cached_property
     def digest(self) -> str:
@@ -107,11 +111,13 @@ def load(path: str, names: Mapping[str, str | None]) -> Field:
         stamp = (about.st_mtime_ns, about.st_size)
     except (OSError, ValueError):
         stamp = (0, 0)  # reading it says what is wrong
-    return _load(path, stamp, tuple(names.get(key) for key in ("u", "v", "w")))
+    return _load(path, stamp, (names.get("u"), names.get("v"), names.get("w")))
 
 
 @lru_cache(maxsize=8)
-def _load(path: str, stamp: tuple[int, int], names: tuple[str | None, ...]) -> Field:
+def _load(
+    path: str, stamp: tuple[int, int], names: tuple[str | None, str | None, str | None]
+) -> Field:
     u, v, w = names
     wanted = (
         Wanted(key="u", name=u, standard=cf.EASTWARD),
@@ -137,6 +143,8 @@ def _load(path: str, stamp: tuple[int, int], names: tuple[str | None, ...]) -> F
         knots=knots,
         degrees=y.degrees,
         begin="" if time.begin is None else str(time.begin.astype("datetime64[s]")),
+        source=path,
+        names=names,
     )
 
 
