@@ -4,7 +4,6 @@ Only this module knows xarray. See cfconventions.org, version 1.11, chapters 3 (
 names), 4 (axes) and 5 (coordinates).
 """
 
-import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,22 +149,21 @@ def _opened(path: Path) -> Any:
         reason = getattr(error, "strerror", None) or error
         raise ConfigError(f"{named(path)}: cannot be read ({reason})") from error
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        engine, module = "h5netcdf", "h5netcdf"
+        engine = "h5netcdf"
     elif head[:4] in (b"CDF\x01", b"CDF\x02"):
-        engine, module = "scipy", "scipy"
+        engine = "scipy"
     else:
         raise ConfigError(
             f"{named(path)}: is no NetCDF file (nor NetCDF-4); "
             "of CDF-5 and other formats make one with nccopy -k nc4"
         )
-    for needed in ("xarray", module):
-        try:
-            importlib.import_module(needed)
-        except ImportError as error:
-            raise UnsupportedError(
-                f"{named(path)}: files of ocean models need {needed}: {EXTRA}"
-            ) from error
-    xarray = importlib.import_module("xarray")
+    try:
+        import h5netcdf  # noqa: F401
+        import xarray
+    except ImportError as error:
+        raise UnsupportedError(
+            f"{named(path)}: files of ocean models need xarray and h5netcdf: {EXTRA}"
+        ) from error
     try:
         data = xarray.open_dataset(path, engine=engine, decode_times=False)
     except (ValueError, OSError, KeyError, RuntimeError) as error:

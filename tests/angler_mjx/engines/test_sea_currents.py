@@ -91,11 +91,18 @@ def test_water_at_the_robots_is_that_of_the_components(scene, begun, by_mjx):
     assert np.ptp(speeds) > 0.05, "worlds lie at places of their own"
 
 
-def test_a_fused_program_holds_the_field_once(scene, begun):
+@pytest.mark.usefixtures("as_if_on_an_h200")
+@pytest.mark.parametrize("kernels", ["xla", "triton"])
+def test_a_program_holds_the_field_once(scene, begun, kernels):
+    """Not for every world; and the kernels that look it up lower for CUDA."""
+    engine = FusedEngine() if kernels == "xla" else TritonEngine()
     field = scene.worlds.environment.current[0].field
-    run = partial(FusedEngine().segment, scene.spec, n_sample=2, steps_per_sample=2)
-    text = jax.jit(run).lower(scene.fleet, scene.worlds, begun).as_text()
+    run = partial(engine.segment, scene.spec, n_sample=1, steps_per_sample=2)
+    platform = "cpu" if kernels == "xla" else "cuda"
+    traced = jax.jit(run).trace(scene.fleet, scene.worlds, begun)
+    text = traced.lower(lowering_platforms=(platform,)).as_text()
     name = f"tensor<{field.numbers[0].size}xf32>"
-    constants = [line for line in text.splitlines() if "constant" in line and name in line]
-    assert len(constants) == 1
-    assert f"tensor<{WORLDS}x{field.numbers[0].size}" not in text
+    lines = [line for line in text.splitlines() if line.endswith(name)]
+    assert sum("stablehlo.constant dense" in line for line in lines) == 1
+    assert f"x{field.numbers[0].size}xf32" not in text
+    assert text.count("__gpu$xla.gpu.triton") == (3 if kernels == "triton" else 0)
