@@ -125,22 +125,22 @@ def gridded(
         knot: int32 [4] of each axis, from which p = 0 and t = 0 are said.
         rest: [4] of p = 0 and t = 0 beyond those knots.
         rate: [4] places on the axes by metre along y, x and z, and by second.
-        factor: [] of the velocity.
+        factor: [3] of the velocity along x, y and z.
     """
     moved = (p[1], p[0], p[2], t)
     spots = [
         locate(axis, knots, knot[i], rest[i] + rate[i] * moved[i])
         for i, (axis, knots) in enumerate(axes)
     ]
-    level, *slopes = (factor * part for part in multilinear(values, shape, spots))
+    level, *slopes = multilinear(values, shape, spots)
     by_t, by_z, by_x, by_y = (
         slope * rate[i] for slope, i in zip(slopes, (3, 2, 1, 0), strict=True)
     )
     zero = jnp.zeros_like(t)
 
     def whole(part: jax.Array) -> jax.Array:
-        rows = [part[0], part[1], part[2] if shape[4] == 3 else zero]
-        return jnp.stack(rows)
+        up = factor[2] * part[2] if shape[4] == 3 else zero
+        return jnp.stack([factor[0] * part[0], factor[1] * part[1], up])
 
     v, v_t, *columns = (whole(part) for part in (level, by_t, by_x, by_y, by_z))
     return v, v_t, jnp.stack(columns, axis=1)

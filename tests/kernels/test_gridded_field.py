@@ -23,6 +23,7 @@ AXES = tuple(
 VALUES = np.random.default_rng(2).normal(size=SHAPE)
 KNOT = np.array([2, 1, 3, 4])
 REST = np.array([0.2, -0.1, -4.0, 31.0])
+FACTOR = np.array([0.7, 0.7, 0.2])
 RATE = np.array([0.01, 0.02, -1.0, 1.5])
 
 
@@ -39,7 +40,7 @@ def flow(p, t, values=VALUES, shape=SHAPE):
     ]
     numbers = (jnp.asarray(one) for one in (KNOT, REST, RATE))
     flat = jnp.asarray(values).reshape(-1)
-    return gridded_field.gridded(p, t, flat, shape, axes, *numbers, jnp.asarray(0.7))
+    return gridded_field.gridded(p, t, flat, shape, axes, *numbers, jnp.asarray(FACTOR))
 
 
 def points(n=500):
@@ -60,7 +61,7 @@ def found():
 def test_values_are_those_of_an_independent_interpolation(found):
     _, _, at = points()
     held = np.clip(at, [knots[0] for knots in KNOTS], [knots[-1] for knots in KNOTS])
-    want = 0.7 * RegularGridInterpolator(KNOTS, VALUES)(held)
+    want = FACTOR * RegularGridInterpolator(KNOTS, VALUES)(held)
     np.testing.assert_allclose(found[0], want, atol=1e-12)
 
 
@@ -76,7 +77,9 @@ def test_derivatives_equal_finite_differences(found):
     away = near > 1e-4  # of knots, where the derivative jumps
     assert away.sum() > 450
     for j in range(3):
-        np.testing.assert_allclose(found[2][away, :, j], slope(step * np.eye(3)[j], 0.0)[away], atol=2e-8)
+        np.testing.assert_allclose(
+            found[2][away, :, j], slope(step * np.eye(3)[j], 0.0)[away], atol=2e-8
+        )
     np.testing.assert_allclose(found[1][away], slope(np.zeros(3), step)[away], atol=2e-8)
 
 
@@ -109,7 +112,7 @@ def test_lanes_that_look_up_give_the_same(found):
     def one(p, t, values, x, depth):
         axes = list(zip(AXES, (None, x, depth, None), strict=True))
         numbers = (jnp.asarray(one) for one in (KNOT, REST, RATE))
-        return gridded_field.gridded(p, t, values, SHAPE, axes, *numbers, jnp.asarray(0.7))
+        return gridded_field.gridded(p, t, values, SHAPE, axes, *numbers, jnp.asarray(FACTOR))
 
     given = (lanes.split(jnp.asarray(p), 1), lanes.split(jnp.asarray(t), 1))
     tables = (table(VALUES), table(KNOTS[1]), table(KNOTS[2]))
@@ -127,13 +130,15 @@ def test_axes_of_one_knot_are_the_same_everywhere():
 
     def one(p, t):
         return gridded_field.gridded(
-            p, t, jnp.asarray(values).reshape(-1), (5, 4, 1, 1, 2), given, knot, REST, RATE, 0.7
+            p, t, jnp.asarray(values).reshape(-1), (5, 4, 1, 1, 2), given, knot, REST, RATE, FACTOR
         )
 
     p, t, at = points()
     v, v_t, J = jax.jit(jax.vmap(one))(p, t)
     held = np.clip(at[:, :2], [k[0] for k in knots], [k[-1] for k in knots])
-    np.testing.assert_allclose(v[:, :2], 0.7 * RegularGridInterpolator(knots, values)(held), atol=1e-12)
+    np.testing.assert_allclose(
+        v[:, :2], FACTOR[:2] * RegularGridInterpolator(knots, values)(held), atol=1e-12
+    )
     assert np.all(np.asarray(v)[:, 2] == 0)
     assert np.all(v_t == 0)
     assert np.all(np.asarray(J)[:, :, 2] == 0)

@@ -18,9 +18,7 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FOLDER, FileModel
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
-from angler_mjx.world.ocean.places import Places, metres_per_degree, places
-
-type Span = tuple[float, float]
+from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
 
 
 @jax.tree_util.register_dataclass
@@ -39,7 +37,7 @@ class Gridded:
     rate: jax.Array
     """[4] places on the axes by metre along y, x and z of W, and by second."""
     factor: jax.Array
-    """[] of the velocity."""
+    """[3] of the velocity along x, y and z."""
     field: ocean.Field = field(metadata={"static": True})
     numbers: Any = None
     """Where the field's ``numbers`` are to be looked up, for kernels; None for those of the
@@ -76,13 +74,21 @@ def looked_up(current: Current, where: Callable[[ocean.Field], Sequence[Any]]) -
     )
 
 
+def absolute(file: str, info: ValidationInfo) -> str:
+    """A path from the folder of the file that names it, made absolute."""
+    folder = (info.context or {}).get(FOLDER) or Path.cwd()
+    return str(Path(folder, file).absolute())
+
+
 class ScaleConfig(FileModel):
     """For tanks and rivers: a field made smaller or larger, slower or faster."""
 
     space: float = Key(default=1.0, ge=1e-6, le=1e6)
-    """Metres here to a metre of the file, along all axes."""
+    """Metres here to a metre of the file, seen from above."""
+    depth: float = Key(default=1.0, ge=1e-6, le=1e6)
+    """Metres here to a metre of depth in the file."""
     speed: float = Key(default=1.0, ge=0.0, le=1e3)
-    """Speed here over that of the file."""
+    """Level speed here over that of the file; that of the vertical one is depth / space as much."""
     time: float | None = Key(default=None, ge=1e-6, le=1e9)
     """Seconds here to a second of the file; space / speed if left out: what drifts then runs
     through the same pattern."""
@@ -115,34 +121,20 @@ class GridConfig(FileModel):
     time: tuple[str, str] | None = None
     """Earliest and latest start, UTC, as in "2024-06-01T12:00"; whenever a whole run lies in the
     file's times if left out."""
+    coast: bool = False
+    """Whether land is rock: cells whose nearest knot has no water at its depth. Without it only the
+    water's values are carried on to there."""
     scale: ScaleConfig = ScaleConfig()
 
     @field_validator("file")
     @classmethod
     def _absolute(cls, file: str, info: ValidationInfo) -> str:
         """A path from the scenario's folder, made absolute."""
-        folder = (info.context or {}).get(FOLDER) or Path.cwd()
-        return str(Path(folder, file).absolute())
+        return absolute(file, info)
 
     @model_validator(mode="after")
     def _lies_in_the_file(self) -> Self:
-        for key, axis in (("latitude", 0), ("longitude", 1)):
-            span = getattr(self, key)
-            if span is None:
-                continue
-            knots = self.field.knots[axis]
-            low, high = self._turned(span) if axis else span
-            if not (knots[0] <= low <= high <= knots[-1]):
-                raise ValueError(
-                    f"{key} = {list(span)}: needs low <= high within the file's "
-                    f"{knots[0]:g} to {knots[-1]:g}"
-                )
-        if not len(self.places.knot):
-            raise ValueError(
-                f"latitude = {self.latitude and list(self.latitude)}, longitude = "
-                f"{self.longitude and list(self.longitude)}: there is no water in {self.file} "
-                "there; choose another place"
-            )
+        self._places()
         self.starts_s(0.0)
         return self
 
@@ -154,17 +146,13 @@ class GridConfig(FileModel):
     @cached_property
     def places(self) -> Places:
         """Where worlds may lie."""
-        x = None if self.longitude is None else self._turned(self.longitude)
-        return places(self.field, self.latitude, x)
+        return self._places()
 
-    def _turned(self, span: Span) -> Span:
-        """Longitudes as the file counts them, which may be from 0 to 360."""
-        knots = self.field.knots[1]
-        if not self.field.degrees:
-            return span
-        turns = [k for k in (-360.0, 0.0, 360.0) if knots[0] <= span[0] + k <= knots[-1]]
-        turn = min(turns, key=abs, default=0.0)
-        return span[0] + turn, span[1] + turn
+    def _places(self) -> Places:
+        field = self.field
+        y = span_in("latitude", self.latitude, field.knots[0])
+        x = span_in("longitude", self.longitude, field.knots[1], turns=field.degrees)
+        return places(field.wet, field.knots, field.degrees, y, x)
 
     def starts_s(self, horizon_s: float) -> Span:
         """Earliest and latest start, in seconds after the file's first time.
@@ -206,25 +194,13 @@ class GridConfig(FileModel):
         field, scale = self.field, self.scale
         of_place, of_time = children(key, 2)
         depth = jnp.asarray(field.knots[2], float)
-        middle = -0.5 * (lo[2] + hi[2]) / scale.space
+        middle = -0.5 * (lo[2] + hi[2]) / scale.depth
         level = jnp.clip(jnp.searchsorted(depth, middle, side="right") - 1, 0)
         count = jnp.asarray(self.places.count)
         level = jnp.minimum(level, jnp.sum(count > 0) - 1)
         knot, beyond = self.places.draw(of_place, level)
-        if field.degrees:
-            latitude = jnp.asarray(field.knots[0], float)[knot[0]] + beyond[0]
-            north, east = metres_per_degree(latitude)
-        else:
-            north = east = jnp.ones(())
-        rate = jnp.stack(
-            [
-                1.0 / (scale.space * north),
-                1.0 / (scale.space * east),
-                jnp.full((), -1.0 / scale.space),
-                jnp.full((), 1.0 / scale.seconds),
-            ]
-        )
         centre = 0.5 * (lo + hi)
+        rest, rate = origin(knot, beyond, field.knots, field.degrees, scale.space, centre)
         early, late = self.starts_s(horizon_s)
         times = field.knots[3]
         first = max(int(np.searchsorted(times, early, side="right")) - 1, 0)
@@ -232,18 +208,13 @@ class GridConfig(FileModel):
         # Said from the knot before it: seconds after years have no digits left in float32.
         after = jnp.asarray(times[first:] - times[first], float)
         past = jnp.clip(jnp.searchsorted(after, since, side="right") - 1, 0)
-        rest = jnp.stack(
-            [
-                beyond[0] - rate[0] * centre[1],
-                beyond[1] - rate[1] * centre[0],
-                jnp.full((), -float(field.knots[2][0])),
-                since - after[past],
-            ]
-        )
+        others = jnp.stack([jnp.full((), -field.knots[2][0]), since - after[past]])
         return Gridded(
             knot=jnp.concatenate([knot, jnp.stack([jnp.zeros_like(past), first + past])]),
-            rest=rest.astype(lo.dtype),
-            rate=rate.astype(lo.dtype),
-            factor=jnp.array(scale.speed, lo.dtype),
+            rest=jnp.concatenate([rest, others]).astype(lo.dtype),
+            rate=jnp.concatenate(
+                [rate, jnp.array([-1.0 / scale.depth, 1.0 / scale.seconds])]
+            ).astype(lo.dtype),
+            factor=scale.speed * jnp.array([1.0, 1.0, scale.depth / scale.space], lo.dtype),
             field=field,
         )

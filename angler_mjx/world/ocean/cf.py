@@ -62,10 +62,15 @@ FLOOR = (
     "sea_floor_depth_below_mean_sea_level",
     "sea_floor_depth_below_geoid",
     "sea_floor_depth",
-    "bathymetry",
 )
-HEIGHT = ("height_above_mean_sea_level", "surface_altitude", "height_above_reference_ellipsoid")
-"""Heights of the ground: files such as GEBCO's have the sea floor negative in them."""
+HEIGHT = (
+    "height_above_mean_sea_level",
+    "height_above_reference_ellipsoid",
+    "height_above_geoid",
+    "surface_altitude",
+    "altitude",
+)
+"""Heights of the ground: GEBCO's files have the sea floor negative in them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +107,8 @@ class Read:
     parts: tuple[np.ndarray, ...]
     """[y, x, depth, time] each; m/s, or m; NaN where nothing is known."""
     axes: Mapping[str, Axis]
+    standard: tuple[str, ...]
+    """Their standard names; empty where there is none."""
 
 
 def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Read:
@@ -137,7 +144,11 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
         except (OSError, RuntimeError) as error:
             raise ConfigError(f"{named(path)}: is damaged ({error}); fetch it again") from error
     none = {kind: Axis(knots=np.zeros(1)) for kind in ("depth", "time")}
-    return Read(parts=parts, axes={**none, **{kind: one for kind, (_, one) in axes.items()}})
+    return Read(
+        parts=parts,
+        axes={**none, **{kind: one for kind, (_, one) in axes.items()}},
+        standard=tuple(str(array.attrs.get("standard_name", "")) for array in arrays),
+    )
 
 
 def _opened(path: Path) -> Any:

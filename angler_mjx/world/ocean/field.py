@@ -71,7 +71,7 @@ class Field:
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
         """The axes as programs know them."""
-        return tuple(_axis(knots) for knots in self.knots)
+        return tuple(even_axis(knots) for knots in self.knots)
 
     @cached_property
     def numbers(self) -> tuple[np.ndarray, ...]:
@@ -84,7 +84,8 @@ class Field:
         return tuple(np.asarray(one, np.float32) for one in (self.values.reshape(-1), *uneven))
 
 
-def _axis(knots: np.ndarray) -> Axis:
+def even_axis(knots: np.ndarray) -> Axis:
+    """An axis as programs know it: by its step, where that is the same all along."""
     if len(knots) == 1:
         return Axis(count=1, step=1.0)
     steps = np.diff(knots)
@@ -105,19 +106,20 @@ def load(path: str, names: Mapping[str, str | None]) -> Field:
         ConfigError: there is no such file, or it is none that can be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    place = Path(path)
+    return _load(path, stamp(path), (names.get("u"), names.get("v"), names.get("w")))
+
+
+def stamp(path: str) -> tuple[int, int]:
+    """What changes with a file: when it was written, and its size."""
     try:
-        about = place.stat()
-        stamp = (about.st_mtime_ns, about.st_size)
+        about = Path(path).stat()
     except (OSError, ValueError):
-        stamp = (0, 0)  # reading it says what is wrong
-    return _load(path, stamp, (names.get("u"), names.get("v"), names.get("w")))
+        return 0, 0  # reading it says what is wrong
+    return about.st_mtime_ns, about.st_size
 
 
 @lru_cache(maxsize=8)
-def _load(
-    path: str, stamp: tuple[int, int], names: tuple[str | None, str | None, str | None]
-) -> Field:
+def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]) -> Field:
     u, v, w = names
     wanted = (
         Wanted(key="u", name=u, standard=cf.EASTWARD),
@@ -138,7 +140,7 @@ def _load(
             raise ConfigError(f"{named(path)}: has one {name} only; two are the least")
     knots = (y.knots, x.knots, depth.knots, time.knots)
     return Field(
-        values=_carried_on(values, wet, knots, y.degrees).astype(np.float32),
+        values=carried_on(values, wet, knots, y.degrees).astype(np.float32),
         wet=wet,
         knots=knots,
         degrees=y.degrees,
@@ -148,10 +150,17 @@ def _load(
     )
 
 
-def _carried_on(
+def carried_on(
     values: np.ndarray, wet: np.ndarray, knots: tuple[np.ndarray, ...], degrees: bool
 ) -> np.ndarray:
-    """Values of water for every knot; see the module."""
+    """Values of water for every knot; see the module.
+
+    Args:
+        values: [y, x, depth, ...].
+        wet: bool [y, x, depth]; one knot at least.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
+    """
     out = values.copy()
     shrink = np.cos(np.radians(np.mean(knots[0]))) if degrees else 1.0
     spacing = [float(np.mean(np.diff(knots[0]))), shrink * float(np.mean(np.diff(knots[1])))]

@@ -1,6 +1,7 @@
 """Where in a field worlds may lie: places of water within spans, and the metres of a degree."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -8,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.table import take
-from angler_mjx.world.ocean.field import Field
 
 _MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
 """WGS 84."""
@@ -67,29 +67,71 @@ class Places:
         return take(jnp.asarray(self.knot), i), low + length * jnp.stack([y, x])
 
 
-def places(field: Field, y: Span | None, x: Span | None) -> Places:
+def span_in(key: str, span: Span | None, knots: np.ndarray, *, turns: bool = False) -> Span | None:
+    """A span of places as a file counts them: longitudes may be from 0 to 360 there.
+
+    Args:
+        key: what a scenario calls it.
+        span: lowest and highest; None for all of the file.
+        knots: of the file's axis.
+        turns: whether it is a longitude.
+
+    Raises:
+        ValueError: it is not in the file.
+    """
+    if span is None:
+        return None
+    turn = 0.0
+    if turns:
+        fitting = (k for k in (-360.0, 0.0, 360.0) if knots[0] <= span[0] + k <= knots[-1])
+        turn = min(fitting, key=abs, default=0.0)
+    low, high = span[0] + turn, span[1] + turn
+    if not knots[0] <= low <= high <= knots[-1]:
+        raise ValueError(
+            f"{key} = {list(span)}: needs low <= high within the file's {knots[0]:g} to "
+            f"{knots[-1]:g}"
+        )
+    return low, high
+
+
+def places(
+    wet: np.ndarray,
+    knots: Sequence[np.ndarray],
+    degrees: bool,
+    y: Span | None,
+    x: Span | None,
+) -> Places:
     """Where worlds may lie.
 
     Args:
-        field: of water.
+        wet: bool [y, x, depth] knots with water.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
         y: between which latitudes, or metres; everywhere if None. A span may be a single place.
         x: between which longitudes, or metres.
+
+    Raises:
+        ValueError: there is no water.
     """
-    knots = field.knots[:2]
+    knots = knots[:2]
     limits = []
     for axis, span in zip(knots, (y, x), strict=True):
         low, high = (axis[0], axis[-1]) if span is None else span
         begin, end = np.maximum(axis[:-1], low), np.minimum(axis[1:], high)
         limits.append((begin - axis[:-1], end - begin))
     (low_y, long_y), (low_x, long_x) = limits
-    wet = field.wet
     cells = wet[1:, 1:] & wet[:-1, 1:] & wet[1:, :-1] & wet[:-1, :-1]
     deepest = np.cumprod(cells, axis=2).sum(axis=2)
     inside = (long_y[:, None] >= 0) & (long_x[None, :] >= 0) & (deepest > 0)
     iy, ix = np.nonzero(inside)
+    if not len(iy):
+        raise ValueError(
+            f"latitude = {y and list(y)}, longitude = {x and list(x)}: there is no water in the "
+            "file there; choose another place"
+        )
     order = np.argsort(-deepest[iy, ix], kind="stable")
     iy, ix = iy[order], ix[order]
-    shrink = np.cos(np.radians(knots[0][iy])) if field.degrees else 1.0
+    shrink = np.cos(np.radians(knots[0][iy])) if degrees else 1.0
     # A span that is one place has no length, and a knot that it meets no area: then all count alike.
     width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
     sides = [one if one.any() else np.ones_like(one) for one in width]
@@ -101,3 +143,33 @@ def places(field: Field, y: Span | None, x: Span | None) -> Places:
         area=np.cumsum(sides[0] * sides[1] * shrink),
         count=np.array([np.sum(deepest[iy, ix] > k) for k in levels], np.int32),
     )
+
+
+def origin(
+    knot: jax.Array,
+    beyond: jax.Array,
+    knots: Sequence[np.ndarray],
+    degrees: bool,
+    space: float,
+    centre: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """How W lies in a file: where its origin is, and places on the axes by metre.
+
+    A tangent plane: a metre has everywhere as many degrees as at the place.
+
+    Args:
+        knot: int32 [2] below the place along y and x.
+        beyond: [2] the place beyond it.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
+        space: metres here to a metre of the file.
+        centre: [2 or 3] of W, that lies at the place, m.
+
+    Returns:
+        The origin [2] beyond the knot along y and x, and places by metre [2].
+    """
+    north = east = jnp.ones(())
+    if degrees:
+        north, east = metres_per_degree(take(jnp.asarray(knots[0], float), knot[0]) + beyond[0])
+    rate = 1.0 / (space * jnp.stack([north, east]))
+    return beyond - rate * jnp.stack([centre[1], centre[0]]), rate

@@ -62,8 +62,12 @@ def dataset(n: int = 24) -> Any:
     u, v = np.empty_like(times), np.empty_like(times)
     for k, depth in enumerate(DEPTHS_M):
         t, at_y, at_x = times[:, k], north[:, k], east[:, k]
-        u[:, k] = stream_m2ps(at_x, at_y + step, depth, t) - stream_m2ps(at_x, at_y - step, depth, t)
-        v[:, k] = stream_m2ps(at_x - step, at_y, depth, t) - stream_m2ps(at_x + step, at_y, depth, t)
+        u[:, k] = stream_m2ps(at_x, at_y + step, depth, t) - stream_m2ps(
+            at_x, at_y - step, depth, t
+        )
+        v[:, k] = stream_m2ps(at_x - step, at_y, depth, t) - stream_m2ps(
+            at_x + step, at_y, depth, t
+        )
     floor = sea_floor_m(east[0, 0], north[0, 0])
     dry = depths > floor
     u, v = (np.where(dry, np.nan, part / (2 * step)) for part in (u, v))

@@ -46,7 +46,9 @@ def scene(scenes, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def begun(scene):
-    return jax.device_get(quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds))
+    return jax.device_get(
+        quickly(partial(FusedEngine().reset, scene.spec))(scene.fleet, scene.worlds)
+    )
 
 
 def flown(scene, begun, engine):

@@ -66,7 +66,8 @@ def test_flow_is_that_of_xarray_at_the_place_in_the_file(ocean_file, current):
     rng = np.random.default_rng(1)
     n, many = 400, 5
     p = np.stack(
-        [rng.uniform(a, b, (n, many)) for a, b in zip(LO.tolist(), HI.tolist(), strict=True)], axis=2
+        [rng.uniform(a, b, (n, many)) for a, b in zip(LO.tolist(), HI.tolist(), strict=True)],
+        axis=2,
     )
     p[..., 2] *= 2.5  # down to 35 m
     t = rng.uniform(0, 120, (n, many))
@@ -133,7 +134,7 @@ def test_scale_shrinks_slows_and_keeps_the_pattern(ocean_file):
     place["time"] = ["2024-06-01T05:00", "2024-06-01T05:00"]
     whole, small = (
         currents.draw(configs(ocean_file, **place, **keys), jax.random.key(0), -HI, HI, 10.0)[0]
-        for keys in ({}, {"scale": {"space": 0.01, "speed": 0.1}})
+        for keys in ({}, {"scale": {"space": 0.01, "depth": 0.01, "speed": 0.1}})
     )
     p, t = jnp.array([120.0, -200.0, -9.0]), jnp.array(900.0)
     v, v_t, J = whole.flow(p, t)
@@ -188,7 +189,7 @@ def test_a_world_is_the_same_in_any_company(ocean_file, current):
         ({"time": ["noon", "2023-01-02"]}, "two times as in"),
         ({"u": "speed"}, "u = 'speed': no variable"),
         ({"scale": {"space": 0}}, "space"),
-        ({"scale": {"depth": 2}}, "depth"),
+        ({"scale": {"width": 2}}, "width"),
     ],
 )
 def test_bad_tables_are_refused(ocean_file, keys, words):

@@ -54,9 +54,15 @@ def test_dry_knots_have_the_values_of_the_nearest_water(small, tmp_path):
 
 def packed(small, **_):
     """As published: whole numbers, cm/s, north first, seconds, another order of axes."""
-    data = small.transpose("longitude", "time", "latitude", "depth").isel(latitude=slice(None, None, -1))
+    data = small.transpose("longitude", "time", "latitude", "depth").isel(
+        latitude=slice(None, None, -1)
+    )
     for name in ("uo", "vo"):
-        data[name] = (data[name].dims, 100 * data[name].values, {**data[name].attrs, "units": "cm/s"})
+        data[name] = (
+            data[name].dims,
+            100 * data[name].values,
+            {**data[name].attrs, "units": "cm/s"},
+        )
     return data
 
 
@@ -197,7 +203,9 @@ def test_what_is_no_netcdf_is_refused(tmp_path):
         ocean.load(str(tmp_path / "cut.nc"), NONE)
 
 
-def test_a_field_that_programs_cannot_hold_is_refused_before_it_is_read(small, tmp_path, monkeypatch):
+def test_a_field_that_programs_cannot_hold_is_refused_before_it_is_read(
+    small, tmp_path, monkeypatch
+):
     monkeypatch.setattr(cf, "MOST_BYTES", 9599)
     with pytest.raises(ConfigError, match=r"its field takes 9\.6 kB; 9\.6 kB are the most"):
         field_of(small, tmp_path)
