@@ -170,10 +170,11 @@ def _opened(path: Path) -> Any:
         )
     try:
         import h5netcdf  # noqa: F401
+        import h5py  # noqa: F401
         import xarray
     except ImportError as error:
         raise UnsupportedError(
-            f"{named(path)}: files of ocean models need xarray and h5netcdf: {EXTRA}"
+            f"{named(path)}: files of ocean models need xarray, h5netcdf and h5py: {EXTRA}"
         ) from error
     try:
         data = xarray.open_dataset(path, engine=engine, decode_times=False)
