@@ -70,6 +70,12 @@ class WorldConfig(FileModel):
         found += [self.bathymetry.file] if self.bathymetry else []
         return tuple(dict.fromkeys(found))
 
+    @property
+    def held_bytes(self) -> int:
+        """Of the fields of its currents, which programs hold once for all worlds."""
+        grids = [one for one in self.currents if isinstance(one, GridConfig)]
+        return sum(sum(part.nbytes for part in one.field.numbers) for one in grids)
+
     @field_validator("preset")
     @classmethod
     def _exists(cls, name: str) -> str:

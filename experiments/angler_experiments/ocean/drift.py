@@ -30,6 +30,8 @@ from angler_mjx.world.currents import Current, GridConfig
 
 DAY_S, STEP_S, EVERY = 86_400.0, 300.0, 12
 """A track is kept every ``EVERY`` steps: every hour."""
+MARGIN_M = 700.0
+"""How near to the file's edge a particle may come by which they are compared."""
 BY_SCIPY = 100
 """How many of the particles SciPy follows: a second each."""
 EXPECTED_M = 1.0
@@ -170,8 +172,9 @@ def study(out: Path, particles: int) -> dict[str, Any]:
     begin = seeds(current[0], particles)
     ours = drifted(current, begin)
     y, x = axes_m(current[0])
-    stayed = np.all((ours[..., 0] > x[0]) & (ours[..., 0] < x[-1]), axis=0)
-    stayed &= np.all((ours[..., 1] > y[0]) & (ours[..., 1] < y[-1]), axis=0)
+    # Parcels knows nothing beyond its knots, and between two hours a particle moves on.
+    low, high = np.array([x[0], y[0]]) + MARGIN_M, np.array([x[-1], y[-1]]) - MARGIN_M
+    stayed = np.all((ours[..., :2] > low) & (ours[..., :2] < high), axis=(0, 2))
     clear = stayed & np.all([in_water(current[0], p) for p in ours], axis=0)
     length = np.linalg.norm(np.diff(ours[..., :2], axis=0), axis=-1).sum(axis=0)
     few = slice(0, BY_SCIPY)
