@@ -21,6 +21,9 @@ from angler_mjx.errors import ConfigError, escaped, shown
 TOML_BYTES, JSON_BYTES = 1 << 19, 1 << 24
 """Largest files that are read: what a person writes is far smaller, and so is a fleet's plan."""
 
+FOLDER = "folder"
+"""Context of a check: where paths in a file begin; the working directory if it is not there."""
+
 _DEEPEST = 32
 """Tables within tables that a file may hold; models have 8 at most."""
 _FAULTS = 20

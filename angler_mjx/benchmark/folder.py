@@ -39,7 +39,9 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> Claim:
         vehicles = [one.vehicle for s in benchmark.settings for one in s.scenario.fleet]
         files = [one.file for one in benchmark.contestants]
         planners = [(inputs.PLANNER, file) for file in dict.fromkeys(files) if file is not None]
-        inputs.take(building, vehicles, planners)
+        worlds = [inputs.of_world(s.scenario.world) for s in benchmark.settings]
+        seas = list(dict.fromkeys(one for files in worlds for one in files))
+        inputs.take(building, vehicles, [*planners, *seas])
         write_json(building / ENVIRONMENT, describe_environment())
         write_json(building / RESOLVED, benchmark.resolved())
         unfinished = building / f".unfinished.{FILE}"

@@ -8,10 +8,9 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel
+from angler_mjx.files import FOLDER, FileModel
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
-from angler_mjx.scenario.tables import FOLDER
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.vehicles import library

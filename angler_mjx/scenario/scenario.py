@@ -14,7 +14,7 @@ from angler_mjx.acoustics.channel import Channel
 from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
+from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
@@ -25,7 +25,6 @@ from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
-    FOLDER,
     ControllerConfig,
     ExecutionConfig,
     PlannerConfig,
@@ -48,7 +47,7 @@ from angler_mjx.vehicles import library
 from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
-from angler_mjx.world.currents import GaussMarkovConfig
+from angler_mjx.world.currents import GaussMarkovConfig, GridConfig
 from angler_mjx.world.generate import check_fleet
 
 KNOTS = 100_000
@@ -124,6 +123,11 @@ class Scenario(FileModel):
     @model_validator(mode="after")
     def _currents_fit(self) -> Self:
         for i, current in enumerate(self.world.currents):
+            if isinstance(current, GridConfig):
+                try:
+                    current.starts_s(self.time.horizon_s)
+                except ValueError as error:
+                    raise ValueError(f"world.currents[{i}].{error}") from error
             if not isinstance(current, GaussMarkovConfig):
                 continue
             knots = self.time.horizon_s / current.knot_dt_s
@@ -300,8 +304,12 @@ class Scenario(FileModel):
         Scenarios that differ in other things (engine, controllers, planner, recording) pose the
         same problems.
         """
+        world = self.world.model_dump(mode="json")
+        for table, current in zip(world["currents"], self.world.currents, strict=True):
+            if isinstance(current, GridConfig):
+                table["file"] = current.field.digest
         drawn = {
-            "world": self.world.model_dump(mode="json"),
+            "world": world,
             "fleet": [_as_drawn(entry) for entry in self.fleet],
             "horizon_s": self.time.horizon_s,
             "control_dt_s": self.time.control_dt_s,

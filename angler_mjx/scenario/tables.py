@@ -19,15 +19,12 @@ from pydantic import (
 from angler_mjx.control import stack, stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FileModel
+from angler_mjx.files import FOLDER, FileModel
 from angler_mjx.planning import register
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.sim.knowledge import Knows, Level
-
-FOLDER = "folder"
-"""Context of a check: where paths in a scenario begin; the working directory if it is not there."""
 
 
 class WaterConfig(FileModel):

@@ -117,7 +117,8 @@ class SessionRecording:
         claimed = folder.create(self._out)
         try:
             vehicles = [entry.vehicle for entry in self._scenario.fleet]
-            copies.take(claimed.building, vehicles, self._inputs)
+            files = [*copies.of_world(self._scenario.world), *self._inputs]
+            copies.take(claimed.building, vehicles, files)
         except OSError as error:
             claimed.withdraw()
             raise ConfigError(f"--out {self._out}: cannot be written ({error.strerror})") from error

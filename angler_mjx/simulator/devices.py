@@ -111,6 +111,24 @@ def limit_bytes(device: jax.Device) -> int:
     return int(stats.get("bytes_limit") or psutil.virtual_memory().total)
 
 
+def require_room(held: int) -> None:
+    """Refuse what programs hold for all worlds where it fills a device.
+
+    Args:
+        held: bytes in each of the three programs that a run has loaded.
+
+    Raises:
+        ConfigError: a quarter of a device's memory would not hold them.
+    """
+    limit = limit_bytes(jax.local_devices()[0])
+    if 3 * held > limit // 4:
+        raise ConfigError(
+            f"world.currents: the fields of files take {size(held)} in each of three programs, "
+            f"and a device has {size(limit)}, a quarter of which is for them: take fewer depths or "
+            "times, or a smaller area (see docs/ocean.md)"
+        )
+
+
 def largest_tile(tile: int, needed: int, limit: int) -> int:
     """Largest tile that fits, memory being proportional to the worlds."""
     return max(int(tile * USABLE * limit / max(needed, 1)), 0)

@@ -116,6 +116,7 @@ class Simulator:
                 there are fewer devices.
         """
         cache.switch_on()
+        on_devices.require_room(scenario.world.held_bytes)
         self.scenario, policy = scenario, scenario_policy.policy_of(scenario, policy)
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
         self._spec = scenario.sim_spec()

@@ -16,9 +16,9 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.storage import claims
+from angler_mjx.storage import claims, inputs
 from angler_mjx.storage.damage import reading
-from angler_mjx.world import currents
+from angler_mjx.world import currents, ocean
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch, require_valid
@@ -36,6 +36,8 @@ _UNITS = {
     "_kgm2": "kg m^2",
     "_m3": "m^3",
     "_m2ps": "m^2/s",
+    "_1ps": "1/s",
+    "_radps": "rad/s",
     "nu0": "m/s, rad/s",
     "p0": "m",
     "M_A": "kg, kg m^2",
@@ -54,6 +56,9 @@ _CURRENTS: dict[str, type] = {
         currents.Vortices,
         currents.Rankine,
         currents.DoubleGyre,
+        currents.DepthProfile,
+        currents.Tide,
+        currents.Gridded,
     )
 }
 """Kinds of current by the names in a group."""
@@ -106,6 +111,9 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             "obstacle_motions": list(environment.obstacles.motions),
         }
     )
+    files = [_file(component) for component in environment.current]
+    if any(files):
+        group.attrs["current_file"] = files
     for name, leaf in leaves(environment).items():
         tail = leaf.shape[1:]
         group.create_array(
@@ -117,6 +125,15 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
             attributes={"unit": unit(name)},
             dimension_names=["world", *_dims(name, len(tail))],
         )
+
+
+def _file(component: currents.Component) -> dict[str, str | None] | None:
+    """Where the field of a current is kept, which no world holds; None where there is none."""
+    if not isinstance(component, currents.Gridded):
+        return None
+    field = component.field
+    u, v, w = field.names
+    return {"file": field.source, "digest": field.digest, "u": u, "v": v, "w": w}
 
 
 def write(group: zarr.Group, first: int, environment: Environment) -> None:
@@ -197,6 +214,8 @@ def _read(group: zarr.Group, index: int | slice) -> Environment:
         return kind(**{name: group[prefix + name][index] for name in names}, **static)  # type: ignore[index]
 
     kinds = [_CURRENTS[name] for name in attributes["current"]]
+    kept = attributes.get("current_file") or [None] * len(kinds)
+    files = [{} if one is None else {"field": _field(group, one), "numbers": None} for one in kept]
     environment: Environment = part(
         Environment,
         "",
@@ -207,9 +226,25 @@ def _read(group: zarr.Group, index: int | slice) -> Environment:
             kinds=tuple(attributes["obstacle_kinds"]),
             motions=tuple(attributes["obstacle_motions"]),
         ),
-        current=tuple(part(kind, f"current/{i}/") for i, kind in enumerate(kinds)),
+        current=tuple(
+            part(kind, f"current/{i}/", **file)
+            for i, (kind, file) in enumerate(zip(kinds, files, strict=True))
+        ),
     )
     return environment
+
+
+def _field(group: zarr.Group, about: dict[str, str | None]) -> ocean.Field:
+    """The field that worlds were made with: of the run's copy of its file, or of the file."""
+    place, source = _place(group), str(about["file"])
+    # Those of a run lie in its trajectories.
+    copies = inputs.ocean_stand_ins(place.parent.parent) if group.path else {}
+    field = ocean.load(copies.get(source, source), about)
+    if field.digest != about["digest"]:
+        raise ConfigError(
+            f"{source}: is not the file that these worlds were made with; put that one back"
+        )
+    return field
 
 
 def make(

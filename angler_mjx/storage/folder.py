@@ -121,6 +121,7 @@ def read_scenario(path: Path) -> Scenario:
     with reading(source):
         for entry in table["fleet"]:
             entry["vehicle"] = instead.get(entry["vehicle"], entry["vehicle"])
+        inputs.put_ocean(table["world"], inputs.ocean_stand_ins(path))
     return parse(Scenario, table, source=str(source))
 
 
@@ -180,7 +181,8 @@ def begin(
         environment: versions and machine.
         others: role and file of what is used beside the scenario's vehicles.
     """
-    inputs.take(building, [entry.vehicle for entry in scenario.fleet], others or [])
+    files = [*inputs.of_world(scenario.world), *(others or [])]
+    inputs.take(building, [entry.vehicle for entry in scenario.fleet], files)
     write_json(building / CONFIG, scenario.model_dump(mode="json"))
     _write_variants(building, scenario)
     write_json(building / ENVIRONMENT, environment)

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -21,9 +21,10 @@ from angler_mjx.quantities import SchemaVersion
 from angler_mjx.storage import atomic
 from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.vehicles import library
+from angler_mjx.world.config import WorldConfig
 
 FOLDER, INDEX = "inputs", "inputs.json"
-VEHICLE, THRUSTER, PLANNER = "vehicle", "thruster", "planner"
+VEHICLE, THRUSTER, PLANNER, OCEAN = "vehicle", "thruster", "planner", "ocean"
 
 type Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
@@ -34,7 +35,7 @@ class Input(FileModel):
     """A file that a run used."""
 
     role: Annotated[str, Field(pattern="^[a-z_]+$")]
-    """vehicle, thruster, planner, plan, parameters."""
+    """vehicle, thruster, planner, ocean, plan, parameters."""
     named: str
     """As the scenario, the vehicle file or the command line named it."""
     source: str
@@ -146,8 +147,38 @@ def stand_ins(run: Path) -> dict[str, str]:
     }
 
 
+def ocean_stand_ins(run: Path) -> dict[str, str]:
+    """As `stand_ins`, of files of ocean models."""
+    place = (run / FOLDER).resolve()
+    return {
+        one.named: str(place / one.copy_path)
+        for one in read_inputs(run)
+        if one.role == OCEAN and _edited(one) is not False
+    }
+
+
+def of_world(world: WorldConfig) -> list[tuple[str, Path]]:
+    """Role and file of each file of an ocean model that a world uses."""
+    return [(OCEAN, Path(file)) for file in world.files]
+
+
+def put_ocean(world: dict[str, Any], instead: Mapping[str, str]) -> None:
+    """Name other files of ocean models in the table of a world."""
+    for table in (*world.get("currents", ()), world.get("bathymetry") or {}):
+        if "file" in table:
+            table["file"] = instead.get(table["file"], table["file"])
+
+
+def _edited(one: Input) -> bool | None:
+    """Whether a file is not what it was; None where it is gone."""
+    try:
+        return hashlib.sha256(Path(one.source).read_bytes()).hexdigest() != one.sha256
+    except OSError:
+        return None
+
+
 def require_unchanged(run: Path, *, flag: str) -> None:
-    """Refuse to go on with vehicle files other than those with which a run began.
+    """Refuse to go on with files other than those with which a run began.
 
     Files that are gone are no obstacle: their copies are there.
 
@@ -156,9 +187,12 @@ def require_unchanged(run: Path, *, flag: str) -> None:
     """
     kept = read_inputs(run)
     used = {(one.role, one.named): one.sha256 for one in kept}
-    planners = [one for one in kept if one.role == PLANNER]
-    for one in planners:
-        if _find(PLANNER, one.named, Path(one.source)).sha256 != one.sha256:
+    for one in kept:
+        if one.role == PLANNER:
+            same = _find(PLANNER, one.named, Path(one.source)).sha256 == one.sha256
+        else:
+            same = one.role != OCEAN or not _edited(one)
+        if not same:
             raise ConfigError(
                 f"{flag}: {one.source} was edited since the run began (what it was lies in "
                 f"{run / FOLDER}): put the old file back, or begin a new run"

@@ -13,7 +13,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Length, Place, PositiveLength
 from angler_mjx.world import calibration, presets
-from angler_mjx.world.currents import CurrentConfig
+from angler_mjx.world.currents import CurrentConfig, GridConfig, ground
+from angler_mjx.world.currents.ground import BathymetryConfig
 from angler_mjx.world.obstacles import ObstaclesConfig
 from angler_mjx.world.rules import AutomatonRule, OpenRule, Rule, WallsRule
 
@@ -57,14 +58,34 @@ class WorldConfig(FileModel):
     """Their goals."""
     currents: tuple[CurrentConfig, ...] = ()
     """Components of the current, which add up."""
+    bathymetry: BathymetryConfig | None = None
+    """The sea floor of a file."""
     obstacles: ObstaclesConfig | None = None
     """Obstacles beside the cells of rock."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Files of ocean models that it uses, each once."""
+        found = [one.file for one in self.currents if isinstance(one, GridConfig)]
+        found += [self.bathymetry.file] if self.bathymetry else []
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def held_bytes(self) -> int:
+        """Of the fields of its currents, which programs hold once for all worlds."""
+        grids = [one for one in self.currents if isinstance(one, GridConfig)]
+        return sum(sum(part.nbytes for part in one.field.numbers) for one in grids)
 
     @field_validator("preset")
     @classmethod
     def _exists(cls, name: str) -> str:
         presets.load(name)
         return name
+
+    @model_validator(mode="after")
+    def _lies_together(self) -> Self:
+        ground.check(self.currents, self.bathymetry)
+        return self
 
     @model_validator(mode="after")
     def _has_a_meaning(self) -> Self:
@@ -89,12 +110,20 @@ class WorldRecipe(FileModel):
     start_m: tuple[Vector, ...]
     goal_m: tuple[Vector, ...]
     currents: tuple[CurrentConfig, ...]
+    bathymetry: BathymetryConfig | None
     obstacles: ObstaclesConfig
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether files say where there is rock."""
+        coasts = [one.coast for one in self.currents if isinstance(one, GridConfig)]
+        return self.bathymetry is not None or any(coasts)
 
     @property
     def is_empty(self) -> bool:
         """Whether no world of it holds anything that stands still: water between flat faces."""
-        return isinstance(self.rule, OpenRule) and not self.obstacles.explicit
+        bare = isinstance(self.rule, OpenRule) and not self.obstacles.explicit
+        return bare and not self.has_ground
 
     @property
     def size_m(self) -> Vector:
@@ -146,6 +175,7 @@ def resolve(config: WorldConfig) -> WorldRecipe:
         start_m=config.start_m,
         goal_m=config.goal_m,
         currents=config.currents,
+        bathymetry=config.bathymetry,
         obstacles=obstacles,
     )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.bit_grid import everywhere, population, unpack
+from angler_kernels.bit_grid import everywhere, pack, population, unpack
 from angler_mjx.world import groups
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_ways
@@ -65,48 +65,55 @@ class _Try:
     redraws: jax.Array
 
 
-def draw(recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array) -> Drawing:
+def draw(
+    recipe: WorldRecipe, radius_m: jax.Array, key: jax.Array, rock: jax.Array | None = None
+) -> Drawing:
     """Cells and places of one world, drawn until the fleet fits or the recipe's limit is reached.
 
     Args:
         recipe: static.
         radius_m: [n_robot] radius of each robot's bounding sphere; below 1.5 cells.
         key: random key of this world's cells.
+        rock: bool [nx, ny, nz] cells that are occupied whatever is drawn; none if left out.
     """
+    given = (radius_m, key) if rock is None else (radius_m, key, rock)
 
     @jax.custom_batching.custom_vmap
-    def one(radius: jax.Array, key: jax.Array) -> Drawing:
+    def one(*given: jax.Array) -> Drawing:
         alone: Drawing = jax.tree.map(
-            lambda leaf: leaf[0], _draw_tile(recipe, radius[None], key[None])
+            lambda leaf: leaf[0], _draw_tile(recipe, *(part[None] for part in given))
         )
         return alone
 
     @one.def_vmap
-    def _batch(
-        n_world: int, batched: list[bool], radius: jax.Array, key: jax.Array
-    ) -> tuple[Drawing, Drawing]:
-        if not batched[0]:
-            radius = jnp.broadcast_to(radius, (n_world, *radius.shape))
-        if not batched[1]:
-            key = jnp.broadcast_to(key, (n_world,))
-        worlds = draw_many(recipe, radius, key)
+    def _batch(n_world: int, batched: list[bool], *given: jax.Array) -> tuple[Drawing, Drawing]:
+        worlds = draw_many(
+            recipe,
+            *(
+                part if is_one else jnp.broadcast_to(part, (n_world, *part.shape))
+                for part, is_one in zip(given, batched, strict=True)
+            ),
+        )
         return worlds, jax.tree.map(lambda _: True, worlds)
 
-    drawing: Drawing = one(radius_m, key)
+    drawing: Drawing = one(*given)
     return drawing
 
 
-def draw_many(recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array) -> Drawing:
+def draw_many(
+    recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
+) -> Drawing:
     """As `draw`, for worlds [n_world, n_robot] and [n_world], tile by tile."""
     n_world, n_robot = radius_m.shape
     most = tile_size(recipe, n_robot)
     if n_world <= most:
-        return _draw_tile(recipe, radius_m, keys)
+        return _draw_tile(recipe, radius_m, keys, rock)
     n_tile = -(-n_world // most)
     tile = -(-n_world // n_tile)
     # The last tile is filled up with the first worlds once more; they are cut off again.
     index = jnp.arange(n_tile * tile).reshape(n_tile, tile) % n_world
-    tiles = jax.lax.map(lambda i: _draw_tile(recipe, radius_m[i], keys[i]), index)
+    given = (radius_m, keys) if rock is None else (radius_m, keys, rock)
+    tiles = jax.lax.map(lambda i: _draw_tile(recipe, *(part[i] for part in given)), index)
     worlds: Drawing = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:n_world], tiles)
     return worlds
 
@@ -118,10 +125,13 @@ def tile_size(recipe: WorldRecipe, n_robot: int) -> int:
     return max(1, numbers // (nx * ny * nz * n_robot))
 
 
-def _draw_tile(recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array) -> Drawing:
+def _draw_tile(
+    recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array, rock: jax.Array | None = None
+) -> Drawing:
     """Worlds [n_world, n_robot], [n_world], all at once."""
     radius = radius_m.T
-    made = _redrawn(recipe, radius, keys)
+    packed = None if rock is None else pack(jnp.moveaxis(rock, 0, -1))
+    made = _redrawn(recipe, radius, keys, packed)
     occupied = unpack(made.occupied, recipe.shape[2])
     path_ratio, line_free = difficulty(recipe, occupied, made.passable, made.start, made.goal)
     last = Drawing(
@@ -137,13 +147,16 @@ def _draw_tile(recipe: WorldRecipe, radius_m: jax.Array, keys: jax.Array) -> Dra
     return worlds
 
 
-def _redrawn(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array) -> _Try:
+def _redrawn(
+    recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, rock: jax.Array | None
+) -> _Try:
     """Worlds drawn until each holds its fleet or reached the limit.
 
     Args:
         recipe: static.
         radius: [n_robot, n_world].
         keys: [n_world].
+        rock: packed cells that are always occupied; None for none.
     """
     n_world = keys.shape[0]
     size = -(-n_world // _GROUP_SHARE)
@@ -155,7 +168,8 @@ def _redrawn(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array) -> _Try:
         turn, worlds = carry
         group = groups.chosen(turn, unfit(worlds), size)
         read = group.read
-        new = try_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1)
+        always = None if rock is None else rock[..., read]
+        new = try_worlds(recipe, radius[:, read], keys[read], worlds.redraws[read] + 1, always)
         renewed: _Try = jax.tree.map(
             lambda old, some: old.at[..., group.index].set(some, mode="drop"), worlds, new
         )
@@ -180,7 +194,13 @@ def _redrawn(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array) -> _Try:
     return last
 
 
-def try_worlds(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, redraws: jax.Array) -> _Try:
+def try_worlds(
+    recipe: WorldRecipe,
+    radius: jax.Array,
+    keys: jax.Array,
+    redraws: jax.Array,
+    rock: jax.Array | None = None,
+) -> _Try:
     """One try at each world.
 
     Args:
@@ -188,6 +208,7 @@ def try_worlds(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, redraws:
         radius: [n_robot, n_world].
         keys: [n_world].
         redraws: int32 [n_world] which try at its world this is.
+        rock: packed cells that are occupied whatever is drawn; none if left out.
     """
 
     def keys_of_try(key: jax.Array, redraws: jax.Array) -> jax.Array:
@@ -195,6 +216,8 @@ def try_worlds(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, redraws:
 
     cells_keys, places_keys = jax.vmap(keys_of_try, out_axes=1)(keys, redraws)
     occupied = draw_cells(recipe.rule, recipe.shape, recipe.fill, cells_keys)
+    drawn = occupied
+    occupied = drawn if rock is None else drawn | rock
     free = ~occupied & everywhere(recipe.shape)[..., None]
     ground, start_gap = _gaps(recipe)
     passable = passable_cells(free, ground, recipe.cell_m, jnp.max(radius, axis=0))
@@ -204,7 +227,7 @@ def try_worlds(recipe: WorldRecipe, radius: jax.Array, keys: jax.Array, redraws:
         passable=passable,
         start=start,
         goal=goal,
-        fits=fits & (population(occupied) >= recipe.min_obstacles),
+        fits=fits & (population(drawn) >= recipe.min_obstacles),
         redraws=redraws,
     )
 

@@ -14,10 +14,15 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
+from angler_mjx.world.currents import ground
 from angler_mjx.world.drawing import draw
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
+from angler_mjx.world.ocean.floor import Centres
 from angler_mjx.world.placement import check_given
+
+_SEA_FLOOR = 0x464C4F4F
+"""Folded into a world's key for the place of its sea floor: no other draw has it."""
 
 
 def generate(
@@ -40,7 +45,12 @@ def generate(
         water_density_kgm3: for the obstacles' mass and added mass.
     """
     cells_key, obstacles_key, current_key = jax.random.split(key, 3)
-    drawing = draw(recipe, radius_m, cells_key)
+    current = None
+    if recipe.has_ground:
+        current, rock = _grounded(recipe, key, current_key, horizon_s)
+        drawing = draw(recipe, radius_m, cells_key, rock)
+    else:
+        drawing = draw(recipe, radius_m, cells_key)
     lo, hi = _region(recipe)
     grid = Grid(
         occupied=drawing.occupied,
@@ -63,7 +73,11 @@ def generate(
             keep_out_radius,
             water_density_kgm3,
         ),
-        current=currents.draw(recipe.currents, current_key, lo, hi, horizon_s),
+        current=(
+            currents.draw(recipe.currents, current_key, lo, hi, horizon_s)
+            if current is None
+            else current
+        ),
         start_m=drawing.start,
         start_yaw_rad=jnp.arctan2(to_goal[:, 1], to_goal[:, 0]),
         goal_m=drawing.goal,
@@ -82,10 +96,32 @@ def draw_current(recipe: WorldRecipe, key: jax.Array, horizon_s: float) -> curre
 
 
 def _region(recipe: WorldRecipe) -> tuple[jax.Array, jax.Array]:
-    """Lower and upper corner of the water, [3] m, W."""
+    """Lower and upper corner [3] of the water of the grid, m, W."""
     lo = jnp.array(recipe.origin_m, float)
     hi = lo + jnp.array(recipe.size_m, float)
     return lo.at[2].max(recipe.floor_z_m), hi
+
+
+def _grounded(
+    recipe: WorldRecipe, key: jax.Array, current_key: jax.Array, horizon_s: float
+) -> tuple[currents.Current, jax.Array | None]:
+    """The current of a world, and the rock of the file in which it lies."""
+    lo, hi = _region(recipe)
+    current = currents.draw(recipe.currents, current_key, lo, hi, horizon_s)
+    x, y, z = (
+        jnp.array(low + recipe.cell_m * (np.arange(n) + 0.5), float)
+        for low, n in zip(recipe.origin_m, recipe.shape, strict=True)
+    )
+    rock = ground.rock(
+        recipe.currents,
+        current,
+        recipe.bathymetry,
+        jax.random.fold_in(key, _SEA_FLOOR),
+        lo,
+        hi,
+        Centres(x=x, y=y, z=z),
+    )
+    return current, rock
 
 
 def generate_batch(

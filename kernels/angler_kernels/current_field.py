@@ -10,6 +10,8 @@ import math
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.table import count_not_above, take
+
 type Field = tuple[jax.Array, jax.Array, jax.Array]
 
 PEAK_RADIUS = 1.1209064227785
@@ -158,6 +160,80 @@ def double_gyre_stream(peak_speed: jax.Array, extent: jax.Array) -> jax.Array:
         extent: [2] a and b, m.
     """
     return peak_speed / (math.pi * jnp.maximum(2.0 / extent[0], 1.0 / extent[1]))
+
+
+def depth_profile(p: jax.Array, depth: jax.Array, knots: jax.Array, slopes: jax.Array) -> Field:
+    """A steady level velocity that depends on depth alone.
+
+    Between two knots each component is the cubic with their values and slopes (Hermite); held
+    above the first and below the last. Free of divergence: it has no vertical part, and nothing
+    changes along x or y.
+
+    Args:
+        p: [3] m, z up from the surface.
+        depth: [n] m below the surface, rising; at least two.
+        knots: [n, 2] velocity along x and y, m/s.
+        slopes: [n, 2] their derivatives by depth, 1/s, zero at both ends (see `monotone_slopes`).
+    """
+    last = depth.shape[0] - 1
+    here = jnp.clip(-p[2], take(depth, jnp.int32(0)), take(depth, jnp.int32(last)))
+    k = jnp.clip(count_not_above(depth, here) - 1, 0, last - 1)
+    begin = take(depth, k)
+    length = take(depth, k + 1) - begin
+    s = (here - begin) / length
+    start, jump = take(knots, k), take(knots, k + 1) - take(knots, k)
+    first, second = length * take(slopes, k), length * take(slopes, k + 1)
+    square, cube = 3.0 * jump - 2.0 * first - second, first + second - 2.0 * jump
+    level = start + s * (first + s * (square + s * cube))
+    by_z = -(first + s * (2.0 * square + 3.0 * s * cube)) / length
+    zero = jnp.zeros_like(s)
+    v = jnp.stack([level[0], level[1], zero])
+    rows = ((zero, zero, by_z[0]), (zero, zero, by_z[1]), (zero, zero, zero))
+    return v, jnp.zeros_like(v), jnp.stack([jnp.stack(row) for row in rows])
+
+
+def monotone_slopes(depth: jax.Array, knots: jax.Array) -> jax.Array:
+    """Slopes [n, 2] with which a profile through knots never leaves the span of two neighbours.
+
+    Zero where a component turns back and at both ends; else the weighted harmonic mean of the
+    slopes of the chords on either side (Fritsch & Butland, SIAM J. Sci. Stat. Comput. 5, 1984,
+    p. 300).
+
+    Args:
+        depth: [n] m, rising.
+        knots: [n, 2] m/s.
+    """
+    step = (depth[1:] - depth[:-1])[:, None]
+    chord = (knots[1:] - knots[:-1]) / step
+    before, after = chord[:-1], chord[1:]
+    w, x = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]
+    alike = before * after > 0.0
+    safe_before, safe_after = (jnp.where(alike, one, 1.0) for one in (before, after))
+    inner = jnp.where(alike, (w + x) / (w / safe_before + x / safe_after), 0.0)
+    return jnp.pad(inner, ((1, 1), (0, 0)))
+
+
+def tide(
+    t: jax.Array, speed: jax.Array, phase: jax.Array, cosine: jax.Array, sine: jax.Array
+) -> Field:
+    """Tidal constituents: the same level velocity everywhere, each turning along an ellipse.
+
+    v = sum_k cosine_k cos(speed_k t + phase_k) + sine_k sin(speed_k t + phase_k).
+
+    Args:
+        t: [] s.
+        speed: [n] rad/s.
+        phase: [n] at t = 0, rad.
+        cosine: [n, 2] half axis along which the velocity points at phase 0, m/s.
+        sine: [n, 2] half axis at a quarter of a turn, m/s.
+    """
+    angle = (speed * t + phase)[:, None]
+    cos, sin, rate = jnp.cos(angle), jnp.sin(angle), speed[:, None]
+    level = jnp.sum(cosine * cos + sine * sin, axis=0)
+    level_t = jnp.sum(rate * (sine * cos - cosine * sin), axis=0)
+    zero = jnp.zeros_like(t)
+    v, v_t = (jnp.stack([one[0], one[1], zero]) for one in (level, level_t))
+    return v, v_t, jnp.zeros((3, 3), v.dtype)
 
 
 def _level(shear: jax.Array, down: jax.Array, up: jax.Array) -> jax.Array:

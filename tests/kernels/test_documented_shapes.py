@@ -28,10 +28,12 @@ NOT_SAID = {
     "thruster.rotor_filter",
     "thruster.rotor_lag",
     # They give a tree, `Field`, whose fields say their shapes.
+    "current_field.depth_profile",
     "current_field.double_gyre",
     "current_field.lamb_oseen",
     "current_field.rankine",
     "current_field.smooth_knots",
+    "current_field.tide",
 }
 """The only ones whose shapes are not read. A new kernel says its own."""
 

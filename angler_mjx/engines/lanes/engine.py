@@ -183,8 +183,7 @@ class Everywhere(OnLanes):
     @property
     def current(self) -> Current:
         """See `OnLanes`."""
-        current: Current = self.scene.current
-        return current
+        return self.scene.current
 
     @property
     def cells(self) -> Cells:

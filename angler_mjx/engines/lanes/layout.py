@@ -20,6 +20,7 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.aboard import Minds
 from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
 from angler_mjx.sim.state import Tally, World, WorldState
+from angler_mjx.world.currents import Current, looked_up
 from angler_mjx.world.environment import Environment, region
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -66,7 +67,7 @@ class Scene:
     """What stays the same during a segment, as lanes."""
 
     groups: tuple[Given, ...]
-    current: Any
+    current: Current
     cells: Cells
     shape: lane_steps.Shape
     obstacles: Obstacles
@@ -239,7 +240,7 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scen
     obstacles = to_lanes(environment.obstacles, 2, rows)
     return Scene(
         groups=tuple(map(given, fleet.groups)),
-        current=to_lanes(environment.current, 1, rows),
+        current=_current(environment.current, rows),
         cells=_cells(worlds, rows),
         shape=grid_shape(environment),
         obstacles=obstacles,
@@ -247,6 +248,20 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scen
         n_robot=environment.start_m.shape[1],
         n_obstacle=environment.obstacles.kind.shape[1] if environment.obstacles.kinds else 0,
     )
+
+
+def _current(current: Current, rows: jax.Array | None) -> Current:
+    """Components as lanes; what they look up is one table for all worlds."""
+    dtypes = [leaf.dtype for leaf in jax.tree.leaves(current) if leaf.dtype.kind == "f"]
+
+    def one(values: np.ndarray) -> lanes.Table:
+        flat = jnp.asarray(values, dtypes[0])
+        return lanes.Table(
+            lambda at: flat.at[at].get(mode="promise_in_bounds"), flat.shape, flat.dtype
+        )
+
+    there: Current = to_lanes(current, 1, rows)
+    return looked_up(there, lambda field: [one(values) for values in field.numbers])
 
 
 def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:

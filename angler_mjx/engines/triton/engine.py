@@ -59,7 +59,7 @@ class TritonEngine:
 
     def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
         """See `Engine.lay_out`: constants in flat arrays."""
-        return Tile(fleet, worlds).arrays[:-1]
+        return Tile(fleet, worlds).laid
 
     def control_step(
         self,

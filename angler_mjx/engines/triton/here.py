@@ -19,6 +19,7 @@ from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Group
 from angler_mjx.sim.phase import Slots
 from angler_mjx.sim.state import SimSpec
+from angler_mjx.world.currents import Current
 
 
 class Program(OnLanes):
@@ -49,9 +50,9 @@ class Program(OnLanes):
         vars(self).update(before)
 
     @cached_property
-    def current(self) -> Any:
+    def current(self) -> Current:
         """See `OnLanes`."""
-        return self._water.current
+        return self._tile.current(self._data, self._water)
 
     @cached_property
     def cells(self) -> Cells:

@@ -17,8 +17,10 @@ from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.bank import Bank
 from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
 from angler_mjx.sim.state import Laid, World
+from angler_mjx.world.currents import Current, fields_of, looked_up
 from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles.types import bounding_radius
+from angler_mjx.world.ocean import Field
 
 
 @jax.tree_util.register_dataclass
@@ -71,7 +73,8 @@ class Tile:
         grid: cells along x, y and z.
         groups: of the fleet.
         dtype: of all numbers.
-        arrays: what kernels are given: see ``read_*`` for what is in them.
+        arrays: what kernels are given: see ``read_*`` for what is in them, and at the end what the
+            currents of all worlds look up.
     """
 
     def __init__(
@@ -83,7 +86,7 @@ class Tile:
             fleet: of the worlds.
             worlds: [B] of which there are constants.
             rows: int32 [W] which of them fly; all, in order, if left out.
-            laid: ``arrays`` but for the last, of the same fleet and worlds, where they are there.
+            laid: of `laid`, of the same fleet and worlds, where it is there.
         """
         environment = worlds.environment
         self.dtype = environment.start_m.dtype
@@ -126,8 +129,10 @@ class Tile:
         reach = jnp.where(given.exists, radius, -jnp.inf)
         self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
         which = jnp.zeros(1, jnp.int32) if rows is None else rows
-        laid = laid or (bank, robot, water, body, neighbours.reshape(-1))
-        self.arrays = (*laid, which)
+        self.laid: Laid = laid or (bank, robot, water, body, neighbours.reshape(-1))
+        self._fields = fields_of(environment.current)
+        tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
+        self.arrays = (*self.laid, which, *tables)
 
     def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
@@ -184,6 +189,19 @@ class Tile:
         """Constants of worlds number ``at``."""
         found: WorldConstants = self._world.read(triton.loader(refs[2]), at)
         return found
+
+    def current(self, refs: Any, water: WorldConstants) -> Current:
+        """The current of worlds, and where it looks up what all of them share."""
+        first, places = 6, {}
+        for field in self._fields:
+            places[field] = refs[first : first + len(field.numbers)]
+            first += len(field.numbers)
+
+        def where(field: Field) -> list[lanes.Table]:
+            both = zip(places[field], field.numbers, strict=True)
+            return [lanes.Table(triton.loader(ref), x.shape, self.dtype) for ref, x in both]
+
+        return looked_up(water.current, where)
 
     def body(self, refs: Any, place: Any, only: Any) -> Any:
         """A part of the constants of obstacles number ``place``."""

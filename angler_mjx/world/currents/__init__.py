@@ -2,7 +2,7 @@
 
 A current is the sum of its components; the material derivative is taken of the sum, because it is
 not additive. A new kind of current is one class with a ``flow`` method in `fields`, and one config
-with a ``draw`` method for files, in `tables` or `eddies`.
+with a ``draw`` method for files, in `tables`, `eddies`, `sea` or `gridded`.
 """
 
 from collections.abc import Sequence
@@ -17,40 +17,61 @@ from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
 from angler_mjx.world.currents.fields import (
     Component,
     Current,
+    DepthProfile,
     DoubleGyre,
     Flow,
     GaussMarkov,
     Rankine,
+    Tide,
     Uniform,
     Vortices,
     evaluate,
     scaled,
     velocity,
 )
+from angler_mjx.world.currents.gridded import GridConfig, Gridded, fields_of, looked_up
+from angler_mjx.world.currents.sea import DepthProfileConfig, TideConfig
 from angler_mjx.world.currents.tables import GaussMarkovConfig, UniformConfig, VorticesConfig
 
 __all__ = [
     "Component",
     "Current",
     "CurrentConfig",
+    "DepthProfile",
+    "DepthProfileConfig",
     "DoubleGyre",
     "DoubleGyreConfig",
     "Flow",
     "GaussMarkov",
     "GaussMarkovConfig",
+    "GridConfig",
+    "Gridded",
     "Rankine",
     "RankineConfig",
+    "Tide",
+    "TideConfig",
     "Uniform",
     "UniformConfig",
     "Vortices",
     "VorticesConfig",
     "draw",
     "evaluate",
+    "fields_of",
+    "looked_up",
     "scaled",
     "velocity",
 ]
 
-AnyConfig = UniformConfig | GaussMarkovConfig | VorticesConfig | RankineConfig | DoubleGyreConfig
+AnyConfig = (
+    UniformConfig
+    | GaussMarkovConfig
+    | VorticesConfig
+    | RankineConfig
+    | DoubleGyreConfig
+    | DepthProfileConfig
+    | TideConfig
+    | GridConfig
+)
 type CurrentConfig = Annotated[AnyConfig, Field(discriminator="type")]
 
 

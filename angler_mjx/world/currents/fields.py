@@ -10,12 +10,14 @@ from typing import Protocol, Self
 import jax
 import jax.numpy as jnp
 
+from angler_kernels import current_field
 from angler_kernels.current_field import (
     double_gyre,
     lamb_oseen,
     material_derivative,
     rankine,
     smooth_knots,
+    tide,
 )
 
 type Flow = tuple[jax.Array, jax.Array, jax.Array]
@@ -144,6 +146,50 @@ class DoubleGyre:
     def scaled(self, factor: jax.Array) -> Self:
         """See `Component.scaled`."""
         return replace(self, stream_m2ps=factor * self.stream_m2ps)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DepthProfile:
+    """A steady level velocity that depends on depth alone; smooth between knots."""
+
+    depth_m: jax.Array
+    """[n] of the knots below the surface, rising."""
+    knots_mps: jax.Array
+    """[n, 2] east and north; held above the first and below the last."""
+    slopes_1ps: jax.Array
+    """[n, 2] derivatives of the knots by depth."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return current_field.depth_profile(p, self.depth_m, self.knots_mps, self.slopes_1ps)
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, knots_mps=factor * self.knots_mps, slopes_1ps=factor * self.slopes_1ps)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Tide:
+    """Tidal constituents: the same level velocity everywhere, the sum of turning ellipses."""
+
+    speed_radps: jax.Array
+    """[n] of the phases."""
+    phase_rad: jax.Array
+    """[n] at t = 0; at phase 0 a constituent's velocity is ``cosine_mps``."""
+    cosine_mps: jax.Array
+    """[n, 2] half axis of the ellipse, east and north."""
+    sine_mps: jax.Array
+    """[n, 2] half axis a quarter of a turn later."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        return tide(t, self.speed_radps, self.phase_rad, self.cosine_mps, self.sine_mps)
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, cosine_mps=factor * self.cosine_mps, sine_mps=factor * self.sine_mps)
 
 
 def evaluate(current: Current, p: jax.Array, t: jax.Array) -> tuple[jax.Array, jax.Array]:

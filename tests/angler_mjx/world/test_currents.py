@@ -221,7 +221,7 @@ def test_drawing_depends_only_on_the_key():
         ({"type": "gauss_markov", "max_speed_mps": -1}, "max_speed_mps"),
         ({"type": "gauss_markov", "max_speed_mps": 0.1, "mean_mps": [1, 0, 0]}, "faster"),
         ({"type": "uniform", "velocity_mps": [0, float("nan"), 0]}, "velocity_mps"),
-        ({"type": "tide"}, "tide"),
+        ({"type": "swell"}, "swell"),
     ],
 )
 def test_bad_configs_are_refused(entry, words):

@@ -1,0 +1,220 @@
+"""Currents of an ocean model's file: one field for all worlds, each at a place and time in it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field as Key
+from pydantic import ValidationInfo, field_validator, model_validator
+
+from angler_kernels.gridded_field import gridded
+from angler_mjx.draws import children
+from angler_mjx.errors import shown
+from angler_mjx.files import FOLDER, FileModel
+from angler_mjx.world import ocean
+from angler_mjx.world.currents.fields import Current, Flow
+from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Gridded:
+    """A field on a grid of places and times, linear between them and held beyond the ends.
+
+    The field is one for all worlds and no part of a world's arrays: programs hold its numbers.
+    """
+
+    knot: jax.Array
+    """int32 [4] along y, x, depth and time: knots from which the world's origin and start are
+    said."""
+    rest: jax.Array
+    """[4] how far they lie beyond them, in units of the field's axes."""
+    rate: jax.Array
+    """[4] places on the axes by metre along y, x and z of W, and by second."""
+    factor: jax.Array
+    """[3] of the velocity along x, y and z."""
+    field: ocean.Field = field(metadata={"static": True})
+    numbers: Any = None
+    """Where the field's ``numbers`` are to be looked up, for kernels; None for those of the
+    field."""
+
+    def flow(self, p: jax.Array, t: jax.Array) -> Flow:
+        """See `Component.flow`."""
+        given = self.numbers
+        if given is None:
+            # The same arrays in every call: a program then holds them once.
+            given = tuple(one.astype(p.dtype, copy=False) for one in self.field.numbers)
+        values, *uneven = given
+        axes = [(axis, uneven.pop(0) if axis.step is None else None) for axis in self.field.axes]
+        return gridded(
+            p, t, values, self.field.shape, axes, self.knot, self.rest, self.rate, self.factor
+        )
+
+    def scaled(self, factor: jax.Array) -> Self:
+        """See `Component.scaled`."""
+        return replace(self, factor=factor * self.factor)
+
+
+def fields_of(current: Current) -> tuple[ocean.Field, ...]:
+    """The fields that a current looks up, each once."""
+    found = [one.field for one in current if isinstance(one, Gridded)]
+    return tuple(dict.fromkeys(found))
+
+
+def looked_up(current: Current, where: Callable[[ocean.Field], Sequence[Any]]) -> Current:
+    """A current whose fields are looked up where ``where`` says."""
+    return tuple(
+        replace(one, numbers=tuple(where(one.field))) if isinstance(one, Gridded) else one
+        for one in current
+    )
+
+
+def absolute(file: str, info: ValidationInfo) -> str:
+    """A path from the folder of the file that names it, made absolute."""
+    folder = (info.context or {}).get(FOLDER) or Path.cwd()
+    return str(Path(folder, file).absolute())
+
+
+class ScaleConfig(FileModel):
+    """For tanks and rivers: a field made smaller or larger, slower or faster."""
+
+    space: float = Key(default=1.0, ge=1e-6, le=1e6)
+    """Metres here to a metre of the file, seen from above."""
+    depth: float = Key(default=1.0, ge=1e-6, le=1e6)
+    """Metres here to a metre of depth in the file."""
+    speed: float = Key(default=1.0, ge=0.0, le=1e3)
+    """Level speed here over that of the file; that of the vertical one is depth / space as much."""
+    time: float | None = Key(default=None, ge=1e-6, le=1e9)
+    """Seconds here to a second of the file; space / speed if left out: what drifts then runs
+    through the same pattern."""
+
+    @property
+    def seconds(self) -> float:
+        """Seconds here to a second of the file."""
+        if self.time is not None:
+            return self.time
+        return self.space / self.speed if self.speed else 1.0
+
+
+class GridConfig(FileModel):
+    """The current of an ocean model's file; each world lies at a place and time in it."""
+
+    type: Literal["grid"] = "grid"
+    file: str = Key(min_length=1, max_length=4096)
+    """NetCDF file by the CF conventions; see `docs/ocean.md`."""
+    u: str | None = None
+    """Name of the eastward velocity in it; found by its standard_name if left out."""
+    v: str | None = None
+    """Name of the northward velocity."""
+    w: str | None = None
+    """Name of the upward velocity; none if left out and no variable says that it is it."""
+    latitude: Span | None = None
+    """From where to where worlds lie, in degrees (of files in metres: m along y); all of the file's
+    water if left out. Twice the same is one place."""
+    longitude: Span | None = None
+    """Likewise, eastward (of files in metres: m along x)."""
+    time: tuple[str, str] | None = None
+    """Earliest and latest start, UTC, as in "2024-06-01T12:00"; whenever a whole run lies in the
+    file's times if left out."""
+    coast: bool = False
+    """Whether land is rock: cells whose nearest knot has no water at its depth. Without it only the
+    water's values are carried on to there."""
+    scale: ScaleConfig = ScaleConfig()
+
+    @field_validator("file")
+    @classmethod
+    def _absolute(cls, file: str, info: ValidationInfo) -> str:
+        """A path from the scenario's folder, made absolute."""
+        return absolute(file, info)
+
+    @model_validator(mode="after")
+    def _lies_in_the_file(self) -> Self:
+        self._places()
+        self.starts_s(0.0)
+        return self
+
+    @property
+    def field(self) -> ocean.Field:
+        """The file's."""
+        return ocean.load(self.file, {"u": self.u, "v": self.v, "w": self.w})
+
+    @cached_property
+    def places(self) -> Places:
+        """Where worlds may lie."""
+        return self._places()
+
+    def _places(self) -> Places:
+        field = self.field
+        y = span_in("latitude", self.latitude, field.knots[0])
+        x = span_in("longitude", self.longitude, field.knots[1], turns=field.degrees)
+        return places(field.wet, field.knots, field.degrees, y, x)
+
+    def starts_s(self, horizon_s: float) -> Span:
+        """Earliest and latest start, in seconds after the file's first time.
+
+        Args:
+            horizon_s: of a run, which must end within the file's times.
+
+        Raises:
+            ValueError: there is none.
+        """
+        knots = self.field.knots[3]
+        if len(knots) == 1:
+            return 0.0, 0.0
+        last = float(knots[-1]) - horizon_s / self.scale.seconds
+        begin = np.datetime64(self.field.begin)
+        covered = f"{self.field.begin} to {begin + np.timedelta64(int(knots[-1]), 's')}"
+        if last < 0.0:
+            raise ValueError(
+                f"file: covers {covered}, {knots[-1]:g} s; a run of {horizon_s:g} s "
+                f"(time.horizon_s) takes {horizon_s / self.scale.seconds:g} s of them"
+            )
+        if self.time is None:
+            return 0.0, last
+        try:
+            low, high = ((np.datetime64(one) - begin) / np.timedelta64(1, "s") for one in self.time)
+        except ValueError as error:
+            raise ValueError(
+                f"time = {shown(list(self.time))}: must be two times as in 2024-06-01T12:00"
+            ) from error
+        if not 0.0 <= low <= high <= last:
+            raise ValueError(
+                f"time = {shown(list(self.time))}: needs early <= late within the file's {covered}"
+                + (f", {horizon_s:g} s (time.horizon_s) before their end" if horizon_s else "")
+            )
+        return float(low), float(high)
+
+    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Gridded:
+        """A place of water for the middle of the region, and a time at which its run begins."""
+        field, scale = self.field, self.scale
+        of_place, of_time = children(key, 2)
+        depth = jnp.asarray(field.knots[2], float)
+        middle = -0.5 * (lo[2] + hi[2]) / scale.depth
+        level = jnp.clip(jnp.searchsorted(depth, middle, side="right") - 1, 0)
+        count = jnp.asarray(self.places.count)
+        level = jnp.minimum(level, jnp.sum(count > 0) - 1)
+        knot, beyond = self.places.draw(of_place, level)
+        centre = 0.5 * (lo + hi)
+        rest, rate = origin(knot, beyond, field.knots, field.degrees, scale.space, centre)
+        early, late = self.starts_s(horizon_s)
+        times = field.knots[3]
+        first = max(int(np.searchsorted(times, early, side="right")) - 1, 0)
+        since = (early - times[first]) + jax.random.uniform(of_time, (), float) * (late - early)
+        # Said from the knot before it: seconds after years have no digits left in float32.
+        after = jnp.asarray(times[first:] - times[first], float)
+        past = jnp.clip(jnp.searchsorted(after, since, side="right") - 1, 0)
+        others = jnp.stack([jnp.full((), -field.knots[2][0]), since - after[past]])
+        return Gridded(
+            knot=jnp.concatenate([knot, jnp.stack([jnp.zeros_like(past), first + past])]),
+            rest=jnp.concatenate([rest, others]).astype(lo.dtype),
+            rate=jnp.concatenate(
+                [rate, jnp.array([-1.0 / scale.depth, 1.0 / scale.seconds])]
+            ).astype(lo.dtype),
+            factor=scale.speed * jnp.array([1.0, 1.0, scale.depth / scale.space], lo.dtype),
+            field=field,
+        )

@@ -1,0 +1,161 @@
+"""Rock that files of ocean models bring into a world: sea floors by column, and coasts."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Self
+
+import jax
+import jax.numpy as jnp
+from pydantic import Field as Key
+from pydantic import ValidationInfo, field_validator, model_validator
+
+from angler_kernels.table import take
+from angler_mjx.files import FileModel
+from angler_mjx.world import ocean
+from angler_mjx.world.currents.fields import Component, Current
+from angler_mjx.world.currents.gridded import GridConfig, Gridded, absolute
+from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
+from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
+
+
+class BathymetryConfig(FileModel):
+    """The sea floor of a file: in every column the cells below it are rock, and all of land's.
+
+    With a current of type "grid" the floor lies where that does; else worlds lie in it at places of
+    their own.
+    """
+
+    file: str = Key(min_length=1, max_length=4096)
+    """NetCDF file by the CF conventions; see `docs/ocean.md`."""
+    variable: str | None = None
+    """Name of the sea floor's depth or height in it; found by its standard_name if left out."""
+    latitude: Span | None = None
+    """From where to where worlds lie, as in a current of type "grid"; not beside one."""
+    longitude: Span | None = None
+    """Likewise, eastward."""
+    space: float | None = Key(default=None, ge=1e-6, le=1e6)
+    """Metres here to a metre of the file, 1 if left out; not beside a current of type "grid"."""
+    depth: float | None = Key(default=None, ge=1e-6, le=1e6)
+    """Metres here to a metre of depth in the file, 1 if left out; not beside one either."""
+
+    @field_validator("file")
+    @classmethod
+    def _absolute(cls, file: str, info: ValidationInfo) -> str:
+        """A path from the scenario's folder, made absolute."""
+        return absolute(file, info)
+
+    @model_validator(mode="after")
+    def _lies_in_the_file(self) -> Self:
+        self._places()
+        return self
+
+    @property
+    def floor(self) -> ocean.Floor:
+        """The file's."""
+        return ocean.load_floor(self.file, self.variable)
+
+    @cached_property
+    def places(self) -> Places:
+        """Where worlds may lie, where no current says it."""
+        return self._places()
+
+    def _places(self) -> Places:
+        floor = self.floor
+        y = span_in("latitude", self.latitude, floor.knots[0])
+        x = span_in("longitude", self.longitude, floor.knots[1], turns=floor.degrees)
+        return places(floor.wet[:, :, None], floor.knots, floor.degrees, y, x)
+
+
+def check(currents: Sequence[Component], bathymetry: BathymetryConfig | None) -> None:
+    """Refuse files that do not lie together.
+
+    Args:
+        currents: configs of the current's components.
+        bathymetry: of the same world, if it has one.
+
+    Raises:
+        ValueError: naming the key.
+    """
+    grids = [one for one in currents if isinstance(one, GridConfig)]
+    if len(grids) > 1:
+        raise ValueError(
+            'currents: two of type "grid" lie at places of their own; give one, of a file that '
+            "holds both"
+        )
+    if bathymetry is None or not grids:
+        return
+    for key in ("latitude", "longitude", "space", "depth"):
+        if getattr(bathymetry, key) is not None:
+            raise ValueError(
+                f"bathymetry.{key}: the sea floor lies where the current of type "
+                '"grid" does; leave it out, and say there where worlds lie'
+            )
+    field, floor = grids[0].field, bathymetry.floor
+    if field.degrees != floor.degrees:
+        raise ValueError(
+            f"bathymetry.file: {bathymetry.file} and {grids[0].file} have different units of "
+            "latitude and longitude; give both in degrees, or both in m"
+        )
+    for name, ours, theirs in zip(
+        ("latitude", "longitude"), floor.knots, field.knots, strict=False
+    ):
+        if ours[0] > theirs[-1] or ours[-1] < theirs[0]:
+            raise ValueError(
+                f"bathymetry.file: {name} goes from {ours[0]:g} to {ours[-1]:g}, that of the "
+                f"current from {theirs[0]:g} to {theirs[-1]:g}; give files of one area"
+            )
+
+
+def rock(
+    configs: Sequence[Component],
+    current: Current,
+    bathymetry: BathymetryConfig | None,
+    key: jax.Array,
+    lo: jax.Array,
+    hi: jax.Array,
+    centres: Centres,
+) -> jax.Array | None:
+    """Cells bool [nx, ny, nz] of a world that files say to be rock; None if none does.
+
+    Args:
+        configs: of the current's components.
+        current: of the world, drawn.
+        bathymetry: of the world, if it has one.
+        key: for a place of the sea floor where no current says it.
+        lo: [3] lower corner of the region, m, W.
+        hi: [3] upper corner.
+        centres: of the cells.
+    """
+    found = None
+    there = None
+    for config, component in zip(configs, current, strict=True):
+        if isinstance(config, GridConfig) and isinstance(component, Gridded):
+            there = (config, component)
+    if there is not None and there[0].coast:
+        field, component = there[0].field, there[1]
+        found = dry_cells(
+            field.wet,
+            field.axes[:3],
+            field.knots[:3],
+            (component.knot, component.rest, component.rate),
+            centres,
+        )
+    if bathymetry is None:
+        return found
+    floor = bathymetry.floor
+    if there is None:
+        space, of_depth = bathymetry.space or 1.0, bathymetry.depth or 1.0
+        knot, beyond = bathymetry.places.draw(key, jnp.zeros((), jnp.int32))
+        rest, rate = origin(knot, beyond, floor.knots, floor.degrees, space, 0.5 * (lo + hi))
+    else:
+        config, component = there
+        of_depth, rate = config.scale.depth, component.rate[:2]
+        parts = []
+        for axis in range(2):
+            below, between = carried_over(config.field.knots[axis], floor.knots[axis])
+            here = component.knot[axis]
+            rest_of = component.rest[axis] + take(jnp.asarray(between, lo.dtype), here)
+            parts.append((take(jnp.asarray(below), here), rest_of))
+        knot, rest = (jnp.stack(part) for part in zip(*parts, strict=True))
+    deep = below_floor(floor, (knot, rest, rate), of_depth, centres)
+    return deep if found is None else found | deep

@@ -1,0 +1,193 @@
+"""Tables of files for the currents of open sea: profiles over depth, and tidal constituents."""
+
+import math
+from typing import Annotated, Literal, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field, model_validator
+
+from angler_kernels.current_field import monotone_slopes
+from angler_mjx.draws import between, children, uniforms
+from angler_mjx.errors import shown
+from angler_mjx.files import FileModel
+from angler_mjx.quantities import Length, Speed
+from angler_mjx.world.currents.fields import DepthProfile, Tide
+
+type Level = tuple[Speed, Speed]
+
+CONSTITUENTS = {
+    "M2": 28.9841042,
+    "S2": 30.0,
+    "N2": 28.4397295,
+    "K2": 30.0821373,
+    "L2": 29.5284789,
+    "T2": 29.9589333,
+    "MU2": 27.9682084,
+    "NU2": 28.5125831,
+    "2N2": 27.8953548,
+    "K1": 15.0410686,
+    "O1": 13.9430356,
+    "P1": 14.9589314,
+    "Q1": 13.3986609,
+    "S1": 15.0,
+    "J1": 15.5854433,
+    "OO1": 16.1391017,
+    "M3": 43.4761563,
+    "MK3": 44.0251729,
+    "M4": 57.9682084,
+    "MN4": 57.4238337,
+    "MS4": 58.9841042,
+    "S4": 60.0,
+    "M6": 86.9523127,
+    "S6": 90.0,
+    "M8": 115.9364166,
+    "MF": 1.0980331,
+    "MM": 0.5443747,
+}
+"""Speeds of tidal constituents in degrees an hour, as NOAA's tables of harmonic constituents have
+them; from Schureman, Manual of Harmonic Analysis and Prediction of Tides, US Coast and Geodetic
+Survey Special Publication 98, 1940 (1958), table 2."""
+
+FORTNIGHT_S = 1_275_721.0
+"""From one spring tide to the next: 360 degrees over the difference of the speeds of S2 and M2."""
+
+
+class DepthProfileConfig(FileModel):
+    """A level velocity that depends on depth alone: knots, and a smooth curve through them."""
+
+    type: Literal["depth_profile"] = "depth_profile"
+    depth_m: Annotated[tuple[Length, ...], Field(min_length=2, max_length=64)]
+    """Depths of the knots below the surface, rising. The velocity is held above and below them."""
+    velocity_mps: Annotated[tuple[Level, ...], Field(min_length=2, max_length=64)] | None = None
+    """East and north at each knot; drawn if left out."""
+    speed_mps: tuple[Speed, Speed] | None = None
+    """Lowest and highest speed of a knot, drawn uniformly for each; instead of velocity_mps."""
+    turn_deg: float | None = Field(default=None, ge=0, le=180)
+    """Where knots are drawn: greatest turn of the direction from one to the next, 30 if left out;
+    that of the first is any."""
+
+    @model_validator(mode="after")
+    def _knots(self) -> Self:
+        if any(a >= b for a, b in zip(self.depth_m, self.depth_m[1:], strict=False)):
+            raise ValueError(f"depth_m = {shown(list(self.depth_m))}: each must be below the last")
+        if (self.velocity_mps is None) == (self.speed_mps is None):
+            raise ValueError("give either velocity_mps or speed_mps")
+        if self.velocity_mps is not None:
+            if len(self.velocity_mps) != len(self.depth_m):
+                raise ValueError(
+                    f"velocity_mps has {len(self.velocity_mps)} knots and depth_m "
+                    f"{len(self.depth_m)}: needs one each"
+                )
+            if self.turn_deg is not None:
+                raise ValueError("turn_deg has no meaning where velocity_mps is given")
+        if self.speed_mps is not None and not 0 <= self.speed_mps[0] <= self.speed_mps[1]:
+            raise ValueError(f"speed_mps = {list(self.speed_mps)}: needs 0 <= low <= high")
+        return self
+
+    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> DepthProfile:
+        """Knots as given, or drawn from the surface down."""
+        depth, n = jnp.array(self.depth_m, lo.dtype), len(self.depth_m)
+        if self.speed_mps is None:
+            knots = jnp.array(self.velocity_mps, lo.dtype)
+        else:
+            how_fast, where_to = uniforms(children(key, 2), n, lo.dtype)
+            speed = between(how_fast, *self.speed_mps)
+            most = math.radians(30.0 if self.turn_deg is None else self.turn_deg)
+            turn = most * (2.0 * where_to - 1.0)
+            heading = jnp.cumsum(turn.at[0].set(2.0 * math.pi * where_to[0]))
+            knots = speed[:, None] * jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=1)
+        return DepthProfile(
+            depth_m=depth, knots_mps=knots, slopes_1ps=monotone_slopes(depth, knots)
+        )
+
+
+class ConstituentConfig(FileModel):
+    """One tidal constituent of a current: an ellipse that the velocity runs through."""
+
+    name: str
+    """M2, S2, N2, K1, O1 ...: one of those whose speeds are known, see `docs/ocean.md`."""
+    major_mps: Annotated[Speed, Field(ge=0)]
+    """Half of the ellipse's long axis: the greatest speed."""
+    minor_mps: Speed = 0.0
+    """Half of its short axis; positive where the velocity turns anticlockwise seen from above,
+    negative where it turns clockwise, 0 where it goes to and fro."""
+    inclination_deg: float = Field(default=0.0, ge=-360, le=360)
+    """Of the long axis, anticlockwise from east."""
+    phase_deg: float = Field(default=0.0, ge=-360, le=360)
+    """Lag: the velocity points along the long axis this much after time 0."""
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        if self.name not in CONSTITUENTS:
+            raise ValueError(
+                f"name = {shown(self.name)}: no constituent whose speed is known; there is "
+                f"{', '.join(CONSTITUENTS)}"
+            )
+        if abs(self.minor_mps) > self.major_mps:
+            raise ValueError(
+                f"minor_mps = {self.minor_mps:g}: at most major_mps = {self.major_mps:g} in size"
+            )
+        return self
+
+
+class TideConfig(FileModel):
+    """Tidal constituents, the same everywhere in a world; worlds begin at times of their own."""
+
+    type: Literal["tide"] = "tide"
+    constituents: Annotated[tuple[ConstituentConfig, ...], Field(min_length=1, max_length=64)]
+    """Which there are; they add up."""
+    start_s: tuple[float, float] = (0.0, FORTNIGHT_S)
+    """Earliest and latest time of a flight's start, drawn uniformly; from one spring tide to the
+    next if left out."""
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        names = [one.name for one in self.constituents]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise ValueError(f"constituents: {twice} is there twice; give it once")
+        low, high = self.start_s
+        if not 0.0 <= low <= high <= 1e9:
+            raise ValueError(f"start_s = {list(self.start_s)}: needs 0 <= low <= high <= 1e9")
+        return self
+
+    def draw(self, key: jax.Array, lo: jax.Array, hi: jax.Array, horizon_s: float) -> Tide:
+        """The time at which the flight begins, as the phases at its start."""
+        speed, lag, cosine, sine = self.ellipses()
+        low, high = self.start_s
+        # Of the share that is drawn float32 has seven digits, of a phase after years none; so whole
+        # turns up to the earliest start are taken off before.
+        begun = np.mod(speed * low - lag, 2.0 * math.pi)
+        share = jax.random.uniform(key, (), lo.dtype)
+        drawn = share * jnp.asarray(speed * (high - low), lo.dtype)
+        phase = jnp.mod(jnp.asarray(begun, lo.dtype) + drawn, 2.0 * math.pi)
+        numbers = (jnp.asarray(one, lo.dtype) for one in (speed, cosine, sine))
+        speed_radps, cosine_mps, sine_mps = numbers
+        return Tide(
+            speed_radps=speed_radps, phase_rad=phase, cosine_mps=cosine_mps, sine_mps=sine_mps
+        )
+
+    def ellipses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Speeds [n] rad/s, lags [n] rad, and both half axes [n, 2] m/s, in float64.
+
+        With the long axis at an angle a from east, u + i v = exp(i a) (major cos(w t - g) +
+        i minor sin(w t - g)) (Pawlowicz, Beardsley & Lentz, Computers & Geosciences 28, 2002).
+        """
+        table = np.array(
+            [
+                (
+                    math.radians(CONSTITUENTS[one.name]) / 3600.0,
+                    math.radians(one.phase_deg),
+                    math.radians(one.inclination_deg),
+                    one.major_mps,
+                    one.minor_mps,
+                )
+                for one in self.constituents
+            ]
+        )
+        speed, lag, angle, major, minor = table.T
+        along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        across = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+        return speed, lag, major[:, None] * along, minor[:, None] * across

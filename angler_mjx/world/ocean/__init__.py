@@ -1,0 +1,10 @@
+"""Files of ocean models: fields of velocity by CF conventions, and sea floors.
+
+`cf` reads a NetCDF file and says what its variables and axes are; `field` makes a field of it that
+programs hold, `floor` a sea floor; `places` says where in them worlds may lie.
+"""
+
+from angler_mjx.world.ocean.field import Field, load
+from angler_mjx.world.ocean.floor import Floor, load_floor
+
+__all__ = ["Field", "Floor", "load", "load_floor"]

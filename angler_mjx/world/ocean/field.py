@@ -1,0 +1,180 @@
+"""A field of velocity on a grid, as programs hold it: one for all worlds.
+
+Values of water are carried on into land and where they are missing, so that a place between them is
+never half still: each dry knot has the values of the wet knot of its depth that is nearest, and
+where a depth has no water at all, those of the depth above. A knot is dry if any of its times is
+missing.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from angler_kernels.gridded_field import Axis
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import named
+from angler_mjx.world.ocean import cf
+from angler_mjx.world.ocean.cf import Wanted
+
+_EVEN = 1e-6
+"""Steps of an axis that differ by less than this share of one count as one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Field:
+    """Velocities on a grid; two are the same if their numbers are."""
+
+    values: np.ndarray
+    """[y, x, depth, time, component] float32, m/s: east, north and, where there are three, up."""
+    wet: np.ndarray
+    """bool [y, x, depth] where there is water."""
+    knots: tuple[np.ndarray, ...]
+    """Of y, x, depth and time, rising, float64: degrees or metres, metres below the surface,
+    seconds after the first."""
+    degrees: bool
+    """Whether y and x are latitude and longitude."""
+    begin: str
+    """First time, UTC, as in ISO 8601; empty where there is none."""
+    source: str
+    """File that it was read from; of no account to whether two fields are the same."""
+    names: tuple[str | None, str | None, str | None]
+    """Of u, v and w in it, where they were given."""
+
+    @cached_property
+    def digest(self) -> str:
+        """Hexadecimal, of everything."""
+        made = hashlib.sha256(repr((self.values.shape, self.degrees, self.begin)).encode())
+        for array in (self.values, self.wet, *self.knots):
+            made.update(np.ascontiguousarray(array).tobytes())
+        return made.hexdigest()
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Field) and self.digest == other.digest)
+
+    def __repr__(self) -> str:
+        return f"Field({'x'.join(map(str, self.values.shape))}, {self.digest[:12]})"
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int, int, int]:
+        """Knots along y, x, depth and time, and components."""
+        ny, nx, nz, nt, count = self.values.shape
+        return ny, nx, nz, nt, count
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes as programs know them."""
+        return tuple(even_axis(knots) for knots in self.knots)
+
+    @cached_property
+    def numbers(self) -> tuple[np.ndarray, ...]:
+        """Flat arrays that programs look up: the values, and the knots of uneven axes."""
+        uneven = [
+            knots - knots[0]
+            for axis, knots in zip(self.axes, self.knots, strict=True)
+            if axis.step is None
+        ]
+        return tuple(np.asarray(one, np.float32) for one in (self.values.reshape(-1), *uneven))
+
+
+def even_axis(knots: np.ndarray) -> Axis:
+    """An axis as programs know it: by its step, where that is the same all along."""
+    if len(knots) == 1:
+        return Axis(count=1, step=1.0)
+    steps = np.diff(knots)
+    mean = float((knots[-1] - knots[0]) / (len(knots) - 1))
+    even = knots[0] + mean * np.arange(len(knots))
+    is_even = np.max(np.abs(knots - even)) <= _EVEN * float(steps.min())
+    return Axis(count=len(knots), step=mean if is_even else None)
+
+
+def load(path: str, names: Mapping[str, str | None]) -> Field:
+    """The field of a file, read once for as long as the file stays as it is.
+
+    Args:
+        path: of a NetCDF file.
+        names: of the variables u, v and w in it, where they are given.
+
+    Raises:
+        ConfigError: there is no such file, or it is none that can be used; says why.
+        UnsupportedError: what reads it is not installed.
+    """
+    return _load(path, stamp(path), (names.get("u"), names.get("v"), names.get("w")))
+
+
+def stamp(path: str) -> tuple[int, int]:
+    """What changes with a file: when it was written, and its size."""
+    try:
+        about = Path(path).stat()
+    except (OSError, ValueError):
+        return 0, 0  # reading it says what is wrong
+    return about.st_mtime_ns, about.st_size
+
+
+@lru_cache(maxsize=8)
+def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]) -> Field:
+    u, v, w = names
+    wanted = (
+        Wanted(key="u", name=u, standard=cf.EASTWARD),
+        Wanted(key="v", name=v, standard=cf.NORTHWARD),
+        Wanted(key="w", name=w, standard=cf.UPWARD, needed=False),
+    )
+    read = cf.read(Path(path), wanted, cf.PER_SECOND)
+    values = np.stack(read.parts, axis=-1)
+    wet = np.all(np.isfinite(values), axis=(3, 4))
+    if not wet.any():
+        raise ConfigError(
+            f"{named(path)}: no knot of it has a velocity at all times: all are missing (NaN); "
+            "choose times that it covers"
+        )
+    y, x, depth, time = (read.axes[kind] for kind in cf.AXES)
+    for axis, name in ((y, "latitude"), (x, "longitude")):
+        if len(axis.knots) < 2:
+            raise ConfigError(f"{named(path)}: has one {name} only; two are the least")
+    knots = (y.knots, x.knots, depth.knots, time.knots)
+    return Field(
+        values=carried_on(values, wet, knots, y.degrees).astype(np.float32),
+        wet=wet,
+        knots=knots,
+        degrees=y.degrees,
+        begin="" if time.begin is None else str(time.begin.astype("datetime64[s]")),
+        source=path,
+        names=names,
+    )
+
+
+def carried_on(
+    values: np.ndarray, wet: np.ndarray, knots: tuple[np.ndarray, ...], degrees: bool
+) -> np.ndarray:
+    """Values of water for every knot; see the module.
+
+    Args:
+        values: [y, x, depth, ...].
+        wet: bool [y, x, depth]; one knot at least.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
+    """
+    out = values.copy()
+    shrink = np.cos(np.radians(np.mean(knots[0]))) if degrees else 1.0
+    spacing = [float(np.mean(np.diff(knots[0]))), shrink * float(np.mean(np.diff(knots[1])))]
+    for k in range(wet.shape[2]):
+        if not wet[:, :, k].any():
+            if k > 0:
+                out[:, :, k] = out[:, :, k - 1]
+            continue
+        if wet[:, :, k].all():
+            continue
+        nearest = ndimage.distance_transform_edt(
+            ~wet[:, :, k], sampling=spacing, return_distances=False, return_indices=True
+        )
+        out[:, :, k] = values[nearest[0], nearest[1], k]
+    first = int(np.argmax(wet.any(axis=(0, 1))))
+    out[:, :, :first] = out[:, :, first : first + 1]
+    return out

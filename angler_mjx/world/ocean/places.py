@@ -1,0 +1,175 @@
+"""Where in a field worlds may lie: places of water within spans, and the metres of a degree."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels.table import take
+
+_MAJOR_M, _FLATTENING = 6_378_137.0, 1.0 / 298.257223563
+"""WGS 84."""
+
+type Span = tuple[float, float]
+
+
+def metres_per_degree(latitude_deg: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Metres to a degree of latitude and of longitude at a latitude, on the ellipsoid WGS 84.
+
+    pi / 180 times the radius of curvature of the meridian, a (1 - e^2) / (1 - e^2 sin^2)^(3/2), and
+    that of the parallel, a cos / (1 - e^2 sin^2)^(1/2) (Torge, Geodesy, 3rd edition, section 4.1).
+    """
+    e2 = _FLATTENING * (2.0 - _FLATTENING)
+    angle = jnp.radians(latitude_deg)
+    w = 1.0 - e2 * jnp.sin(angle) ** 2
+    north = _MAJOR_M * (1.0 - e2) / (w * jnp.sqrt(w))
+    east = _MAJOR_M * jnp.cos(angle) / jnp.sqrt(w)
+    return math.pi / 180.0 * north, math.pi / 180.0 * east
+
+
+@dataclass(frozen=True, kw_only=True)
+class Places:
+    """Parts of cells of a field in which worlds may lie, those with the deepest water first.
+
+    A cell lies between two knots along y and along x. It counts as water down to a depth if all
+    four of its knots do.
+    """
+
+    knot: np.ndarray
+    """int32 [n, 2] lower knots along y and x."""
+    low: np.ndarray
+    """[n, 2] where the part begins beyond them, in degrees or metres."""
+    length: np.ndarray
+    """[n, 2] how far it reaches."""
+    area: np.ndarray
+    """[n] sum of the areas of the parts up to and with this one."""
+    count: np.ndarray
+    """int32 [depth] how many of them, counted from the first, are water down to a depth."""
+
+    def draw(self, key: jax.Array, level: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """A place, uniform over the area of those with water down to a level.
+
+        Args:
+            key: random.
+            level: int32 [] number of the depth.
+
+        Returns:
+            Lower knot int32 [2] along y and x, and what lies beyond it [2].
+        """
+        along, y, x = jax.random.uniform(key, (3,))
+        area = jnp.asarray(self.area, float)
+        most = take(jnp.asarray(self.count), level) - 1
+        i = jnp.clip(jnp.searchsorted(area, along * take(area, most), side="right"), 0, most)
+        low, length = (take(jnp.asarray(one, float), i) for one in (self.low, self.length))
+        return take(jnp.asarray(self.knot), i), low + length * jnp.stack([y, x])
+
+
+def span_in(key: str, span: Span | None, knots: np.ndarray, *, turns: bool = False) -> Span | None:
+    """A span of places as a file counts them: longitudes may be from 0 to 360 there.
+
+    Args:
+        key: what a scenario calls it.
+        span: lowest and highest; None for all of the file.
+        knots: of the file's axis.
+        turns: whether it is a longitude.
+
+    Raises:
+        ValueError: it is not in the file.
+    """
+    if span is None:
+        return None
+    turn = 0.0
+    if turns:
+        fitting = (k for k in (-360.0, 0.0, 360.0) if knots[0] <= span[0] + k <= knots[-1])
+        turn = min(fitting, key=abs, default=0.0)
+    low, high = span[0] + turn, span[1] + turn
+    if not knots[0] <= low <= high <= knots[-1]:
+        raise ValueError(
+            f"{key} = {list(span)}: needs low <= high within the file's {knots[0]:g} to "
+            f"{knots[-1]:g}"
+        )
+    return low, high
+
+
+def places(
+    wet: np.ndarray,
+    knots: Sequence[np.ndarray],
+    degrees: bool,
+    y: Span | None,
+    x: Span | None,
+) -> Places:
+    """Where worlds may lie.
+
+    Args:
+        wet: bool [y, x, depth] knots with water.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
+        y: between which latitudes, or metres; everywhere if None. A span may be a single place.
+        x: between which longitudes, or metres.
+
+    Raises:
+        ValueError: there is no water.
+    """
+    knots = knots[:2]
+    limits = []
+    for axis, span in zip(knots, (y, x), strict=True):
+        low, high = (axis[0], axis[-1]) if span is None else span
+        begin, end = np.maximum(axis[:-1], low), np.minimum(axis[1:], high)
+        limits.append((begin - axis[:-1], end - begin))
+    (low_y, long_y), (low_x, long_x) = limits
+    cells = wet[1:, 1:] & wet[:-1, 1:] & wet[1:, :-1] & wet[:-1, :-1]
+    deepest = np.cumprod(cells, axis=2).sum(axis=2)
+    inside = (long_y[:, None] >= 0) & (long_x[None, :] >= 0) & (deepest > 0)
+    iy, ix = np.nonzero(inside)
+    if not len(iy):
+        raise ValueError(
+            f"latitude = {y and list(y)}, longitude = {x and list(x)}: there is no water in the "
+            "file there; choose another place"
+        )
+    order = np.argsort(-deepest[iy, ix], kind="stable")
+    iy, ix = iy[order], ix[order]
+    shrink = np.cos(np.radians(knots[0][iy])) if degrees else 1.0
+    # A span that is one place has no length, and a knot that it meets no area: then all count alike.
+    width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
+    sides = [one if one.any() else np.ones_like(one) for one in width]
+    levels = np.arange(wet.shape[2])
+    return Places(
+        knot=np.stack([iy, ix], axis=1).astype(np.int32),
+        low=np.stack([low_y[iy], low_x[ix]], axis=1),
+        length=np.stack(width, axis=1),
+        area=np.cumsum(sides[0] * sides[1] * shrink),
+        count=np.array([np.sum(deepest[iy, ix] > k) for k in levels], np.int32),
+    )
+
+
+def origin(
+    knot: jax.Array,
+    beyond: jax.Array,
+    knots: Sequence[np.ndarray],
+    degrees: bool,
+    space: float,
+    centre: jax.Array,
+) -> tuple[jax.Array, jax.Array]:
+    """How W lies in a file: where its origin is, and places on the axes by metre.
+
+    A tangent plane: a metre has everywhere as many degrees as at the place.
+
+    Args:
+        knot: int32 [2] below the place along y and x.
+        beyond: [2] the place beyond it.
+        knots: of y and x.
+        degrees: whether they are latitudes and longitudes.
+        space: metres here to a metre of the file.
+        centre: [2 or 3] of W, that lies at the place, m.
+
+    Returns:
+        The origin [2] beyond the knot along y and x, and places by metre [2].
+    """
+    north = east = jnp.ones(())
+    if degrees:
+        north, east = metres_per_degree(take(jnp.asarray(knots[0], float), knot[0]) + beyond[0])
+    rate = 1.0 / (space * jnp.stack([north, east]))
+    return beyond - rate * jnp.stack([centre[1], centre[0]]), rate

@@ -1,0 +1,220 @@
+"""Particles that drift with the water for a day: our current against others' interpolation.
+
+    python -m angler_experiments.ocean.drift --out runs/drift
+    python parcels_drift.py runs/drift        # in an environment of its own, with parcels
+    python -m angler_experiments.ocean.drift --out runs/drift
+
+A thousand particles begin at drawn places and depths of the tidal stream around a headland
+(`angler_experiments.ocean.headland`) and go where the water goes. Ours are advected in JAX by the
+current that a scenario with ``type = "grid"`` flies in, in float32, by Runge-Kutta steps of fourth
+order. They are compared with SciPy (``RegularGridInterpolator`` and ``solve_ivp``) and, once
+``parcels_drift.py`` has written its tracks, with Parcels. ``--smoke`` takes few particles, asserts
+what is expected and needs neither Parcels nor a figure.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import RegularGridInterpolator
+
+from angler_experiments.ocean import headland
+from angler_mjx.world import currents
+from angler_mjx.world.currents import Current, GridConfig
+
+DAY_S, STEP_S, EVERY = 86_400.0, 300.0, 12
+"""A track is kept every ``EVERY`` steps: every hour."""
+MARGIN_M = 700.0
+"""How near to the file's edge a particle may come by which they are compared."""
+BY_SCIPY = 100
+"""How many of the particles SciPy follows: a second each."""
+EXPECTED_M = 1.0
+"""Greatest distance after a day; see docs/ocean.md for what was found."""
+MIDDLE = (headland.LATITUDE + 0.035, headland.LONGITUDE)
+
+type Array = np.ndarray
+
+
+def current_of(path: Path) -> Current:
+    """The current of a world whose origin lies in the middle of the file, at its first time."""
+    config = GridConfig(
+        file=str(path),
+        latitude=(MIDDLE[0], MIDDLE[0]),
+        longitude=(MIDDLE[1], MIDDLE[1]),
+        time=(headland.BEGIN, headland.BEGIN),
+    )
+    origin = jnp.zeros(3)
+    return currents.draw((config,), jax.random.key(0), origin, origin, DAY_S)
+
+
+def axes_m(current: Any) -> tuple[Array, Array]:
+    """Metres north and east of the origin at the knots of the field, in float64."""
+    field = current.field
+    at = [
+        (knots - knots[int(current.knot[i])] - float(current.rest[i])) / float(current.rate[i])
+        for i, knots in enumerate(field.knots[:2])
+    ]
+    return at[0], at[1]
+
+
+def seeds(current: Any, count: int) -> Array:
+    """Places [count, 3] m in water, drawn over the whole file, 1 to 15 m below the surface."""
+    y, x = axes_m(current)
+    rng, found = np.random.default_rng(0), np.zeros((0, 3))
+    while len(found) < count:
+        share = rng.uniform(size=(count, 3))
+        low, high = np.array([x[1], y[1], -15.0]), np.array([x[-2], y[-2], -1.0])
+        p = low + share * (high - low)
+        found = np.concatenate([found, p[in_water(current, p)]])
+    return found[:count]
+
+
+def in_water(current: Any, p: Array) -> Array:
+    """Whether all eight knots around places [n, 3] are water."""
+    field = current.field
+    y, x = axes_m(current)
+    lower = [
+        np.clip(np.searchsorted(axis, at, side="right") - 1, 0, len(axis) - 2)
+        for axis, at in ((y, p[:, 1]), (x, p[:, 0]), (field.knots[2], -p[:, 2]))
+    ]
+    wet = np.ones(len(p), bool)
+    for corner in np.ndindex(2, 2, 2):
+        wet &= field.wet[tuple(k + c for k, c in zip(lower, corner, strict=True))]
+    return wet
+
+
+def drifted(current: Current, begin: Array) -> Array:
+    """Tracks [hour, n, 3] of particles by Runge-Kutta steps of fourth order, in JAX."""
+
+    def velocity(p: jax.Array, t: jax.Array) -> jax.Array:
+        return jax.vmap(currents.velocity, (None, 0, None))(current, p, t)
+
+    def step(p: jax.Array, k: jax.Array) -> tuple[jax.Array, None]:
+        t, h = k * STEP_S, STEP_S
+        a = velocity(p, t)
+        b = velocity(p + 0.5 * h * a, t + 0.5 * h)
+        c = velocity(p + 0.5 * h * b, t + 0.5 * h)
+        d = velocity(p + h * c, t + h)
+        return p + h / 6.0 * (a + 2.0 * b + 2.0 * c + d), None
+
+    def hour(p: jax.Array, first: jax.Array) -> tuple[jax.Array, jax.Array]:
+        after, _ = jax.lax.scan(step, p, first + jnp.arange(EVERY, dtype=float))
+        return after, after
+
+    @jax.jit
+    def day(p: jax.Array) -> jax.Array:
+        hours = round(DAY_S / STEP_S) // EVERY
+        return jax.lax.scan(hour, p, EVERY * jnp.arange(hours, dtype=float))[1]
+
+    tracks = day(jnp.asarray(begin, float))
+    return np.concatenate([begin[None], np.asarray(tracks, np.float64)])
+
+
+def by_scipy(current: Any, begin: Array) -> Array:
+    """As `drifted`, by SciPy in float64 with an error of a millimetre at most."""
+    field = current.field
+    y, x = axes_m(current)
+    axes = (y, x, field.knots[2], field.knots[3])
+    look_up = RegularGridInterpolator(axes, field.values[..., :2].astype(float))
+    low, high = (np.array([axis[end] for axis in axes]) for end in (0, -1))
+    out = np.empty((round(DAY_S / STEP_S) // EVERY + 1, *begin.shape))
+    for i, (px, py, pz) in enumerate(begin):
+
+        def velocity(t: float, p: Array, depth: float = -pz) -> Array:
+            at = np.clip([p[1], p[0], depth, t], low, high)
+            found: Array = look_up(at)[0]
+            return found
+
+        times = np.arange(len(out)) * EVERY * STEP_S
+        # No step jumps over a whole cell or an hour's knot.
+        made = solve_ivp(
+            velocity, (0.0, DAY_S), [px, py], t_eval=times, rtol=1e-8, atol=1e-3, max_step=600.0
+        )
+        out[:, i, :2], out[:, i, 2] = made.y.T, pz
+    return out
+
+
+def flat_file(current: Any, path: Path) -> None:
+    """The field on the plane in which ours drift, land carried on, for those who know no land."""
+    field = current.field
+    y, x = axes_m(current)
+    begin = np.datetime64(field.begin)
+    time = begin + (1e9 * field.knots[3]).astype("timedelta64[ns]")
+    axes = ("time", "depth", "lat", "lon")
+    parts = field.values.transpose(3, 2, 0, 1, 4)
+    xarray.Dataset(
+        {"U": (axes, parts[..., 0]), "V": (axes, parts[..., 1])},
+        coords={"time": time, "depth": field.knots[2], "lat": y, "lon": x},
+    ).to_netcdf(path, engine="h5netcdf")
+
+
+def apart(ours: Array, theirs: Array, clear: Array) -> dict[str, float]:
+    """Distances after a day between two sets of tracks, of particles that stayed clear of land."""
+    gap = np.linalg.norm((ours - theirs)[-1, clear, :2], axis=-1)
+    return {
+        "particles": int(clear.sum()),
+        "median_m": float(np.median(gap)),
+        "p99_m": float(np.quantile(gap, 0.99)),
+        "greatest_m": float(gap.max()),
+    }
+
+
+def study(out: Path, particles: int) -> dict[str, Any]:
+    """Make, compare and keep the tracks; returns what was found."""
+    out.mkdir(parents=True, exist_ok=True)
+    current = current_of(headland.write(out / "headland.nc"))
+    begin = seeds(current[0], particles)
+    ours = drifted(current, begin)
+    y, x = axes_m(current[0])
+    # Parcels knows nothing beyond its knots, and between two hours a particle moves on.
+    low, high = np.array([x[0], y[0]]) + MARGIN_M, np.array([x[-1], y[-1]]) - MARGIN_M
+    stayed = np.all((ours[..., :2] > low) & (ours[..., :2] < high), axis=(0, 2))
+    clear = stayed & np.all([in_water(current[0], p) for p in ours], axis=0)
+    length = np.linalg.norm(np.diff(ours[..., :2], axis=0), axis=-1).sum(axis=0)
+    few = slice(0, BY_SCIPY)
+    theirs = by_scipy(current[0], begin[few])
+    np.savez(out / "tracks.npz", ours=ours, scipy=theirs, clear=clear, begin=begin)
+    flat_file(current[0], out / "flat.nc")
+    found: dict[str, Any] = {
+        "particles": particles,
+        "clear_of_land": int(clear.sum()),
+        "path_m": {"median": float(np.median(length)), "greatest": float(length.max())},
+        "mean_speed_mps": float(length.mean() / DAY_S),
+        "scipy": apart(ours[:, few], theirs, clear[few]),
+    }
+    if (out / "parcels.npz").exists():
+        with np.load(out / "parcels.npz") as kept:
+            # Those that stayed clear of land.
+            all_of_them = np.ones(int(clear.sum()), bool)
+            compared = apart(ours[:, clear], kept["tracks"], all_of_them)
+            found["parcels"] = {"version": str(kept["version"]), **compared}
+    (out / "drift.json").write_text(json.dumps(found, indent=2) + "\n")
+    return found
+
+
+def main() -> None:
+    """Run the study of the command line."""
+    parser = argparse.ArgumentParser(description="Particles that drift for a day.")
+    parser.add_argument("--out", type=Path, default=Path("runs/drift"))
+    parser.add_argument("--particles", type=int, default=1000)
+    parser.add_argument("--smoke", action="store_true", help="few particles; assert the result")
+    given = parser.parse_args()
+    found = study(given.out, 12 if given.smoke else given.particles)
+    print(json.dumps(found, indent=2))
+    if given.smoke:
+        assert found["scipy"]["greatest_m"] < EXPECTED_M, found
+        assert found["mean_speed_mps"] > 0.05, found
+        return
+    from angler_experiments.ocean import picture
+
+    print(picture.draw(given.out))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+"""The particles of `drift` by OceanParcels, in an environment of its own.
+
+    python -m venv parcels && parcels/bin/pip install "parcels>=4" netCDF4
+    parcels/bin/python experiments/angler_experiments/ocean/parcels_drift.py runs/drift
+
+Reads the places and the field that ``drift`` left in the folder and writes ``parcels.npz``: tracks of
+the particles that stayed clear of land. The field is on a plane (``mesh="flat"``) with the water carried on into land, as ours is: what is
+compared is interpolation and integration.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import parcels
+import xarray
+
+STEP_S, EVERY, HOURS = 300.0, 12, 24
+
+
+def fieldset(path: Path) -> parcels.FieldSet:
+    """The field of the folder as Parcels has it."""
+    data = xarray.open_dataset(path).load()
+    about = {
+        "time": {"axis": "T", "standard_name": "time"},
+        "depth": {"axis": "Z", "positive": "down", "units": "m"},
+        "lat": {"axis": "Y", "units": "m"},
+        "lon": {"axis": "X", "units": "m"},
+    }
+    for name, attrs in about.items():
+        data[name].attrs.update(attrs)
+    grid = parcels.convert.copernicusmarine_to_sgrid(fields={"U": data["U"], "V": data["V"]})
+    return parcels.FieldSet.from_sgrid_conventions(grid, mesh="flat")
+
+
+def main() -> None:
+    """Advect and write."""
+    parser = argparse.ArgumentParser(description="The particles of drift, by OceanParcels.")
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    fields = fieldset(folder / "flat.nc")
+    with np.load(folder / "tracks.npz") as kept:
+        begin = kept["begin"][kept["clear"]]
+    start = fields.time_interval.left
+    particles = parcels.ParticleSet(
+        fields,
+        t=np.full(len(begin), start),
+        z=-begin[:, 2],
+        y=begin[:, 1],
+        x=begin[:, 0],
+    )
+    tracks = [begin]
+    for _ in range(HOURS):
+        particles.execute(
+            parcels.kernels.AdvectionRK4,
+            dt=np.timedelta64(int(STEP_S), "s"),
+            runtime=np.timedelta64(int(EVERY * STEP_S), "s"),
+            verbose_progress=False,
+        )
+        now = np.stack([particles.x, particles.y, -np.asarray(particles.z)], axis=1)
+        tracks.append(now)
+    np.savez(folder / "parcels.npz", tracks=np.array(tracks), version=parcels.__version__)
+    print(folder / "parcels.npz")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""Velocity fields on a grid: linear in space and time between knots, with their derivatives.
+
+Axes are y, x, depth and time, in that order. A place on an axis is said as a knot and what lies
+beyond it, so that single precision suffices far from the first knot.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.table import count_not_above, take
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """One axis of a grid."""
+
+    count: int
+    """Number of knots."""
+    step: float | None
+    """From one knot to the next where that is the same all along; None where knots are looked up.
+    Of a single knot any number."""
+
+
+type Spot = tuple[jax.Array, jax.Array, jax.Array]
+"""Lower knot int32 [], share of the way to the next [], and derivative of that share [] by the
+place on the axis: 0 beyond the ends, where the field is held."""
+
+
+def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array) -> Spot:
+    """Between which knots of an axis a place lies.
+
+    Args:
+        axis: static.
+        knots: [count] places of the knots, rising; not looked at where the step is one.
+        knot: int32 [] from which the place is said.
+        rest: [] how far beyond it, of either sign.
+    """
+    if axis.count == 1:
+        zero = jnp.zeros_like(rest)
+        return jnp.zeros_like(knot), zero, zero
+    last = axis.count - 1
+    if axis.step is not None:
+        inverse = 1.0 / axis.step
+        low, high = (-knot).astype(rest.dtype), (last - knot).astype(rest.dtype)
+        steps = rest * inverse
+        held = jnp.clip(steps, low, high)
+        lower = jnp.minimum(jnp.floor(held), high - 1.0)
+        inside = (steps >= low) & (steps <= high)
+        return knot + lower.astype(jnp.int32), held - lower, jnp.where(inside, inverse, 0.0)
+    if knots is None:
+        raise TypeError("an axis of steps that differ needs its knots")
+    begin = take(knots, knot)
+    k = jnp.clip(count_not_above(knots, begin + rest) - 1, 0, last - 1)
+    before = take(knots, k)
+    length = take(knots, k + 1) - before
+    share = (rest - (before - begin)) / length
+    held = jnp.clip(share, 0.0, 1.0)
+    return k, held, jnp.where(share == held, 1.0 / length, 0.0)
+
+
+def multilinear(
+    values: jax.Array, shape: tuple[int, int, int, int, int], spots: Sequence[Spot]
+) -> list[jax.Array]:
+    """A field between its knots, and its derivatives by the places on the axes.
+
+    Args:
+        values: flat, of ``shape`` [y, x, depth, time, component] in row-major order.
+        shape: static.
+        spots: on each axis, from `locate`.
+
+    Returns:
+        The value [component], then its derivatives [component] by time, depth, x and y.
+    """
+    count = shape[4]
+    steps = [min(n, 2) for n in shape[:4]]
+
+    def row(lower: list[jax.Array]) -> list[list[jax.Array]]:
+        """Values at one or two times."""
+        place = lower[0]
+        for k, n in zip(lower[1:], shape[1:4], strict=True):
+            place = place * n + k
+        part = jax.lax.dynamic_slice(
+            values, (place * count,), (steps[3] * count,), allow_negative_indices=False
+        )
+        return [[part[k * count : (k + 1) * count]] for k in range(steps[3])]
+
+    def along(axis: int, lower: list[jax.Array]) -> list[jax.Array]:
+        """The field where the knots of the axes before ``axis`` are chosen."""
+        k, share, slope = spots[axis]
+        if axis == 3:
+            ends = row([*lower, k])
+        else:
+            ends = [along(axis + 1, [*lower, k + i]) for i in range(steps[axis])]
+        if len(ends) == 1:
+            return [*ends[0], jnp.zeros_like(ends[0][0])]
+        low, high = ends
+        mixed = [x + share * (y - x) for x, y in zip(low, high, strict=True)]
+        return [*mixed, slope * (high[0] - low[0])]
+
+    return along(0, [])
+
+
+def gridded(
+    p: jax.Array,
+    t: jax.Array,
+    values: jax.Array,
+    shape: tuple[int, int, int, int, int],
+    axes: Sequence[tuple[Axis, jax.Array | None]],
+    knot: jax.Array,
+    rest: jax.Array,
+    rate: jax.Array,
+    factor: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Velocity, its rate and its Jacobian of a field on a grid (see `current_field`).
+
+    Args:
+        p: [3] m.
+        t: [] s.
+        values: as in `multilinear`; components are those along x, y and, if there are three, z.
+        shape: static.
+        axes: y, x, depth and time, each with its knots where their steps differ.
+        knot: int32 [4] of each axis, from which p = 0 and t = 0 are said.
+        rest: [4] of p = 0 and t = 0 beyond those knots.
+        rate: [4] places on the axes by metre along y, x and z, and by second.
+        factor: [3] of the velocity along x, y and z.
+    """
+    moved = (p[1], p[0], p[2], t)
+    spots = [
+        locate(axis, knots, knot[i], rest[i] + rate[i] * moved[i])
+        for i, (axis, knots) in enumerate(axes)
+    ]
+    level, *slopes = multilinear(values, shape, spots)
+    by_t, by_z, by_x, by_y = (
+        slope * rate[i] for slope, i in zip(slopes, (3, 2, 1, 0), strict=True)
+    )
+    zero = jnp.zeros_like(t)
+
+    def whole(part: jax.Array) -> jax.Array:
+        up = factor[2] * part[2] if shape[4] == 3 else zero
+        return jnp.stack([factor[0] * part[0], factor[1] * part[1], up])
+
+    v, v_t, *columns = (whole(part) for part in (level, by_t, by_x, by_y, by_z))
+    return v, v_t, jnp.stack(columns, axis=1)
