@@ -17,6 +17,7 @@ from angler_mjx.files import named, parse, read_toml
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.scenario.tables import KnowsConfig
+from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.on_device import device_planner
 
@@ -108,6 +109,7 @@ def read(path: Path, **instead: Any) -> Benchmark:
     config = config.model_copy(update={"planner": planners})
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    refuse_task(scenario.task, f"{path}: planners are compared by ways to one goal; leave it out")
     return build(config, scenario, str(path))
 
 

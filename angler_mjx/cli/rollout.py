@@ -227,6 +227,19 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def _of_task(task: dict[str, Any]) -> str:
+    """How the tasks of the worlds went, in a line."""
+    rate, taken = task["completed"], task["completed_s"]
+    share = (
+        f"task completed in {rate['count']} worlds, {100 * rate['rate']:.1f} % "
+        f"({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
+    )
+    if taken["mean"] is None:
+        return f"{share}; on average {100 * task['progress']:.1f} % of it was done"
+    spread = "" if taken["interval"] is None else " ({:.0f} to {:.0f} s)".format(*taken["interval"])
+    return f"{share}, after {taken['mean']:.0f} s on average{spread}"
+
+
 def _report(run: "Run", *, as_json: bool) -> None:
     """End of a run: one JSON object, or the table and the place of the run folder."""
     summary = run.summary
@@ -254,6 +267,8 @@ def _report(run: "Run", *, as_json: bool) -> None:
     console = Console()
     console.print(table)
     console.print(kinds)
+    if "task" in summary:
+        console.print(_of_task(summary["task"]), highlight=False)
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
     median = "no robot arrived" if arrival is None else f"median time to goal {arrival:.0f} s"
     console.print(

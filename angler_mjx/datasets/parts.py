@@ -13,6 +13,7 @@ from angler_mjx.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named, parse, read_toml
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.task_table import refuse_task
 
 RUNS = "runs"
 """Folder of the parts."""
@@ -47,6 +48,7 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
     )
     there = config.scenario in shipped()
     scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    refuse_task(scenario.task, f"{path}: experts plan ways to one goal; leave it out")
     table = scenario.model_dump(mode="json", exclude_unset=True)
     table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
     return config.model_copy(update={"expert": experts}), table

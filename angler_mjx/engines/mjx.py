@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from angler_mjx.control import plans
 from angler_mjx.control.stack import Command, ControlParams
+from angler_mjx.engines.repeated import repeated
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics import step as physics
@@ -274,10 +275,14 @@ class MjxEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
+        if steps > 1:
+            again = partial(self.control_step, spec, fleet, worlds, command=command, policy=policy)
+            return repeated(again, state, steps)
         one = partial(
             control_step, spec, policy=policy, number=_number(spec, state, policy), fleet=fleet
         )
@@ -313,8 +318,9 @@ class MjxEngine:
 
 
 def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Array | None:
-    """Control steps that all worlds have taken, where a policy or a task wants to know."""
-    return None if policy is None and not spec.by_task else state.step[0]
+    """Control steps that all worlds have taken, where a policy, task or acoustics want to know."""
+    wanted = policy is not None or spec.by_task or spec.acoustics is not None
+    return state.step[0] if wanted else None
 
 
 def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:

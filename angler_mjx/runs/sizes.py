@@ -6,6 +6,7 @@ import psutil
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.storage.harvest import task_sizes
 from angler_mjx.storage.recorder import Shape
 
 
@@ -24,6 +25,7 @@ def shape_of(simulator: Simulator) -> Shape:
         estimated=scenario.senses,
         finely=scenario.store,
         also=scenario.store.also,
+        task=task_sizes(world.task),
     )
 
 

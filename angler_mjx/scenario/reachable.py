@@ -24,7 +24,7 @@ def check_reachable(scenario: Scenario, key: str = "time.horizon_s") -> None:
     """Refuse a horizon in which no robot can be at its goal.
 
     Plans are never faster over ground than the cruise speed, but for those of the planner current;
-    a policy may be, too: in a current neither is judged.
+    a policy may be, too: in a current neither is judged. Nor are tasks, which have other places.
 
     Args:
         scenario: that is to be planned or flown.
@@ -33,6 +33,8 @@ def check_reachable(scenario: Scenario, key: str = "time.horizon_s") -> None:
     Raises:
         ConfigError: naming the horizon and the least that is possible.
     """
+    if scenario.task_spec() is not None:
+        return
     may_be_carried = scenario.policy.name != "none" or scenario.planner.name == "current"
     if may_be_carried and scenario.world.currents:
         return

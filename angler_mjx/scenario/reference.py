@@ -52,6 +52,7 @@ _UNITS = (
     ("_mps2_per_rthz", "m/s²/√Hz"), ("_radps_per_rthz", "rad/s/√Hz"), ("_kgpm3", "kg/m³"),
     ("_kgm2", "kg m²"), ("_radps", "rad/s"), ("_mps2", "m/s²"), ("_mps", "m/s"), ("_m3", "m³"),
     ("_percent_of_speed", "%"), ("_percent_of_range", "%"), ("_deg", "°"), ("_kg", "kg"),
+    ("_db_per_m", "dB/m"), ("_khz", "kHz"), ("_db", "dB"), ("_bps", "bit/s"),
     ("_hz", "Hz"), ("_us", "µs"), ("_m", "m"), ("_s", "s"), ("_v", "V"), ("_n", "N"), ("_w", "W"),
     ("_cells", "cells"),
 )  # fmt: skip

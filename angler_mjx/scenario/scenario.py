@@ -10,6 +10,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from angler_mjx.acoustics.channel import Channel
+from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import Fault, FaultyError, FileModel, check, listed, read_toml
@@ -84,11 +86,12 @@ class Scenario(FileModel):
     planner: PlannerConfig = PlannerConfig()
     execution: ExecutionConfig = ExecutionConfig()
     policy: PolicyConfig = PolicyConfig()
+    acoustics: AcousticsConfig = AcousticsConfig()
     store: StoreConfig = StoreConfig()
     randomise: RandomiseConfig = RandomiseConfig()
-    breakdowns: BreakdownsConfig = BreakdownsConfig()
     task: TaskConfig = GoalTask()
     """What the robots of a world have to do; see `docs/tasks.md`."""
+    breakdowns: BreakdownsConfig = BreakdownsConfig()
 
     @model_validator(mode="after")
     def _horizon_of_preset(self) -> Self:
@@ -210,6 +213,26 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _talks(self) -> Self:
+        try:
+            self.channel()
+        except ValueError as error:
+            raise ValueError(f"acoustics.{error}") from error
+        if "acoustics" in self.store.also and self.acoustics.model == "perfect":
+            raise ValueError(
+                'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
+                "leave it out, or take another model"
+            )
+        if self.acoustics.model != "perfect" and self.planner.replan_hz:
+            raise ValueError(
+                f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "
+                "all robots are, which acoustics tell nobody; leave it out, or take "
+                'acoustics.model = "perfect", or order = "kept" or a policy, which go by what each '
+                "robot has heard"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _flies_by_policy(self) -> Self:
         if self.policy.name == "none":
             return self
@@ -256,6 +279,15 @@ class Scenario(FileModel):
         """Whether the controllers of any robot are told something other than the truth."""
         return any(not instrumented.told_truth(*entry.told()) for entry in self.fleet)
 
+    def channel(self) -> Channel | None:
+        """That robots talk by; None where everybody knows everything."""
+        return self.acoustics.channel(
+            sum(entry.count for entry in self.fleet),
+            resolve(self.world).size_m,
+            self.time.control_dt_s,
+            self.time.horizon_s,
+        )
+
     def members(self) -> list[Member]:
         """The fleet, one member a robot."""
         each = [entry.member(i, self.randomise) for i, entry in enumerate(self.fleet)]
@@ -297,6 +329,7 @@ class Scenario(FileModel):
             gains=gains,
             instrumented=instrumented.build(told, self.time.control_dt_s, water.gravity_mps2),
             also=self.store.also,
+            acoustics=self.channel(),
             task=self.task_spec(),
         )
 

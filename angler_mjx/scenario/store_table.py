@@ -15,7 +15,7 @@ class StoreConfig(FileModel):
 
     also: tuple[Also, ...] = ()
     """Recorded beside what all runs have: the thrusters' `wrench`; `clearance`, distances to what
-    is near."""
+    is near; `acoustics`, share of packets heard and age of what is known."""
     position_mm: float | None = Field(default=None, ge=0.01, le=1000.0)
     """Step of places and distances; exact if left out, as with those that follow."""
     velocity_mmps: float | None = Field(default=None, ge=0.01, le=1000.0)

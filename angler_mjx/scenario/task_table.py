@@ -1,6 +1,7 @@
 """The table of a scenario file that says what the robots of a world have to do."""
 
 import math
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -8,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
-from angler_mjx.quantities import FARTHEST_M, Place
+from angler_mjx.quantities import FARTHEST_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, whole
@@ -154,22 +155,23 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
         )
     dt_s = time.control_dt_s
     whole(f"task.look_s = {task.look_s:g}: look_s / control_dt_s", task.look_s, dt_s)
-    common = {
-        "kind": task.type,
-        "robots": robots,
-        "tolerance_m": task.tolerance_m,
-        "period": round(task.look_s / dt_s),
-        "allocation": task.allocation,
-        "after": task.after,
-    }
     for name, wanted, count in drawn_places(task):
         _check_places(f"task.{name}", wanted, count, world)
+    spec = TaskSpec(
+        kind=task.type,
+        jobs=1,
+        robots=robots,
+        tolerance_m=task.tolerance_m,
+        period=round(task.look_s / dt_s),
+        allocation=task.allocation,
+        after=task.after,
+    )
     if isinstance(task, TourTask):
         jobs = len(task.places_m) or task.places
-        return TaskSpec(**common, jobs=jobs, shared=task.shared, ordered=task.ordered)
+        return replace(spec, jobs=jobs, shared=task.shared, ordered=task.ordered)
     if isinstance(task, DeliverTask):
-        return TaskSpec(**common, jobs=task.count, dropped=task.dropped)
-    return TaskSpec(**common, jobs=task.viewpoints, survey=_survey(task, world))
+        return replace(spec, jobs=task.count, dropped=task.dropped)
+    return replace(spec, jobs=task.viewpoints, survey=_survey(task, world))
 
 
 def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:

@@ -14,6 +14,7 @@ from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.session import checks, fleet_facts, paths, presence
 from angler_mjx.session.checks import Limits, Place
 from angler_mjx.session.interface import Floats, Observation, Order, RobotInfo
@@ -241,6 +242,11 @@ class BatchSession:
 def _chosen(scenario: Scenario | str | Path, seed: int | None, engine: str | None) -> Scenario:
     """The scenario with its overrides, one world at a time."""
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    refuse_task(
+        chosen.task,
+        "a session tells robots nothing of a task; fly it with angler rollout, or take a scenario "
+        'of type = "goal"',
+    )
     changes: dict[str, Any] = {"tile": 1, "kernels": "xla"}
     if engine not in (None, "mjx", "fused"):
         raise ConfigError(f"engine = {engine!r}: there is mjx and fused")

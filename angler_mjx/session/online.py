@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.acoustics.config import refuse_acoustics
 from angler_mjx.control.commands import Estimate
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import asking
@@ -55,6 +56,10 @@ class Flyer:
                 'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
                 "policy"
             )
+        refuse_acoustics(
+            inside.simulator.scenario.acoustics,
+            'in a session robots know everything of each other; take "perfect", or angler rollout',
+        )
         self._session, self._policy = session, chosen
         spec, stages = inside.simulator.spec, inside.simulator.spec.stages
 

@@ -245,6 +245,7 @@ class SessionRecording:
             jointed="plan_degree" in plan,
             finely=self._scenario.store,
             also=asked_in(first),
+            task=harvest.task_sizes(tile.constants.task),
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,

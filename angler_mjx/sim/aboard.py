@@ -13,9 +13,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.acoustics.channel import Others
 from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import knowledge, senses
+from angler_mjx.sim import hearing, knowledge, senses
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
@@ -24,9 +25,9 @@ from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief, Progress
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.tasks import work as tasks
-from angler_mjx.tasks.spec import TaskSpec, TaskState
+from angler_mjx.tasks.spec import TaskState
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.tasks.work import Scene, counted
+from angler_mjx.tasks.work import Scene
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import ObstacleState
 
@@ -75,11 +76,14 @@ class Aboard:
         )
         return flow
 
-    def known(self, belief: Belief | None, sent: Sent | None = None) -> Known:
+    def known(
+        self, belief: Belief | None, others: Others | None = None, sent: Sent | None = None
+    ) -> Known:
         """What the robots know, for a policy.
 
         Args:
             belief: what they are told of their motion; None for the truth.
+            others: what they have heard of each other; None where everybody knows everything.
             sent: where the task sends them; None where each has a goal of its own.
         """
         to = self._goals() if sent is None else sent
@@ -89,6 +93,7 @@ class Aboard:
             goal_m=to.goal_m,
             path=self.world.path,
             params=self.world.control,
+            others=others,
             routes=self.world.routes,
             place=to.place,
             **self._scenery(),
@@ -158,6 +163,25 @@ def sense(here: Aboard, now: Slots) -> Done:
     )
 
 
+def hear(here: Aboard, now: Slots) -> Done:
+    """Robots understand packets of others, and send theirs."""
+    shared, memory = here.spec.acoustics, now["radio"]
+    if shared is None:
+        return Done(slots=nothing)
+    belief = now.get("known")
+    say = partial(hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words)
+    told = here.vehicles if belief is None else belief
+    after, came = hearing.step(
+        shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say
+    )
+
+    def record() -> dict[str, Any]:
+        asked = "acoustics" in here.spec.also
+        return {"talk": hearing.record(after, here.t)} if asked else {}
+
+    return Done(slots=lambda: {"radio": after, "heard": came}, record=record)
+
+
 def work(here: Aboard, now: Slots) -> Done:
     """The task: what was done of it, and where robots go next."""
     spec, task = here.spec.task, here.world.task
@@ -173,6 +197,7 @@ def work(here: Aboard, now: Slots) -> Done:
         running=outcome == Outcome.RUNNING,
         believed_m=here.vehicles.p if known is None else known.p,
         grid=here.world.environment.grid,
+        others=hearing.at_work(here.spec.acoustics, now["radio"], here.t),
     )
     travel = Travel(place_m=task.place_m, routes=here.world.routes)
     state: TaskState = jax.lax.cond(
@@ -187,17 +212,17 @@ def work(here: Aboard, now: Slots) -> Done:
             "finished": state.finished,
             "loaded": state.carrying >= 0 if spec.kind == "deliver" else None,
         },
-        record=lambda: {"task": record_task(state, spec)},
+        record=lambda: {"task": record_task(state)},
     )
 
 
-def record_task(state: TaskState, spec: TaskSpec) -> Progress:
+def record_task(state: TaskState) -> Progress:
     """What is recorded of `work`."""
     return Progress(
         share=state.progress,
         target=state.target,
         carrying=state.carrying,
-        done=counted(spec, state),
+        done=state.did,
     )
 
 
@@ -210,29 +235,38 @@ def choose(here: Aboard, now: Slots) -> Done:
         here.policy,
         here.world.policy_key,
         now["policy"],
-        lambda: replace(here, world=world).known(now.get("known"), now.get("sent")),
+        lambda: replace(here, world=world).known(
+            now.get("known"), hearing.for_policy(now["radio"]), now.get("sent")
+        ),
         here.number,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
 
 
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
+HEAR = Phase(
+    name="hear",
+    of="world",
+    run=hear,
+    reads=("radio", "known", "policy", "task"),
+    gives=("radio", "heard"),
+)
 WORK = Phase(
     name="work",
     of="world",
     run=work,
-    reads=("task", "known"),
+    reads=("task", "known", "radio"),
     gives=("task", "sent", "finished", "loaded"),
 )
 POLICY = Phase(
     name="policy",
     of="world",
     run=choose,
-    reads=("policy", "known", "sent"),
+    reads=("policy", "known", "radio", "sent"),
     gives=("policy", "command"),
 )
 
-PHASES = (SENSE, WORK, POLICY)
+PHASES = (SENSE, HEAR, WORK, POLICY)
 """In order."""
 
 
@@ -269,11 +303,12 @@ class Minds:
     senses: Any
     policy: Any
     task: Any
+    radio: Any
 
     @classmethod
     def of(cls, state: WorldState) -> "Minds":
         """Those of a state."""
-        return cls(senses=state.senses, policy=state.policy, task=state.task)
+        return cls(senses=state.senses, policy=state.policy, task=state.task, radio=state.radio)
 
 
 def asked(policy: Policy | None, command: Any) -> Policy | None:
@@ -283,7 +318,8 @@ def asked(policy: Policy | None, command: Any) -> Policy | None:
 
 def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
-    return bool(spec.instrumented) or policy is not None or spec.by_task
+    wanted = policy is not None or spec.by_task or spec.acoustics is not None
+    return bool(spec.instrumented) or wanted
 
 
 def period(spec: SimSpec, policy: Policy | None) -> int:

@@ -19,7 +19,8 @@ type Slots = Mapping[str, Any]
 Of robots: ``vehicle`` `VehicleState`, ``memory`` of the controllers, ``tally`` `Tally`; within one
 step also ``known`` (`Belief`, or the vehicle where robots are told the truth), ``thrust_n``,
 ``power_w``, ``before_m``, ``broken``. Of obstacles: ``obstacles`` `ObstacleState`. Of worlds:
-``senses``, ``task`` and ``policy``, their memories; within one step ``known``, ``command``,
+``senses``, ``radio``, ``task`` and ``policy``, their memories; within one step ``known``, ``heard``
+(bool [R, R], who understood a packet of whom), ``command``,
 ``finished`` and ``loaded``.
 """
 

@@ -9,13 +9,14 @@ of the compiled programs and have derivatives; what is static must be hashable.
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.acoustics.channel import Others, unheard
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.plans import Plan
@@ -61,6 +62,8 @@ class Known:
     """Bodies that are not cells, as far as they may be known now; their times run from now on."""
     current: KnownCurrent | None = None
     """The water's motion, as far as it may be known now; its times run from now on."""
+    others: Others | None = None
+    """What robots have heard of each other; None where everybody knows everything."""
     routes: Routes | None = None
     """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
     place: jax.Array | None = None
@@ -94,6 +97,18 @@ class Policy(ABC):
             key: of this world's policy.
         """
         return ()
+
+    def says(self, carry: Any) -> Any:
+        """What robots put into their packets beside where they are, where they talk by acoustics.
+
+        Args:
+            carry: memory.
+
+        Returns:
+            A pytree of arrays, [R] leading, which others find in ``known.others.words``; None if
+            nothing.
+        """
+        return None
 
     @abstractmethod
     def act(self, carry: Any, known: Known, key: jax.Array, step: jax.Array) -> tuple[Any, Any]:
@@ -140,6 +155,8 @@ def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: K
         raise ConfigError(f"policy {name}: period = {period!r}; give a whole number above 0")
     key = _key(policy, policy_key)
     carry = policy.reset(known, jax.random.fold_in(key, OF_RESET))
+    if known.others is not None:
+        known = replace(known, others=unheard(known.belief.p, policy.says(carry)))
     step = jax.ShapeDtypeStruct((), jnp.int32)
     after, command = jax.eval_shape(policy.act, carry, known, key, step)
     _check(name, stages, command, known)

@@ -18,6 +18,9 @@ import numpy as np
 SIZES = {"xyz": 3, "wxyz": 4, "uvwpqr": 6, "xyzkmn": 6}
 """Axes that are as long in every run; those of robots, obstacles and thrusters are the run's."""
 
+ACOUSTICS = "acoustics"
+"""Group of what robots heard of each other."""
+
 CLEARANCE = "clearance"
 """Group of the distances to what is near."""
 
@@ -27,10 +30,12 @@ ESTIMATE = "estimate"
 TASK = "task"
 """Group of how far the task is."""
 
-type Phase = Literal["sense", "work", "policy", "decide", "move", "obstacles", "judge", "sample"]
+type Phase = Literal[
+    "sense", "hear", "work", "policy", "decide", "move", "obstacles", "judge", "sample"
+]
 """``sample`` gives what is worked out from the rest of a sample (`angler_mjx.sim.nearness`)."""
 
-type Also = Literal["wrench", "clearance"]
+type Also = Literal["wrench", "clearance", "acoustics"]
 """What is recorded only where it is asked for."""
 
 
@@ -136,6 +141,36 @@ class Belief:
         )
     )
     """[R, 3] about the axes."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Talk:
+    """What came of the packets that robots sent; [R] leads."""
+
+    share: jax.Array = field(
+        metadata=_given(
+            "hear",
+            f"{ACOUSTICS}/share",
+            "robot",
+            "1",
+            "share of the packets of the others so far that the robot understood; NaN before any",
+            asked="acoustics",
+        )
+    )
+    """[R]"""
+    age_s: jax.Array = field(
+        metadata=_given(
+            "hear",
+            f"{ACOUSTICS}/age_s",
+            "robot",
+            "s",
+            "age of what the robot knows of the others, mean over these; since the start of whom "
+            "it has not heard; NaN in a fleet of one",
+            asked="acoustics",
+        )
+    )
+    """[R]"""
 
 
 @jax.tree_util.register_dataclass
@@ -350,6 +385,8 @@ class Sample:
     """[R, 6] in F, where it is asked for."""
     clearance: Clearance | None = field(default=None, metadata={"parts": Clearance})
     """Distances to what is near, where they are asked for."""
+    talk: Talk | None = field(default=None, metadata={"parts": Talk})
+    """What was heard, where it is asked for."""
     task: Progress | None = field(default=None, metadata={"parts": Progress})
     """How far the task is; None where each robot has a goal of its own."""
 

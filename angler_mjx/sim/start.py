@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
+from angler_mjx.acoustics import channel
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody
-from angler_mjx.sim import aboard, robot, senses
+from angler_mjx.sim import aboard, hearing, robot, senses
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.policy import Policy
@@ -71,7 +72,13 @@ def reset(
         senses=senses.reset(spec, world, vehicles),
         task=_begun(spec, world),
     )
-    return state if policy is None else _commanded(spec, world, state, policy)
+    if policy is not None:
+        state = _commanded(spec, world, state, policy)
+    if spec.acoustics is None:
+        return state
+    start_m = environment.start_m
+    radio = hearing.reset(spec.acoustics, start_m, policy, state.policy, state.task)
+    return replace(state, radio=radio)
 
 
 def _begun(spec: SimSpec, world: World) -> TaskState | None:
@@ -95,8 +102,10 @@ def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -
         outcome=state.tally.outcome,
     )
     belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
+    others = None if spec.acoustics is None else channel.unheard(world.environment.start_m)
     sent = None
     if state.task is not None:  # The first look at the task comes with the first step.
         sent = aboard.Sent(goal_m=state.task.goal_m, place=state.task.target)
-    memory = policies.begin(policy, spec.stages, world.policy_key, here.known(belief, sent))
+    known = here.known(belief, others, sent)
+    memory = policies.begin(policy, spec.stages, world.policy_key, known)
     return replace(state, policy=memory)

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import jax
 
+from angler_mjx.acoustics.channel import Channel, Radio
 from angler_mjx.control import plans, stages
 from angler_mjx.control.measurements import NavigationCarry
 from angler_mjx.control.navigation import NavigationParams
@@ -82,6 +83,8 @@ class SimSpec:
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()
     """What is recorded only where it is asked for (`angler_mjx.sim.record.Also`)."""
+    acoustics: Channel | None = None
+    """That robots talk by; None: everybody knows everything at once."""
     task: TaskSpec | None = None
     """What the robots of a world have to do; None where each has a goal of its own."""
 
@@ -133,6 +136,8 @@ class World:
     """uint32 [n_robot, 2] key of each robot's instruments; None where the fleet has none."""
     policy_key: jax.Array | None = None
     """uint32 [2] key of the world's policy; None where the simulator has none."""
+    radio_key: jax.Array | None = None
+    """uint32 [2] key of the channel that its robots share; None where they share none."""
     factors: Factors | None = None
     """None where current and noise are as the files say."""
     fails_at_s: jax.Array | None = None
@@ -199,5 +204,7 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
+    radio: Radio | None = None
+    """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""

@@ -1,6 +1,7 @@
 """A control step, phase by phase: the table of contents of a simulation.
 
     sense       world      instruments and filters: what robots are told of their own motion
+    hear        world      packets of other robots that came in, and those that are sent
     policy      world      a function of what all robots of a world know commands them
     decide      robot      controllers: from a path or a command to the thrusters' signals
     move        robot      the physics steps of the control period

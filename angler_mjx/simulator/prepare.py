@@ -51,6 +51,8 @@ PLANNING = 0x504C414E
 FAILING = 0x4641494C
 """As `PLANNING`, for what breaks down."""
 
+RADIO = 0x52414449
+"""As `PLANNING`, for the channel that a world's robots share."""
 TASK = 0x5441534B
 """As `PLANNING`, for the places of a task."""
 MARGIN_M = 0.3
@@ -251,10 +253,13 @@ def _one_world(
         cell_neighbours=cell_neighbours(environment.grid.occupied) if looked_up else None,
         sensing_key=jax.random.key_data(of_robot) if scenario.senses else None,
         policy_key=None if policy is None else jax.random.key_data(of_policy),
+        radio_key=None
+        if scenario.acoustics.model == "perfect"
+        else jax.random.key_data(jax.random.fold_in(key, RADIO)),
         factors=factors,
-        fails_at_s=breakdowns(scenario, key, variant.shape[0]),
         routes=_routes(policy, environment, control, task),
         task=task,
+        fails_at_s=breakdowns(scenario, key, variant.shape[0]),
     )
 
 

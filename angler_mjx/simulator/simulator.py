@@ -60,6 +60,9 @@ def default_tile(worlds: int) -> int:
     return min(worlds, DEFAULT_TILE.get(jax.default_backend(), DEFAULT_TILE["cpu"]))
 
 
+LEAST_POINTS = 2
+"""Of paths that nobody flies."""
+
 SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 """A segment has at most so many samples, or control steps where that is more. A call took an
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
@@ -134,8 +137,11 @@ class Simulator:
         )
         radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
         generate.check_fleet(resolve(scenario.world), radius)
-        self._spec_of_planner = None if paths else scenario.planner.chosen()
-        self.paths = paths or hosted.shape_of(self._spec_of_planner, scenario.planner.points)
+        # Where robots have one place after another to go to, nobody plans a way to one goal.
+        unplanned = paths is not None or self._spec.by_task
+        self._spec_of_planner = None if unplanned else scenario.planner.chosen()
+        points = LEAST_POINTS if self._spec.by_task else scenario.planner.points
+        self.paths = paths or hosted.shape_of(self._spec_of_planner, points)
         self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
         self._prepare_tile = preparer(
             scenario,
@@ -282,7 +288,7 @@ class Simulator:
 
     @property
     def planner(self) -> PlannerSpec | None:
-        """That plans; None where paths are given."""
+        """That plans; None where paths are given, or robots go from place to place."""
         return self._spec_of_planner
 
     @property

@@ -47,11 +47,26 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("variant", pa.int32(), "1", "number in variants.json, where vehicles are randomised"),
     ("current_factor", pa.float32(), "1", "the current's, drawn for the world; null where not"),
     ("sensor_noise_factor", pa.float32(), "1", "the robot's, drawn; null where not"),
+    ("jobs_done", pa.int32(), "1", "jobs of the task that the robot did; null without a task"),
+    (
+        "task_progress",
+        pa.float32(),
+        "1",
+        "share of the world's task that was done, of a survey that was seen; null without one",
+    ),
+    (
+        "task_completed_s",
+        pa.float32(),
+        "s",
+        "when the world's task was complete; null where it never was",
+    ),
+    ("packets_sent", pa.int32(), "1", "packets that the robot began; null without acoustics"),
+    ("packets_heard", pa.int32(), "1", "packets of others that it understood; null likewise"),
 )
 
-SINCE = (3, 4, 10)
-"""Columns at the end that older runs lack: before vehicles were randomised, before failed replans
-were told, and before there was a choice of planners."""
+SINCE = (5, 8, 9, 15)
+"""Columns at the end that older runs lack: before there were tasks and acoustics, before vehicles
+were randomised, before failed replans were told, and before there was a choice of planners."""
 
 MISSING = (
     "time_to_goal_s",
@@ -69,6 +84,11 @@ MISSING = (
     "variant",
     "current_factor",
     "sensor_noise_factor",
+    "jobs_done",
+    "task_progress",
+    "task_completed_s",
+    "packets_sent",
+    "packets_heard",
 )
 """Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
 

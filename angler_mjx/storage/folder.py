@@ -95,6 +95,7 @@ class Run:
                 robots=len(scenario.members()),
                 estimated=scenario.senses,
                 also=scenario.store.also,
+                tasked=scenario.task_spec() is not None,
             )
             inside = f"{layout.ENVIRONMENT}/"
             environments.check(

@@ -13,11 +13,12 @@ from angler_mjx.control.plans import points_m
 from angler_mjx.errors import RunError
 from angler_mjx.planning.online.policy import Memory
 from angler_mjx.planning.online.replanning import Plans
-from angler_mjx.sim.record import FIELDS, STATES, Field, Sample
+from angler_mjx.sim.record import FIELDS, STATES, TASK, Field, Sample
 from angler_mjx.sim.state import Factors, Outcome, Tally, World, WorldState
 from angler_mjx.simulator.hosted import PlanNotes
 from angler_mjx.storage.layout import END, plan_arrays
-from angler_mjx.storage.results import TileResult
+from angler_mjx.storage.results import TaskResult, TileResult
+from angler_mjx.tasks.spec import TaskState, TaskWorld
 from angler_mjx.world.environment import Environment
 
 type Arrays = dict[str, Callable[[slice], np.ndarray]]
@@ -43,6 +44,8 @@ class Constants:
     """By the names of their arrays; see `storage.layout`."""
     factors: Factors | None = None
     """None where none were drawn."""
+    task: TaskWorld | None = None
+    """None where each robot has a goal of its own."""
 
 
 @jax.tree_util.register_dataclass
@@ -75,6 +78,10 @@ class End:
     """What follows on the samples; None where nothing is recorded."""
     failed_replans: jax.Array | None = None
     """int32 [tile, r] until each robot's end; None where nothing was planned anew."""
+    task: TaskState | None = None
+    """None where each robot has a goal of its own."""
+    packets: jax.Array | None = None
+    """int32 [tile, r, 2] that each sent, and heard; None without acoustics."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +103,7 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
     """What to keep of worlds."""
     return Constants(
         valid=worlds.environment.valid,
+        task=worlds.task,
         redraws=worlds.environment.redraws,
         variant=worlds.variant,
         planned=worlds.planned,
@@ -129,7 +137,14 @@ def end(state: WorldState, *, recorded: bool) -> End:
         p=state.vehicles.p,
         last=last if recorded else None,
         failed_replans=_failed_replans(state),
+        task=state.task,
+        packets=_packets(state),
     )
+
+
+def _packets(state: WorldState) -> jax.Array | None:
+    radio = state.radio
+    return None if radio is None else jnp.stack([radio.air.sent, radio.caught], axis=-1)
 
 
 def _failed_replans(state: WorldState) -> jax.Array | None:
@@ -169,6 +184,17 @@ def require_valid(constants: Constants, first: int, kept: int) -> None:
             "its starts and goals; use fewer robots (fleet.count), a larger world.shape, a lower "
             "world.density or a smaller world.clearance_m"
         )
+    if constants.task is None:
+        return
+    fits = np.asarray(constants.task.fits)[:kept]
+    if not fits.all():
+        bad = first + int(np.flatnonzero(~fits)[0])
+        raise RunError(
+            f"world {bad} has no room for its task: robots reach too few of the cells that its "
+            "places are drawn in, or task.viewpoints are too few to see task.coverage of what is "
+            "to be surveyed; take fewer places or goods, more viewpoints, or a larger part of the "
+            "world"
+        )
 
 
 def tile_result(tile: FinishedTile) -> TileResult:
@@ -194,12 +220,54 @@ def tile_result(tile: FinishedTile) -> TileResult:
         plan_end_s=np.asarray(tile.constants.plan_end_s)[:kept],
         notes=None if tile.notes is None else tile.notes.rows(slice(kept)),
         redraws=np.asarray(tile.constants.redraws)[:kept],
+        task=_task_result(tile),
+        packets=None if tile.end.packets is None else np.asarray(tile.end.packets)[:kept],
         failed_replans=None
         if tile.end.failed_replans is None
         else np.asarray(tile.end.failed_replans)[:kept],
         current_factor=None if factors is None else np.asarray(factors.current)[:kept],
         sensor_noise_factor=None if factors is None else np.asarray(factors.sensor_noise)[:kept],
     )
+
+
+def task_sizes(task: TaskWorld | None) -> dict[str, int]:
+    """Sizes of the dimensions of a task by their names in `layout`, worlds leading or not."""
+    if task is None:
+        return {}
+    cells = () if task.survey is None else task.survey.cells.shape[-3:]
+    return {
+        "place": task.place_m.shape[-2],
+        "job": task.exists.shape[-1],
+        **dict(zip("xyz", cells, strict=False)),
+    }
+
+
+def _task_result(tile: FinishedTile) -> TaskResult | None:
+    world, state = tile.constants.task, tile.end.task
+    if world is None or state is None:
+        return None
+    return TaskResult(
+        jobs_done=np.asarray(state.did)[: tile.kept],
+        progress=np.asarray(state.progress)[: tile.kept],
+        completed_s=np.asarray(state.completed_s)[: tile.kept],
+    )
+
+
+def _task_arrays(tile: FinishedTile) -> Arrays:
+    """What a task was, and how far it was at the end."""
+    world, state = tile.constants.task, tile.end.task
+    if world is None or state is None:
+        return {}
+    made = {
+        "place_m": world.place_m,
+        "exists": np.asarray(world.exists).astype(np.uint8),
+        "by": np.asarray(state.by).astype(np.int16),
+        "done_at_s": state.done_at_s,
+    }
+    if world.survey is not None:
+        seen = np.asarray(state.seen) & np.asarray(world.survey.cells)
+        made["cells"] = np.asarray(world.survey.cells).astype(np.uint8) + seen
+    return {f"{TASK}/{name}": partial(_rows, values) for name, values in made.items()}
 
 
 def arrays(tile: FinishedTile, samples: int) -> Arrays:
@@ -220,7 +288,7 @@ def arrays(tile: FinishedTile, samples: int) -> Arrays:
             made[f"{END}/{field.about.array}"] = partial(_rows, field.of(tile.end.last))
     for name, values in (tile.constants.plan or {}).items():
         made[name] = partial(_rows, values)
-    return made
+    return made | _task_arrays(tile)
 
 
 def _joined(parts: list[np.ndarray], samples: int, worlds: slice) -> np.ndarray:

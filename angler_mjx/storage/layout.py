@@ -14,7 +14,7 @@ from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
 from angler_mjx.control.plans import Plan, course, of_robot, points_m
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES
+from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES, TASK
 
 END = "end"
 """Group of the one state of each world that comes after its last sample."""
@@ -39,6 +39,7 @@ class Kind:
 
 
 _JOINT = {"joint": len(VEHICLE_JOINTS)}
+_NO_TASK = dict.fromkeys(("place", "job", "x", "y", "z"), 0)
 _STEP = Kind(
     dims=(),
     unit="1",
@@ -71,6 +72,32 @@ MOTION = {
 }
 """Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
 
+OF_TASK = {
+    f"{TASK}/place_m": Kind(
+        dims=("place", "xyz"),
+        unit="m",
+        text="places of the task, world frame: where jobs begin, where goods go (deliver alone), "
+        "homes of the robots",
+    ),
+    f"{TASK}/exists": Kind(
+        dims=("job",), unit="1", text="1 for the jobs that this world has", dtype=np.uint8
+    ),
+    f"{TASK}/by": Kind(
+        dims=("job",),
+        unit="1",
+        text="robot that did each job, the last one where all had to; -1: not done",
+        dtype=np.int16,
+    ),
+    f"{TASK}/done_at_s": Kind(dims=("job",), unit="s", text="when; NaN: not done"),
+    f"{TASK}/cells": Kind(
+        dims=("x", "y", "z"),
+        unit="1",
+        text="of a survey, cells next to what is surveyed: 1 to be seen, 2 seen, 0 others",
+        dtype=np.uint8,
+    ),
+}
+"""Of worlds with a task: what it is, and what had been done at the end."""
+
 ARRAYS: dict[str, Kind] = {
     **{
         field.about.array: Kind(
@@ -93,6 +120,7 @@ ARRAYS: dict[str, Kind] = {
     },
     **_PLAN,
     **MOTION,
+    **OF_TASK,
 }
 """Arrays [world, ...] by their names in the group, in the order in which they are made."""
 
@@ -114,7 +142,7 @@ def names(
     """Arrays of a run; those in which nothing could lie are left out.
 
     Args:
-        sizes: of the dimensions that differ from run to run.
+        sizes: of the dimensions that differ from run to run; those of a task where there is one.
         estimated: whether any robot's controllers were told something other than the truth.
         jointed: whether the plans are trajectories of joints.
         also: what the run asked for beside what all have.
@@ -125,13 +153,14 @@ def names(
         if (estimated or not name.startswith(f"{ESTIMATE}/"))
         and (jointed or name not in MOTION)
         and (name not in ASKED or ASKED[name] in also)
+        and (sizes.get("job", 0) > 0 or not name.startswith(f"{TASK}/"))
         and 0 not in tail(kind, sizes)
     ]
 
 
 def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a kind of array after the worlds."""
-    return tuple({**SIZES, **_JOINT, **sizes}[dim] for dim in kind.dims)
+    return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
 
 
 def check(
@@ -142,6 +171,7 @@ def check(
     robots: int,
     estimated: bool,
     also: Sequence[str] = (),
+    tasked: bool = False,
 ) -> None:
     """Refuse trajectories that are not those of a run, before anything of them is read.
 
@@ -152,6 +182,7 @@ def check(
         robots: of its fleet.
         estimated: as in `names`.
         also: likewise.
+        tasked: whether there is a task.
 
     Raises:
         ConfigError: an array is missing, or has another shape or type.
@@ -163,6 +194,14 @@ def check(
     for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
         sizes[dim] = _size(nodes, name, -1, where)
     sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
+    if tasked:
+        sizes |= {
+            "place": _size(nodes, f"{TASK}/place_m", -2, where),
+            "job": _size(nodes, f"{TASK}/by", -1, where),
+        }
+        if f"{TASK}/cells" in nodes:
+            for axis, dim in enumerate("xyz"):
+                sizes[dim] = _size(nodes, f"{TASK}/cells", axis - 3, where)
     ended = any(name.startswith(f"{END}/") for name in nodes)
     jointed = not MOTION.keys().isdisjoint(nodes)
     for name in names(sizes, estimated=estimated, jointed=jointed, also=also):

@@ -63,11 +63,14 @@ class Shape:
     """How finely samples are stored."""
     also: tuple[str, ...] = ()
     """What the run asked for beside what all have."""
+    task: dict[str, int] = field(default_factory=dict)
+    """Of the dimensions of its task; empty where there is none."""
 
     @property
     def sizes(self) -> dict[str, int]:
         """By dimension, as `layout` names them."""
         return {
+            **self.task,
             "time": self.samples,
             "robot": self.robots,
             "thruster": self.thrusters,

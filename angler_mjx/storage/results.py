@@ -18,6 +18,18 @@ OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
 
 
 @dataclass(frozen=True, kw_only=True)
+class TaskResult:
+    """How far the tasks of a tile of worlds were at their ends, as host arrays."""
+
+    jobs_done: np.ndarray
+    """int [w, r] that each robot did."""
+    progress: np.ndarray
+    """[w] share that was done, of a survey share that was seen."""
+    completed_s: np.ndarray
+    """[w] NaN where a task was not completed."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class TileResult:
     """What a tile of worlds leaves behind, as host arrays; [w, r] worlds and robots lead."""
 
@@ -51,6 +63,10 @@ class TileResult:
     """[w]; None where none was drawn, as with the next."""
     sensor_noise_factor: np.ndarray | None = None
     """[w, r]."""
+    task: TaskResult | None = None
+    """None where each robot has a goal of its own."""
+    packets: np.ndarray | None = None
+    """int [w, r, 2] that each robot sent, and heard; None without acoustics."""
 
 
 def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed: int) -> pa.Table:
@@ -97,7 +113,12 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         "impact_speed_mps": _known(result.impact_speed_mps.reshape(-1)),
         "redraws": np.repeat(result.redraws, n_robot).astype(np.int32),
     }
-    more = {**_plan_columns(result, end, reached), **_factor_columns(result)}
+    more = {
+        **_plan_columns(result, end, reached),
+        **_factor_columns(result),
+        **_task_columns(result),
+        **_packet_columns(result),
+    }
     return pa.table({**columns, **more}, schema=EPISODE_SCHEMA)
 
 
@@ -139,6 +160,32 @@ def _factor_columns(result: TileResult) -> dict[str, Any]:
         "current_factor": _known(current.reshape(-1)),
         "sensor_noise_factor": _known(noise.reshape(-1)),
     }
+
+
+def _task_columns(result: TileResult) -> dict[str, Any]:
+    """How far the task was; [w * r] values each."""
+    robots, size, task = result.outcome.shape[1], result.outcome.size, result.task
+    if task is None:
+        nothing = pa.nulls(size, pa.float32())
+        return {
+            "jobs_done": pa.nulls(size, pa.int32()),
+            "task_progress": nothing,
+            "task_completed_s": nothing,
+        }
+    return {
+        "jobs_done": pa.array(task.jobs_done.reshape(-1), pa.int32()),
+        "task_progress": _known(np.repeat(task.progress, robots)),
+        "task_completed_s": _known(np.repeat(task.completed_s, robots)),
+    }
+
+
+def _packet_columns(result: TileResult) -> dict[str, Any]:
+    """What robots said and heard; [w * r] values each."""
+    names = ("packets_sent", "packets_heard")
+    if result.packets is None:
+        return {name: pa.nulls(result.outcome.size, pa.int32()) for name in names}
+    rows = result.packets.reshape(-1, len(names))
+    return {name: pa.array(rows[:, i], pa.int32()) for i, name in enumerate(names)}
 
 
 def _known(values: np.ndarray) -> pa.Array:
@@ -219,7 +266,8 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
 
     Returns:
         Keys ``robots``, ``outcomes``, ``planned_rate``, ``time_to_goal_s``, ``path_length_m``,
-        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``.
+        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``; of runs with a task also
+        ``task``.
     """
     world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
     first_rows = np.unique(world, return_index=True)[1]
@@ -249,6 +297,38 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
             "worlds": int((redraws[first_rows] > 0).sum()),
         },
         "by_vehicle": by_vehicle,
+        **_of_task(episodes.take(first_rows)),
+    }
+
+
+def _of_task(worlds: pa.Table) -> dict[str, Any]:
+    """Share of worlds whose task was completed, and how long that took; one row a world.
+
+    The interval of the mean time is Student's, of the worlds that completed theirs.
+    """
+    progress = worlds["task_progress"].to_numpy()
+    if not np.isfinite(progress).any():
+        return {}
+    taken = worlds["task_completed_s"].to_numpy()
+    done = np.isfinite(taken)
+    count, total = int(done.sum()), len(taken)
+    low, high = intervals.wilson(count, total)
+    mean = spread = None
+    if count:
+        mean = float(taken[done].mean())
+    if count > 1:
+        half = intervals.student(count - 1) * float(taken[done].std(ddof=1)) / count**0.5
+        spread = [mean - half, mean + half]
+    return {
+        "task": {
+            "completed": {"count": count, "rate": count / total, "low": low, "high": high},
+            "completed_s": {
+                "mean": mean,
+                "interval": spread,
+                **_quantiles(worlds["task_completed_s"]),
+            },
+            "progress": float(np.nanmean(progress)),
+        }
     }
 
 

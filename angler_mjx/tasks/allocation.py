@@ -84,11 +84,11 @@ def auction(view: View) -> jax.Array:
     """
     robots = jnp.arange(view.able.shape[0])
 
-    def going(state: tuple[jax.Array, ...]) -> jax.Array:
-        bids, first = state[0], state[1]
+    def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
+        bids, first = state
         return jnp.any(jnp.isfinite(bids)) & jnp.any((first < 0) & view.able)
 
-    def sell(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def sell(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         bids, first = state
         flat = jnp.argmin(bids)
         robot, job = flat // bids.shape[1], flat % bids.shape[1]
@@ -110,7 +110,7 @@ def sweep(view: View) -> jax.Array:
     Each robot does its part in order. Parts of robots that are lost are cut again among those that
     have nothing left to do.
     """
-    robots, jobs = view.reach_m.shape
+    robots = view.reach_m.shape[0]
     count = jnp.sum(view.exists, dtype=jnp.int32)
     part = part_of(view.rank, count, robots)
     mine = view.open & view.exists & (part == view.share[:, None])
@@ -134,7 +134,7 @@ def part_of(rank: jax.Array, count: jax.Array, parts: jax.Array | int) -> jax.Ar
 
 def _first(may: jax.Array, rank: jax.Array) -> jax.Array:
     """The first in order of what may be chosen, bool [..., M]; -1 where nothing may."""
-    least = jnp.argmin(jnp.where(may, rank, jnp.iinfo(jnp.int32).max), axis=-1)
+    least = jnp.argmin(jnp.where(may, rank, rank.shape[-1]), axis=-1)
     return jnp.where(jnp.any(may, axis=-1), least, -1).astype(jnp.int32)
 
 

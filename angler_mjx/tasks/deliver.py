@@ -37,7 +37,9 @@ def advance(
     lost = state.lost | dropped if spec.dropped == "lost" else state.lost
     # One takes it, though two that know little of each other may come for it.
     there = near[:, :jobs] & (state.target[:, None] == jnp.arange(jobs))
-    there &= (carrying < 0)[:, None] & ~(state.done | lost | jnp.any(holds & running[:, None], axis=0))
+    there &= (carrying < 0)[:, None] & ~(
+        state.done | lost | jnp.any(holds & running[:, None], axis=0)
+    )
     takes = there & (jnp.argmax(there, axis=0) == robots[:, None])
     carrying = jnp.where(jnp.any(takes, axis=1), jnp.argmax(takes, axis=1), carrying)
     return replace(state, carrying=carrying.astype(jnp.int32), lost=lost), brought

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.tasks import allocation, surface, travel
-from angler_mjx.tasks.spec import TaskSpec, TaskWorld
 from angler_mjx.tasks.sight import cell_of, centre_m
+from angler_mjx.tasks.spec import TaskSpec, TaskWorld
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 
@@ -80,18 +80,19 @@ def _places(
     Drawn ones are centres of different cells. A given one whose cell cannot be reached is moved to
     the centre of the nearest one that can.
     """
-    axes = [grid.origin_m[i] + (jnp.arange(n) + 0.5) * grid.cell_m for i, n in enumerate(reachable.shape)]
-    centre = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    may = reachable.reshape(-1)
+    shape = reachable.shape
+    cells = jnp.stack(jnp.meshgrid(*map(jnp.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    centre, may = centre_m(grid, cells), reachable.reshape(-1)
     if wanted.given_m:
         given = jnp.array(wanted.given_m, centre.dtype)
         at = cell_of(grid, given)
         free = reachable[at[:, 0], at[:, 1], at[:, 2]]
-        away = jax.vmap(lambda p: jnp.argmin(jnp.where(may, jnp.sum((centre - p) ** 2, -1), jnp.inf)))
-        return jnp.where(free[:, None], given, centre[away(given)]), jnp.any(may)
-    size = jnp.array(reachable.shape, centre.dtype) * grid.cell_m
-    share = (centre - grid.origin_m) / size
-    may &= jnp.all((share >= jnp.array(wanted.within[0])) & (share <= jnp.array(wanted.within[1])), axis=-1)
+        away = jnp.sum((given[:, None] - centre) ** 2, axis=-1)
+        nearest = jnp.argmin(jnp.where(may, away, jnp.inf), axis=1)
+        return jnp.where(free[:, None], given, centre[nearest]), jnp.any(may)
+    share = (cells + 0.5) / jnp.array(shape)
+    low, high = (jnp.array(corner) for corner in wanted.within)
+    may &= jnp.all((share >= low) & (share <= high), axis=-1)
     lot = jnp.where(may, jax.random.uniform(key, may.shape), -1.0)
     best, cell = jax.lax.top_k(lot, count)
     return centre[cell], jnp.all(best >= 0.0)

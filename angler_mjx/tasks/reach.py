@@ -32,7 +32,5 @@ def reachable_cells(environment: Environment, clearance_m: jax.Array) -> jax.Arr
         gap = jnp.minimum(gap, obstacle_gap(environment.obstacles, centre, only_static=True))
     # Cells are measured by their edge, which is a number of the world.
     radius = jnp.minimum(clearance_m / grid.cell_m, _WIDEST_CELLS)[None]
-    passable = passable_cells(
-        pack(~grid.occupied[..., None]), gap / grid.cell_m, 1.0, radius
-    )
+    passable = passable_cells(pack(~grid.occupied[..., None]), gap / grid.cell_m, 1.0, radius)
     return unpack(largest_cavern(passable, shape[2]), shape[2])[..., 0]

@@ -23,12 +23,14 @@ def footprint(half_angle_rad: float, range_m: float, cell_m: float) -> Footprint
     sideways = 1.0 if half_angle_rad >= math.pi / 2 else math.sin(half_angle_rad)
     upwards = max(0.0, -math.cos(half_angle_rad))
     # From anywhere in a cell to another's centre; half a cell is won at either end.
-    cells = [
-        math.floor(share * range_m / cell_m + 0.5) for share in (sideways, 1.0, upwards)
-    ]
+    cells = [math.floor(share * range_m / cell_m + 0.5) for share in (sideways, 1.0, upwards)]
     wide, down, up = cells
     return Footprint(
-        half_angle_rad=half_angle_rad, range_m=range_m, wide=wide, down=down, up=up if upwards else 0
+        half_angle_rad=half_angle_rad,
+        range_m=range_m,
+        wide=wide,
+        down=down,
+        up=up if upwards else 0,
     )
 
 

@@ -1,9 +1,9 @@
 """What a task consists of: its settings, what is drawn of it for a world, and what changes.
 
-A task is M jobs, each of which a robot does alone. Jobs are places to be visited (tour), points from
-which a part of a surface is seen (survey), or goods to be brought to other places (deliver). All
-places of a world stand in one list of P: where jobs begin [M], where goods go [M] (deliver alone),
-and the homes of the robots [R], which are their starts.
+A task is M jobs, each of which a robot does alone. Jobs are places to be visited (tour), points
+from which a part of a surface is seen (survey), or goods to be brought to other places (deliver).
+All places of a world stand in one list of P: where jobs begin [M], where goods go [M] (deliver
+alone), and the homes of the robots [R], which are their starts.
 """
 
 from dataclasses import dataclass
@@ -143,6 +143,8 @@ class TaskState:
     """[R, 3] in W: that place, or where it stays."""
     carrying: jax.Array
     """int32 [R] job whose goods it carries; -1 for none."""
+    did: jax.Array
+    """int32 [R] jobs that each robot did; where a tour is not shared, places that it visited."""
     finished: jax.Array
     """bool [R] whether nothing is left for it."""
     complete: jax.Array

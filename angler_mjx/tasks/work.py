@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from angler_kernels.quaternion import rotate
 from angler_mjx.tasks import allocation, bits, deliver, sight
 from angler_mjx.tasks.allocation import View
-from angler_mjx.tasks.spec import TaskSpec, TaskState, TaskWorld
+from angler_mjx.tasks.spec import SurveySpec, SurveyWorld, TaskSpec, TaskState, TaskWorld
 from angler_mjx.tasks.travel import Travel
 from angler_mjx.world.grid import Grid
 
@@ -36,6 +36,7 @@ class Scene:
     """What they have heard of each other; None: all know all."""
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Others:
     """What each robot knows of the others; the knowing one leads."""
@@ -44,6 +45,8 @@ class Others:
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
+    knows: jax.Array
+    """uint32 [R, R, W] what they last said they know to be over."""
 
 
 def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
@@ -58,6 +61,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
         target=jnp.full(robots, -1, jnp.int32),
         goal_m=start_m,
         carrying=jnp.full(robots, -1, jnp.int32),
+        did=jnp.zeros(robots, jnp.int32),
         finished=jnp.zeros(robots, bool),
         complete=jnp.zeros((), bool),
         completed_s=jnp.full((), jnp.nan, kind),
@@ -66,7 +70,9 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
     )
 
 
-def look(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, travel: Travel) -> TaskState:
+def look(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, travel: Travel
+) -> TaskState:
     """The state after a look.
 
     Args:
@@ -91,23 +97,25 @@ def _news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> 
 def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
     """What has become true since the last look."""
     near = _near(spec, scene.p, task.place_m) & scene.running[:, None]
+    by = near[:, : spec.jobs]
     if spec.kind == "deliver":
         state, by = deliver.advance(spec, state, scene.running, near)
-    elif spec.survey is not None:
-        state, by = _seen(spec, task, state, scene, near)
-    else:
-        by = near[:, : spec.jobs]
     if not spec.shared:
         return _visited(spec, task, state, scene, by)
+    seen, survey, world = state.seen, spec.survey, task.survey
+    if seen is not None and survey is not None and world is not None:
+        seen = _seen(survey, world, seen, scene)
+        state, by = replace(state, seen=seen), _over(spec, survey, task, world, seen, scene, by)
     new = jnp.any(by, axis=0) & task.exists & ~state.done
     who = jnp.argmax(by, axis=0).astype(jnp.int32)
     state = _with_done(state, new, who, scene.t)
+    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
+    state = replace(state, did=jnp.sum(mine, axis=1, dtype=jnp.int32))
     progress = jnp.sum(state.done) / jnp.maximum(jnp.sum(task.exists), 1)
     complete = jnp.all(state.done | ~task.exists)
-    if spec.survey is not None:
-        seen, count = jnp.sum(state.seen), jnp.maximum(task.survey.count, 1)
-        progress = seen / count
-        complete = seen >= jnp.ceil(spec.survey.coverage * count)
+    if seen is not None and survey is not None and world is not None:
+        count, total = jnp.sum(seen), jnp.maximum(world.count, 1)
+        progress, complete = count / total, count >= jnp.ceil(survey.coverage * total)
     return _with_progress(state, progress, complete, scene.t)
 
 
@@ -150,20 +158,14 @@ def _visited(
     everybody = jnp.all(visited, axis=0)
     new = everybody & ~state.done
     last = jnp.argmax(near & ~before, axis=0).astype(jnp.int32)
-    state = _with_done(replace(state, knows=bits.pack(visited)), new, last, scene.t)
+    count = jnp.sum(visited, axis=1, dtype=jnp.int32)
+    state = replace(state, knows=bits.pack(visited), did=count)
+    state = _with_done(state, new, last, scene.t)
     return _with_progress(state, jnp.mean(visited), jnp.all(everybody), scene.t)
 
 
-def _seen(
-    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, near: jax.Array
-) -> tuple[TaskState, jax.Array]:
-    """What robots see, and whose jobs that ends, bool [R, M].
-
-    A job ends when all its cells are seen, whoever saw them, or when a robot has looked from its
-    viewpoint: more cannot be seen from there. Cells that were seen in passing are the nearest
-    robot's.
-    """
-    survey, world = spec.survey, task.survey
+def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
+    """Cells that some robot has seen by now, bool [nx, ny, nz]."""
     down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
 
     def one(p: jax.Array, down: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -171,19 +173,35 @@ def _seen(
 
     cells, sees = jax.vmap(one)(scene.p, down)
     sees &= scene.running[:, None]
-    seen = state.seen.at[cells[..., 0], cells[..., 1], cells[..., 2]].max(sees)
+    return seen.at[cells[..., 0], cells[..., 1], cells[..., 2]].max(sees)
+
+
+def _over(
+    spec: TaskSpec,
+    survey: SurveySpec,
+    task: TaskWorld,
+    world: SurveyWorld,
+    seen: jax.Array,
+    scene: Scene,
+    near: jax.Array,
+) -> jax.Array:
+    """Whose jobs of a survey are over, bool [R, M].
+
+    A job is over when all its cells are seen, whoever saw them, or when a robot has looked from its
+    viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells that were seen in
+    passing are the nearest robot's.
+    """
     points = task.place_m[: spec.jobs]
 
-    def over(point: jax.Array, mine: jax.Array) -> jax.Array:
+    def whole(point: jax.Array, mine: jax.Array) -> jax.Array:
         cell = sight.cell_of(scene.grid, point)
         at, _ = sight.window(survey, seen.shape, world.ground, cell)
         return jnp.all(seen[at[:, 0], at[:, 1], at[:, 2]] | ~mine)
 
-    whole = jax.vmap(over)(points, world.of_job)
     apart = jnp.sum((scene.p[:, None] - points) ** 2, axis=-1)
     apart = jnp.where(scene.running[:, None], apart, jnp.inf)
     nearest = jnp.argmin(apart, axis=0) == jnp.arange(spec.robots)[:, None]
-    return replace(state, seen=seen), near[:, : spec.jobs] | (whole & nearest)
+    return near | (jax.vmap(whole)(points, world.of_job) & nearest)
 
 
 def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
@@ -201,15 +219,8 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)
-    return replace(state, knows=state.knows | known)
-
-
-def counted(spec: TaskSpec, state: TaskState) -> jax.Array:
-    """Jobs that each robot did, int32 [R]; where a tour is not shared, places that it visited."""
-    if not spec.shared:
-        return jnp.sum(bits.unpack(state.knows, spec.jobs), axis=1, dtype=jnp.int32)
-    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
-    return jnp.sum(mine, axis=1, dtype=jnp.int32)
+    heard = bits.together(scene.others.knows)
+    return replace(state, knows=state.knows | known | heard)
 
 
 def _sent(
@@ -258,7 +269,9 @@ def _jobs(
     jobs = jnp.arange(spec.jobs, dtype=jnp.int32)
     length = jnp.zeros(spec.jobs, scene.p.dtype)
     if spec.kind == "deliver":
-        length = jax.vmap(lambda j: travel.ways(task.place_m[j][None], spec.jobs + j[None])[0, 0])(jobs)
+        length = jax.vmap(lambda j: travel.ways(task.place_m[j][None], spec.jobs + j[None])[0, 0])(
+            jobs
+        )
 
     def between(job: jax.Array) -> jax.Array:
         end = task.place_m[job + (spec.jobs if spec.kind == "deliver" else 0)]
@@ -266,7 +279,9 @@ def _jobs(
 
     allocate = allocation.in_order if spec.ordered else allocation.by_name(spec.allocation)
 
-    def view(p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array) -> View:
+    def view(
+        p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array
+    ) -> View:
         return View(
             open=open_,
             able=able & active,

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from angler_mjx.acoustics.channel import Others
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
 
 NOBODY_M = -1e3
@@ -15,6 +16,19 @@ def flow(known: KnownCurrent | None, way_m: jax.Array, ahead_s: jax.Array) -> ja
         return jnp.zeros_like(way_m)
     found: jax.Array = jax.vmap(known.velocity)(way_m, ahead_s)
     return found
+
+
+def straight(others: Others, time_s: jax.Array, ahead_s: jax.Array, robot: jax.Array) -> jax.Array:
+    """Places [H, R, 3] of robots at times [H] from now, as far as one of them has heard.
+
+    Args:
+        others: what all have heard of each other.
+        time_s: [] now.
+        ahead_s: [H]
+        robot: int32 [] whose knowledge it is.
+    """
+    here, velocity = others.place_m(time_s)[robot], others.v_mps[robot]
+    return here + velocity * ahead_s[:, None, None]
 
 
 def obstacles(known: KnownObstacles | None, ahead_s: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,4 +1,7 @@
-"""A fleet flown by path integral control: each robot among what the others meant to do last."""
+"""A fleet flown by path integral control: each robot among what the others meant to do last.
+
+Where robots talk by acoustics, each is among what it has heard of them, going straight on.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -94,8 +97,16 @@ class Mppi(Policy):
         others = jax.vmap(lambda way: shifted(way, since, self.horizon_s - self.dt_s))(carry.way_m)
         ahead_s = self.dt_s * (jnp.arange(self.steps) + 1)
         place, reach = ahead.obstacles(known.obstacles, ahead_s)
-        centre = jnp.concatenate([jnp.swapaxes(others, 0, 1), jnp.swapaxes(place, 0, 1)], axis=1)
+        moving = jnp.swapaxes(place, 0, 1)
+        centre = jnp.concatenate([jnp.swapaxes(others, 0, 1), moving], axis=1)
         robots, radii = jnp.arange(known.goal_m.shape[0]), known.params.known.radius_m
+
+        def about(i: jax.Array) -> jax.Array:
+            """[H, n, 3] robots and obstacles, as far as robot i knows."""
+            if known.others is None:
+                return centre
+            heard = ahead.straight(known.others, known.time_s, ahead_s, i)
+            return jnp.concatenate([heard, moving], axis=1)
 
         def one(
             i: jax.Array, params: ControlParams, seen: fields.Field, knots: jax.Array
@@ -105,7 +116,7 @@ class Mppi(Policy):
             scene = Scene(
                 field=seen,
                 bodies=Bodies(
-                    centre_m=centre, reach_m=jnp.concatenate([of_robots, radius + reach])
+                    centre_m=about(i), reach_m=jnp.concatenate([of_robots, radius + reach])
                 ),
                 flow_mps=ahead.flow(known.current, others[i], ahead_s),
                 goal_m=known.goal_m[i],

@@ -83,12 +83,28 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
     )
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What each robot of a world takes the others for; [who, whom] leads."""
+
+    clock_s: jax.Array
+    """[R, R]"""
+    stands: jax.Array
+    """bool [R, R]"""
+    at_m: jax.Array
+    """[R, R, 3]"""
+    speed_mps: jax.Array
+    """[R, R]"""
+
+
 def limits(
     order: Order,
     clock_s: jax.Array,
     stands: jax.Array | None = None,
     at_m: jax.Array | None = None,
     speed_mps: jax.Array | None = None,
+    seen: Seen | None = None,
 ) -> tuple[jax.Array, jax.Array]:
     """How far the clock of each robot may go now.
 
@@ -98,6 +114,7 @@ def limits(
         stands: bool [R] whose clock nobody waits for: others only keep clear of where it is.
         at_m: [R, 3] where the robots are.
         speed_mps: [R] how fast they are.
+        seen: what each takes the others for, where that is not what they are.
 
     Returns:
         [R], inf where nothing is in its way; and bool [R] whose way is barred by one that stands.
@@ -105,12 +122,17 @@ def limits(
     entry = order.time_s - order.half_s
     # Who is there, or was, is not kept from it any more.
     comes = (entry >= clock_s[:, None] - _ROUNDING * order.half_s)[..., None]
-    waits = (clock_s < order.needs_s) & comes
+    theirs_s, others_m = clock_s, at_m
+    if seen is not None:
+        theirs_s, others_m = seen.clock_s[:, None], seen.at_m[:, None]
+        stands, speed_mps = seen.stands[:, None], seen.speed_mps[:, None]
+    waits = (theirs_s < order.needs_s) & comes
     bars = jnp.zeros_like(waits)
-    if stands is not None and at_m is not None and speed_mps is not None:
-        gap = _distance(order.place_m[:, :, None], at_m)
+    if stands is not None and at_m is not None and others_m is not None and speed_mps is not None:
+        gap = _distance(order.place_m[:, :, None], others_m)
         # Who is near already may go away.
-        nearer = gap < _distance(at_m[:, None], at_m)[:, None]
+        apart = _distance(at_m[:, None], at_m if seen is None else seen.at_m)
+        nearer = gap < apart[:, None]
         ahead = (order.time_s + order.half_s > clock_s[:, None])[..., None]
         bars = stands & (gap < order.reach_m + _SOON_S * speed_mps) & nearer & ahead
         waits &= ~stands

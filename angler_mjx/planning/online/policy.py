@@ -10,7 +10,7 @@ from angler_mjx.control.plans import Plan
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.online import guidance, order, replanning
-from angler_mjx.planning.online.guidance import Standing
+from angler_mjx.planning.online.guidance import Heard, Progress, Standing
 from angler_mjx.planning.online.order import Order
 from angler_mjx.planning.online.replanning import Plans, Replanning
 from angler_mjx.sim.knowledge import Knows
@@ -29,6 +29,8 @@ class Memory:
     """Who is waited for no longer, where order is kept."""
     plans: Plans | None
     """Where they are made anew; otherwise the world's own are flown."""
+    progress: Progress | None = None
+    """Of each, for others to hear, where order is kept by acoustics."""
 
 
 @jax.tree_util.register_dataclass
@@ -67,7 +69,24 @@ class Online(Policy):
             order=self._order(path, known),
             standing=guidance.moving(clocks.clock_s) if self.keeps_order else None,
             plans=plans,
+            progress=self._begun(known, clocks),
         )
+
+    def _begun(self, known: Known, clocks: FollowCarry) -> Progress | None:
+        if known.others is None:
+            return None
+        if self.replanning is not None:
+            raise ConfigError(
+                "planner.replan_hz: a team is planned for from where all robots are, and acoustics "
+                'do not tell that to anybody; leave it out, or take acoustics.model = "perfect"'
+            )
+        if not self.keeps_order:
+            return None
+        return guidance.progress(clocks.clock_s, None)
+
+    def says(self, carry: Memory) -> Progress | None:
+        """See `Policy.says`."""
+        return carry.progress
 
     def act(
         self, carry: Memory, known: Known, key: jax.Array, step: jax.Array
@@ -76,17 +95,26 @@ class Online(Policy):
         if self.replanning is not None:
             carry = self._anew(self.replanning, carry, known, key, step)
         path = known.path if carry.plans is None else carry.plans.now
+        estimate = Estimate(p=known.belief.p, q=known.belief.q, nu=known.belief.nu)
+        cruise, heard = known.params.cruise_speed_mps, None
+        if carry.progress is not None and known.others is not None:
+            heard = Heard(others=known.others, time_s=known.time_s)
         clocks, target, standing = guidance.step(
             self.gains,
             carry.clocks,
-            Estimate(p=known.belief.p, q=known.belief.q, nu=known.belief.nu),
+            estimate,
             path,
             carry.order,
-            known.params.cruise_speed_mps,
+            cruise,
             self.dt_s,
             carry.standing,
+            heard,
         )
-        return replace(carry, clocks=clocks, standing=standing), target
+        said = None
+        if heard is not None:
+            passed = guidance.passed_s(carry.clocks, estimate, path, cruise)
+            said = guidance.progress(passed, carry.standing)
+        return replace(carry, clocks=clocks, standing=standing, progress=said), target
 
     def _order(self, path: Plan, known: Known) -> Order | None:
         if not self.keeps_order:

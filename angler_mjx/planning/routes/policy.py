@@ -80,18 +80,25 @@ class AlongRoutes(Policy):
         told = _obstacles(known.obstacles)
         robots = jnp.arange(place.shape[0])
 
+        def robots_of(i: jax.Array) -> tuple[jax.Array, jax.Array]:
+            """Places and velocities [R, 3] of all robots, as far as robot i knows."""
+            if known.others is None:
+                return p, v
+            return known.others.place_m(known.time_s)[i], known.others.v_mps[i]
+
         def one(i: jax.Array) -> jax.Array:
+            there, goes = robots_of(i)
             reach = radius[i] + radius + self.margin_m
             bodies = Bodies(
-                p_m=jnp.concatenate([p, told.p_m]),
-                v_mps=jnp.concatenate([v, told.v_mps]),
+                p_m=jnp.concatenate([there, told.p_m]),
+                v_mps=jnp.concatenate([goes, told.v_mps]),
                 reach_m=jnp.concatenate(
                     [
                         jnp.where(robots == i, -1.0, reach),
                         jnp.where(told.reach_m > 0.0, radius[i] + self.margin_m + told.reach_m, -1),
                     ]
                 ),
-                yields=jnp.concatenate([jnp.sum(v**2, axis=-1) > STANDS_MPS**2, told.yields]),
+                yields=jnp.concatenate([jnp.sum(goes**2, axis=-1) > STANDS_MPS**2, told.yields]),
             )
             return choose(routes, bodies, p[i], v[i], wanted[i], cruise[i], self.horizon_s)
 

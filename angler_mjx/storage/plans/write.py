@@ -16,6 +16,7 @@ from angler_mjx.control.plans import Plan, points_m
 from angler_mjx.errors import ConfigError, RunError, shown
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.simulator.hosted import Drawn, PlanNotes, status_of
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage import claims
@@ -203,6 +204,7 @@ def make(
         ConfigError: as `begin`.
         RunError: the disk is full, or the planner cannot be made.
     """
+    refuse_task(scenario.task, "plans lead to one goal; leave it out to plan for this scenario")
     tile, total = simulator.tile, scenario.worlds
     writer = begin(path, scenario, simulator.paths, resume=resume, tile=tile)
     try:

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from angler_mjx.acoustics.config import refuse_acoustics
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.simulator.simulator import Simulator
 from angler_sitl.scene import judging, motion
@@ -85,6 +87,15 @@ class Scene:
         Raises:
             ConfigError: no whole number of steps makes a control period.
         """
+        refuse_task(
+            scenario.task,
+            "autopilots are told of no task; fly it with angler rollout, or take a scenario of "
+            'type = "goal"',
+        )
+        refuse_acoustics(
+            scenario.acoustics,
+            'autopilots hear nothing of each other; take "perfect", or fly it with angler rollout',
+        )
         # The closed form is MJX's, to rounding, for one rigid body.
         one = scenario.model_copy(update={"tile": 1, "engine": "fused", "kernels": "xla"})
         self.simulator, self.dt_s, self._index = Simulator(one), dt_s, world

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from angler_mjx.acoustics.channel import Others
 from angler_mjx.planning.mppi import ahead
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
 
@@ -61,3 +62,19 @@ def test_the_current_is_that_of_place_and_time_along_the_way():
     found = ahead.flow(Shear(), jnp.asarray(way), jnp.asarray(TIMES))
     expected = np.stack([0.1 * way[:, 1], 0.01 * TIMES, np.zeros(4)], axis=1)
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_robots_go_straight_on_from_where_they_were_heard_by_the_one_that_asks():
+    rng = np.random.default_rng(4)
+    p, v, at = rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 3, 3)), rng.uniform(size=(3, 3))
+    heard = Others(
+        p_m=jnp.asarray(p),
+        v_mps=jnp.asarray(v),
+        time_s=jnp.asarray(at),
+        known=jnp.ones((3, 3), bool),
+    )
+    place = ahead.straight(heard, jnp.array(5.0), jnp.asarray(TIMES), jnp.array(1))
+    for robot in range(3):
+        for row, later in enumerate(TIMES):
+            expected = p[1, robot] + v[1, robot] * (5.0 + later - at[1, robot])
+            np.testing.assert_allclose(place[row, robot], expected, rtol=1e-5, atol=1e-5)

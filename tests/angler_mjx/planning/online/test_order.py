@@ -120,3 +120,32 @@ def test_who_is_behind_all_others_is_never_held(table, bound):
     rows = np.arange(len(clocks))
     assert np.all(most[rows, first] > clocks[rows, first])
     assert np.mean(np.isfinite(most)) > 0.1
+
+
+def test_who_hears_late_waits_no_less(table):
+    """Clocks that were heard are behind the true ones: bounds by them are nowhere farther."""
+    found = table(RING, np.full((4, 4), REACH, np.float32))
+    rng, nobody = np.random.default_rng(2), np.zeros((4, 4), bool)
+    at_m, still = np.zeros((4, 4, 3), np.float32), np.zeros((4, 4), np.float32)
+    bound = quickly(
+        lambda clocks, heard: order.limits(
+            found,
+            clocks,
+            nobody[0],
+            at_m[0],
+            still[0],
+            order.Seen(clock_s=heard, stands=nobody, at_m=at_m, speed_mps=still),
+        )[0]
+    )
+    plain = quickly(lambda clocks: order.limits(found, clocks)[0])
+    held = 0
+    for _ in range(20):
+        clocks = rng.uniform(0.0, 12.0, 4).astype(np.float32)
+        true = np.broadcast_to(clocks, (4, 4)).copy()
+        np.testing.assert_array_equal(bound(clocks, true), plain(clocks))
+        late = np.maximum(true - rng.uniform(0.0, 4.0, (4, 4)).astype(np.float32), 0.0)
+        late[np.eye(4, dtype=bool)] = clocks
+        most = bound(clocks, late)
+        assert np.all(most <= plain(clocks))
+        held += np.sum(most < plain(clocks))
+    assert held > 0

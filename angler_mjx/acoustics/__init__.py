@@ -1,0 +1,1 @@
+"""Sound under water as a means of talking: water, noise, links, who may send, and who hears."""

@@ -1,0 +1,133 @@
+"""What robots tell each other by acoustics, and what comes of it for tasks and policies.
+
+A part of a control step, after the instruments: packets come in, and others begin. What a packet
+holds beside place and velocity is said by the task and the policy, and told to them again.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.acoustics import channel
+from angler_mjx.acoustics.channel import Channel, Now, Others, Radio, Said
+from angler_mjx.errors import ConfigError
+from angler_mjx.sim.policy import Policy, PolicyMemory
+from angler_mjx.sim.record import Talk
+from angler_mjx.sim.state import World
+from angler_mjx.tasks import work
+from angler_mjx.tasks.spec import TaskState
+
+
+def reset(
+    shared: Channel, start_m: jax.Array, policy: Policy | None, memory: Any, task: TaskState | None
+) -> Radio:
+    """The channel of a world before anything is said.
+
+    Args:
+        shared: channel.
+        start_m: [R, 3] where robots start, in W.
+        policy: that commands them, if one does.
+        memory: of the policy.
+        task: what is known of it, if there is one.
+    """
+    return channel.begin(shared, start_m, words(policy, memory, task, {"policy": None}))
+
+
+def step(
+    shared: Channel,
+    world: World,
+    memory: Radio,
+    number: jax.Array,
+    t: jax.Array,
+    p_m: jax.Array,
+    told: Any,
+    say: Callable[[], dict[str, Any]],
+) -> tuple[Radio, jax.Array]:
+    """One control step of one world.
+
+    Args:
+        shared: channel.
+        world: constants of the world.
+        memory: of the channel.
+        number: int32 [] control steps taken.
+        t: [] s.
+        p_m: [R, 3] where robots are, in W.
+        told: their motion as they are told it: a belief, or their true state.
+        say: what they put into a packet beside that, worked out where one begins.
+
+    Returns:
+        The memory, and who understood a packet of whom by now, bool [receiver, sender].
+
+    Raises:
+        ConfigError: the world has no key for its channel.
+    """
+    if world.radio_key is None:
+        raise ConfigError(
+            "acoustics: the worlds were drawn without keys for it; draw them by a scenario with "
+            "the same table"
+        )
+
+    def says() -> Said:
+        return Said(
+            p_m=told.p,
+            v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
+            time_s=jnp.full(p_m.shape[0], t),
+            words=say(),
+        )
+
+    key = jax.random.fold_in(jax.random.wrap_key_data(world.radio_key), number)
+    now = Now(
+        key=key,
+        number=number,
+        p_m=p_m,
+        grid=world.environment.grid,
+        says=says,
+        silent=None if world.fails_at_s is None else t >= world.fails_at_s,
+    )
+    return channel.step(shared, memory, now)
+
+
+def words(
+    policy: Policy | None,
+    memory: PolicyMemory | None,
+    task: TaskState | None,
+    before: dict[str, Any],
+) -> dict[str, Any]:
+    """What robots say in a packet beside where they are, [R] leading, by who says it.
+
+    Args:
+        policy: that commands them, if one does.
+        memory: of the policy.
+        task: what they know of it, if there is one.
+        before: what they said last; the policy's again where a command stands in for it.
+    """
+    own = before["policy"]
+    if policy is not None and memory is not None:
+        own = policy.says(memory.carry)
+    return {"policy": own, "task": None if task is None else task.knows}
+
+
+def for_policy(radio: Radio | None) -> Others | None:
+    """What a policy is told of what was heard: no words but its own."""
+    return None if radio is None else replace(radio.heard, words=radio.heard.words["policy"])
+
+
+def at_work(shared: Channel | None, radio: Radio | None, t: jax.Array) -> work.Others | None:
+    """Where each robot takes the others to be at t [] s, and who of them still is at work."""
+    if shared is None or radio is None:
+        return None
+    heard = radio.heard
+    recent = t - heard.time_s < shared.lost_after_s
+    return work.Others(p=heard.place_m(t), active=recent, knows=heard.words["task"])
+
+
+def record(radio: Radio, t: jax.Array) -> Talk:
+    """What is recorded of `hear` at t [] s."""
+    robots = radio.caught.shape[0]
+    sent = jnp.sum(radio.air.sent) - radio.air.sent
+    age = jnp.where(jnp.eye(robots, dtype=bool), 0.0, t - radio.heard.time_s)
+    return Talk(share=radio.caught / sent, age_s=jnp.sum(age, axis=1) / (robots - 1))

@@ -1,0 +1,1 @@
+"""What talking by sound costs: how far packets get, and how old what is known becomes."""

@@ -1,0 +1,229 @@
+"""Tasks flown by points that go straight to where they are sent: who does what, and the end."""
+
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.tasks import bits, drawing, sight, work
+from angler_mjx.tasks.drawing import Places
+from angler_mjx.tasks.spec import SurveySpec, TaskSpec, TaskState, TaskWorld
+from angler_mjx.tasks.travel import Travel
+from angler_mjx.tasks.work import Others, Scene
+from angler_mjx.world.grid import Grid
+
+ROBOTS, SHAPE, CELL = 3, (8, 8, 6), 1.5
+STEP_M, LOOKS = 0.4, 900
+LEVEL = jnp.tile(jnp.array([1.0, 0.0, 0.0, 0.0]), (ROBOTS, 1))
+
+
+class Water:
+    """As much of an environment as a task is drawn in."""
+
+    def __init__(self) -> None:
+        origin = jnp.array([-6.0, -6.0, -10.0])
+        free = jnp.zeros(SHAPE, bool)
+        self.grid = Grid(occupied=free, origin_m=origin, cell_m=jnp.array(CELL))
+        self.floor_z_m = jnp.array(-10.0)
+        self.start_m = jnp.array([[-5.0, -5.0, -3.0], [-5.0, 0.0, -3.0], [-5.0, 5.0, -3.0]])
+
+
+def task_of(spec: TaskSpec) -> TaskWorld:
+    places = (Places(within=((0.3, 0.0, 0.0), (1.0, 1.0, 1.0))), Places())
+    environment: Any = Water()
+    return drawing.draw(spec, *places, jax.random.key(4), environment, jnp.ones(SHAPE, bool))
+
+
+@partial(jax.jit, static_argnums=0)
+def looked(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, p: Any, running: Any, t: Any, others: Any
+) -> TaskState:
+    grid = Water().grid
+    scene = Scene(t=t, p=p, q=LEVEL, running=running, believed_m=p, grid=grid, others=others)
+    return work.look(spec, task, state, scene, Travel(place_m=task.place_m))
+
+
+def flown(
+    spec: TaskSpec, ends: dict[int, int] | None = None
+) -> tuple[TaskWorld, list[Any], list[Any]]:
+    """States of all looks, and who was under way; robot r ends at look ``ends[r]``."""
+    task = task_of(spec)
+    p, running = np.asarray(Water().start_m), np.ones(spec.robots, bool)
+    state, states, under_way = work.begin(spec, task, jnp.asarray(p)), [], []
+    for look in range(LOOKS):
+        for robot, at in (ends or {}).items():
+            running[robot] &= look < at
+        state = looked(spec, task, state, p, running.copy(), 0.5 * look, None)
+        states.append(jax.tree.map(np.asarray, state))
+        under_way.append(running.copy())
+        running &= ~states[-1].finished
+        way = states[-1].goal_m - p
+        far = np.linalg.norm(way, axis=1, keepdims=True)
+        p = p + np.where(running[:, None], way * np.minimum(1.0, STEP_M / np.maximum(far, 1e-9)), 0)
+        if not running.any():
+            break
+    return task, states, under_way
+
+
+def spec_of(kind: str, jobs: int, **more: Any) -> TaskSpec:
+    return TaskSpec(
+        kind=kind,
+        jobs=jobs,
+        robots=ROBOTS,
+        tolerance_m=0.5,
+        period=1,
+        **more,  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize("allocation", ["nearest", "auction", "sweep"])
+def test_every_place_of_a_shared_tour_is_done_once(allocation: str) -> None:
+    _, states, _ = flown(spec_of("tour", 9, allocation=allocation))
+    done = np.array([state.done for state in states])
+    assert (np.diff(done.astype(int), axis=0) >= 0).all()
+    last = states[-1]
+    assert last.done.all()
+    assert last.finished.all()
+    assert last.did.sum() == 9
+    assert (last.did > 0).all()
+    assert last.complete
+    assert last.completed_s == np.max(last.done_at_s)
+    targets = np.array([state.target for state in states])
+    for row in targets:
+        chosen = row[row >= 0].tolist()
+        assert len(set(chosen)) == len(chosen)
+
+
+def test_a_lost_robots_share_is_taken_over_and_nobody_finishes_before() -> None:
+    for allocation in ("nearest", "sweep"):
+        spec = spec_of("tour", 9, allocation=allocation)
+        _, states, _ = flown(spec, ends={1: 8})
+        assert states[-1].done.all()
+        for state in states[:-1]:
+            assert not state.finished.any() or state.done.all()
+        assert (states[-1].target[1] == -1).all()
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+def test_every_robot_visits_all_places_of_a_tour_that_is_not_shared(ordered: bool) -> None:
+    _, states, _ = flown(spec_of("tour", 5, shared=False, ordered=ordered))
+    last = states[-1]
+    assert last.did.tolist() == [5, 5, 5]
+    assert last.progress == 1.0
+    visits = np.array([bits.unpack(jnp.asarray(state.knows), 5) for state in states])
+    if ordered:  # whoever has been at a place has been at all before it
+        assert (visits[..., :-1] | ~visits[..., 1:]).all()
+    assert visits[-1].all()
+
+
+def test_robots_that_return_are_finished_at_home() -> None:
+    task, states, _ = flown(spec_of("tour", 4, after="return"))
+    last = states[-1]
+    assert last.finished.all()
+    homes = np.asarray(task.place_m)[4:]
+    assert (np.linalg.norm(last.goal_m - homes, axis=1) <= 0.5).all()
+    finished = np.array([state.finished for state in states]).any(axis=1)
+    assert np.argmax(finished) > np.argmax([state.complete for state in states])
+
+
+def test_goods_are_conserved_and_each_is_brought_once() -> None:
+    task, states, _ = flown(spec_of("deliver", 5, allocation="auction"))
+    before = np.zeros(5, int)
+    for state in states:
+        carried = np.bincount(state.carrying[state.carrying >= 0], minlength=5)
+        assert (carried + state.done <= 1).all()  # by one robot, and not once brought
+        left_again = (before == 1) & (carried == 0) & ~state.done
+        assert not left_again.any()
+        assert np.array_equal(
+            state.target[state.carrying >= 0], 5 + state.carrying[state.carrying >= 0]
+        )
+        before = carried
+    assert states[-1].done.all()
+    assert states[-1].complete
+    assert task.place_m.shape == (13, 3)
+
+
+@pytest.mark.parametrize("dropped", ["lost", "back"])
+def test_goods_of_a_robot_that_ended_are_lost_or_back_where_they_lay(dropped: str) -> None:
+    spec = spec_of("deliver", 4, dropped=dropped)
+    _, whole, _ = flown(spec)
+    first = next(i for i, state in enumerate(whole) if state.carrying[0] >= 0)
+    goods = whole[first].carrying[0]
+    _, states, _ = flown(spec, ends={0: first + 2})
+    last = states[-1]
+    assert last.finished[1:].all()
+    assert (last.carrying == -1).all()
+    if dropped == "lost":
+        assert last.lost.sum() == 1
+        assert last.lost[goods]
+        assert not last.done[goods]
+        assert not last.complete
+    else:
+        assert last.done.all()
+        assert last.by[goods] != 0
+
+
+def test_a_survey_ends_when_enough_was_seen() -> None:
+    seen = sight.footprint(math.radians(45.0), 5.0, CELL)
+    survey = SurveySpec(of="floor", footprint=seen, altitude_cells=2, coverage=0.9)
+    task, states, _ = flown(spec_of("survey", 20, survey=survey))
+    last = states[-1]
+    share = (last.seen & np.asarray(task.survey.cells)).sum() / int(task.survey.count)
+    assert share == pytest.approx(float(last.progress))
+    assert share >= 0.9
+    assert last.finished.all()
+    before = [state.progress for state in states if not state.complete]
+    assert max(before) < 0.9
+    assert (np.diff([state.progress for state in states]) >= 0).all()
+
+
+def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again() -> None:
+    spec = spec_of("tour", 4)
+    task, state = task_of(spec), None
+    p = np.asarray(Water().start_m)
+    state = work.begin(spec, task, jnp.asarray(p))
+    running = np.ones(ROBOTS, bool)
+    silence = Others(
+        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m,
+        active=jnp.zeros((ROBOTS, ROBOTS), bool),
+        knows=jnp.zeros((ROBOTS, ROBOTS, 1), jnp.uint32),
+    )
+    visits: list[set[int]] = [set() for _ in range(ROBOTS)]
+    for look in range(LOOKS):
+        state = looked(spec, task, state, p, running, 0.5 * look, silence)
+        goal, places = np.asarray(state.goal_m), np.asarray(task.place_m)[:4]
+        for robot in range(ROBOTS):
+            near = np.linalg.norm(places - p[robot], axis=1) <= 0.5
+            visits[robot] |= set(np.flatnonzero(near).tolist())
+        if np.asarray(state.finished).all():
+            break
+        way = goal - p
+        far = np.linalg.norm(way, axis=1, keepdims=True)
+        p = p + way * np.minimum(1.0, STEP_M / np.maximum(far, 1e-9))
+    assert all(seen == {0, 1, 2, 3} for seen in visits)
+    assert np.asarray(state.done).all()
+    known = bits.unpack(state.knows, 4)
+    assert known.all()
+
+
+def test_what_is_heard_spares_the_way() -> None:
+    spec = spec_of("tour", 4)
+    task = task_of(spec)
+    state = work.begin(spec, task, Water().start_m)
+    said = bits.pack(jnp.ones((ROBOTS, ROBOTS, 4), bool).at[:, :, 2].set(False))
+    from_one = jnp.zeros_like(said).at[0, 1].set(said[0, 1])  # robot 0 has heard robot 1 alone
+    alone = Others(
+        p=jnp.zeros((ROBOTS, ROBOTS, 3)),
+        active=jnp.zeros((ROBOTS, ROBOTS), bool),
+        knows=from_one,
+    )
+    after = looked(spec, task, state, Water().start_m, np.ones(ROBOTS, bool), 0.0, alone)
+    known = np.asarray(bits.unpack(after.knows, 4))
+    assert known[0].tolist() == [True, True, False, True]
+    assert not known[1:].any()
+    assert after.target[0] == 2
+    assert not after.finished.any()
