@@ -12,19 +12,24 @@ from angler_mjx.engines.base import by_name
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim import aboard, fleet
 from angler_mjx.sim.phase import Done, Phase
+from angler_mjx.sim.record import Progress
 from angler_mjx.sim.state import Outcome
+from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles.load import Load
 
 from ..compiling import quickly
 
-STEPS, EVERY = 8, 2
-"""Control steps of 0.05 s, and from one sample to the next."""
+STEPS, EVERY = 6, 2
+"""Control steps of 0.05 s of a segment, and from one sample to the next; two segments are flown."""
+PERIOD = 4
+"""Control steps from one look at the task to the next; the second segment begins between two."""
 FINISHED_FROM = np.array([1000, 4, 1000, 4])
 """Number of the control step from which on each robot's part is done."""
 FAILS_AT_S = np.array([[np.inf, np.inf, 0.12, 0.12], [0.2, 0.11, 0.0, np.inf]])
 """When each robot of the two worlds breaks down."""
-LOADED = np.array([(2, 5), (3, 8), (0, 2), (9, 9)])
+LOADED = np.array([(4, 8), (8, 1000), (0, 4), (9, 9)])
 """Control steps from and to which each robot carries a load."""
+TASK = TaskSpec(kind="tour", jobs=1, robots=4, tolerance_m=0.5, period=PERIOD)
 LOAD = Load(
     mass_kg=4.0,
     volume_m3=0.001,
@@ -40,12 +45,15 @@ ENGINES = {
 
 
 def work(here, now):
-    """A task that is done at a given time."""
+    """A task that is done at a given time, and records when it was looked at."""
+    number = here.number // PERIOD * PERIOD
     slots = {
-        "finished": here.number >= FINISHED_FROM,
-        "loaded": (here.number >= LOADED[:, 0]) & (here.number < LOADED[:, 1]),
+        "finished": number >= FINISHED_FROM,
+        "loaded": (number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
     }
-    return Done(slots=lambda: slots)
+    none = jnp.zeros(len(LOADED), jnp.int32)
+    progress = Progress(share=number * 1.0, target=none, carrying=none, done=none + number)
+    return Done(slots=lambda: slots, record=lambda: {"task": progress})
 
 
 WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
@@ -70,7 +78,7 @@ def scene(scenes):
         environment=replace(environment, goal_m=environment.start_m),
         fails_at_s=jnp.asarray(FAILS_AT_S, environment.start_m.dtype),
     )
-    spec = replace(built.spec, task="by the clock")
+    spec = replace(built.spec, task=TASK)
     return replace(built, spec=spec, fleet=kinds, worlds=worlds)
 
 
@@ -80,14 +88,17 @@ def fly(scene):
 
     @cache
     def with_engine(name):
-        engine = ENGINES[name]
-        run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
+        engine, samples = ENGINES[name], []
+        start = quickly(partial(engine.reset, replace(scene.spec, task=None)))
+        part = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
+        state, run = start(scene.fleet, scene.worlds), quickly(part)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
-            start = quickly(partial(engine.reset, replace(scene.spec, task=None)))(
-                scene.fleet, scene.worlds
-            )
-            return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
+            for _ in range(2):
+                state, seen = run(scene.fleet, scene.worlds, state)
+                samples.append(seen)
+        both = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *samples)
+        return jax.device_get(state), both
 
     return with_engine
 
@@ -100,12 +111,19 @@ def flown(request, fly):
 
 @pytest.mark.parametrize("name", ["mjx", "kernels"])
 def test_engines_agree(name, fly, deviation):
-    """Eight steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
+    """Twelve steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
     (state, samples), (others, theirs) = fly(name), fly("lanes")
     for ours, other in ((state.vehicles, others.vehicles), (samples, theirs)):
         deviation.close(f"in_flight.{name}", ours.p, other.p, rtol=4e-6, atol=4e-6)
         deviation.close(f"in_flight.{name}", ours.nu, other.nu, rtol=4e-6, atol=4e-6)
     np.testing.assert_array_equal(state.tally.outcome, others.tally.outcome)
+
+
+def test_what_a_task_records_holds_between_two_looks(flown):
+    _, samples = flown
+    looked = [0, 0, 4, 4, 8, 8]  # of steps 0, 2 ... 10
+    np.testing.assert_array_equal(samples.task.share, [looked, looked])
+    np.testing.assert_array_equal(samples.task.done[0, :, 3], looked)
 
 
 def test_robots_end_when_they_have_finished_or_break_down(flown):
@@ -117,14 +135,14 @@ def test_robots_end_when_they_have_finished_or_break_down(flown):
         [[running, reached, failed, failed], [failed, failed, failed, reached]],
     )
     np.testing.assert_allclose(
-        state.tally.end_time_s, [[0.4, 0.25, 0.15, 0.15], [0.2, 0.15, 0.05, 0.25]], rtol=1e-6
+        state.tally.end_time_s, [[0.6, 0.25, 0.15, 0.15], [0.2, 0.15, 0.05, 0.25]], rtol=1e-6
     )
 
 
 def test_who_broke_down_stays_where_it_was(flown):
     """World 0: robots 2 and 3 ended in the third step, so the samples from the fourth on agree."""
     state, samples = flown
-    np.testing.assert_array_equal(samples.outcome[0, :, 2], [0, 0, Outcome.FAILED, Outcome.FAILED])
+    np.testing.assert_array_equal(samples.outcome[0, :, 2], [0, 0] + 4 * [Outcome.FAILED])
     np.testing.assert_array_equal(samples.p[0, 3, 2:], samples.p[0, 2, 2:])
     np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 2, 2:])
     assert (state.vehicles.p[0, :2] != samples.p[0, 3, :2]).any(-1).all()
