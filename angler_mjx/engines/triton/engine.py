@@ -150,8 +150,9 @@ class TritonEngine:
             ended = state.tally.outcome if spec.by_task else None
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
-        period = aboard.period(spec, policy) if rows is None else 1
-        ahead = 1 if watched else min(_together(period), n_sample * steps_per_sample)
+        steps = n_sample * steps_per_sample
+        period = aboard.period(spec, policy) if rows is None and steps > 1 else 1
+        ahead = 1 if watched else min(_together(period), steps)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
         )
