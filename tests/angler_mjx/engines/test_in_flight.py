@@ -174,3 +174,13 @@ def test_kernels_do_the_same_in_one_step(scene, fly, deviation):
     deviation.close("in_flight.step", after.vehicles.p, samples.p[:, 1], rtol=4e-6, atol=4e-6)
     deviation.close("in_flight.step", after.vehicles.nu, samples.nu[:, 1], rtol=4e-6, atol=4e-6)
     np.testing.assert_array_equal(sample.task.share, [4.0, 4.0])
+
+
+@pytest.mark.usefixtures("as_if_on_an_h200", "fly")
+def test_kernels_lower_for_cuda(scene):
+    """The segment that is told once a period, and in every step where it begins between two."""
+    run = partial(TritonEngine().segment, scene.spec, n_sample=3, steps_per_sample=2)
+    traced = jax.jit(run).trace(scene.fleet, scene.worlds, begin(scene))
+    text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    # Control, motion and judgement, for all launches; there are no obstacles.
+    assert text.count("__gpu$xla.gpu.triton") == 3
