@@ -75,7 +75,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and spec.instrumented:
+        if steps > 1 and aboard.tells(spec, aboard.asked(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
