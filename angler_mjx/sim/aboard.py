@@ -329,6 +329,7 @@ def period(spec: SimSpec, policy: Policy | None) -> int:
     """
     every = {
         SENSE.name: 1 if spec.instrumented else 0,
+        HEAR.name: 0 if spec.acoustics is None else 1,
         WORK.name: 0 if spec.task is None else spec.task.period,
         POLICY.name: 0 if policy is None else policy.period,
     }

@@ -75,7 +75,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and spec.instrumented:
+        if steps > 1 and aboard.tells(spec, aboard.asked(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
@@ -150,19 +150,20 @@ class TritonEngine:
             ended = state.tally.outcome if spec.by_task else None
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
-        period = aboard.period(spec, policy) if rows is None else 1
-        ahead = 1 if watched else min(_together(period), n_sample * steps_per_sample)
+        steps = n_sample * steps_per_sample
+        period = aboard.period(spec, policy) if rows is None and steps > 1 else 1
+        ahead = 1 if watched else min(_together(period), steps)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
         )
-        kernels = Kernels(self._program, spec, part)
+        launches = Kernels(self._program, spec, part).launches()
         if told is not None:
             asks = (watched, spec.by_task)
-            end = _fly_told(kernels, part, partial(_tell, tell, part, *asks), period)
+            end = _fly_told(launches, part, partial(_tell, tell, part, *asks), period)
         elif self._program.interpret:
-            end = _fly_looped(kernels, part, None)
+            end = _fly_looped(launches, part, None)
         else:
-            end = _fly(kernels, part)
+            end = _fly(launches, part)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
         return after, nearness.all_completed(spec, here, samples)
 
@@ -215,9 +216,9 @@ def _tell(
     )
 
 
-def _fly(kernels: Kernels, part: Segment) -> Arrays:
+def _fly(launches: tuple[Launch, Launch], part: Segment) -> Arrays:
     """The arrays after all steps of a segment."""
-    obstacles, robots = kernels.launches()
+    obstacles, robots = launches
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
         for k in range(count):
@@ -230,12 +231,14 @@ def _fly(kernels: Kernels, part: Segment) -> Arrays:
     return _chunks(steps, UNROLLED, part.steps, jnp.zeros(1, jnp.int32), part.start)
 
 
-def _fly_told(kernels: Kernels, part: Segment, tell: Callable[..., Arrays], period: int) -> Arrays:
+def _fly_told(
+    launches: tuple[Launch, Launch], part: Segment, tell: Callable[..., Arrays], period: int
+) -> Arrays:
     """As `_fly`, with ``tell`` before the robots act, once a period where the segment begins so."""
     begin = jnp.zeros(1, jnp.int32)
     if period == 1:
-        return _fly_looped(kernels, part, tell)
-    obstacles, robots = kernels.launches()
+        return _fly_looped(launches, part, tell)
+    obstacles, robots = launches
 
     def some(base: jax.Array, count: int, x: Arrays) -> Arrays:
         def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
@@ -251,15 +254,15 @@ def _fly_told(kernels: Kernels, part: Segment, tell: Callable[..., Arrays], peri
         return _chunks(steps, period, part.steps, begin, part.start)
 
     def in_every_step() -> Arrays:
-        return _fly_looped(kernels, part, tell)
+        return _fly_looped(launches, part, tell)
 
     after: Arrays = jax.lax.cond(part.first[0] % period == 0, at_its_times, in_every_step)
     return after
 
 
-def _fly_looped(kernels: Kernels, part: Segment, tell: Launch | None) -> Arrays:
+def _fly_looped(launches: tuple[Launch, Launch], part: Segment, tell: Launch | None) -> Arrays:
     """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
-    obstacles, robots = kernels.launches()
+    obstacles, robots = launches
     now = jnp.zeros(1, jnp.int32)
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.engines.base import by_name
+from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim import aboard, fleet
 from angler_mjx.sim.phase import Done, Phase
@@ -19,8 +20,8 @@ from angler_mjx.vehicles.load import Load
 
 from ..compiling import quickly
 
-STEPS, EVERY = 6, 2
-"""Control steps of 0.05 s of a segment, and from one sample to the next; two segments are flown."""
+STEPS = 6
+"""Control steps of 0.05 s of a segment, all with a sample; two segments are flown."""
 PERIOD = 4
 """Control steps from one look at the task to the next; the second segment begins between two."""
 FINISHED_FROM = np.array([1000, 4, 1000, 4])
@@ -42,6 +43,8 @@ ENGINES = {
     "lanes": by_name("fused", "xla"),
     "kernels": TritonEngine(lanes=2, interpret=True),
 }
+BY = "lanes, and a control step of the kernels in test_kernels_do_the_same_in_one_step"
+SLOW = [pytest.param(name, marks=pytest.mark.nightly(by=BY)) for name in ("mjx", "kernels")]
 
 
 def work(here, now):
@@ -88,28 +91,33 @@ def fly(scene):
 
     @cache
     def with_engine(name):
-        engine, samples = ENGINES[name], []
-        start = quickly(partial(engine.reset, replace(scene.spec, task=None)))
-        part = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
-        state, run = start(scene.fleet, scene.worlds), quickly(part)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
-            for _ in range(2):
-                state, seen = run(scene.fleet, scene.worlds, state)
-                samples.append(seen)
+        state, samples = begin(scene), []
+        part = partial(ENGINES[name].segment, scene.spec, n_sample=STEPS, steps_per_sample=1)
+        run = quickly(part)
+        for _ in range(2):
+            state, seen = run(scene.fleet, scene.worlds, state)
+            samples.append(seen)
         both = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *samples)
         return jax.device_get(state), both
 
-    return with_engine
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+        yield with_engine
 
 
-@pytest.fixture(params=ENGINES)
+def begin(scene):
+    """At rest; the same program for all engines."""
+    start = partial(FusedEngine().reset, replace(scene.spec, task=None))
+    return quickly(start)(scene.fleet, scene.worlds)
+
+
+@pytest.fixture(params=["lanes", *SLOW])
 def flown(request, fly):
     """Of each engine."""
     return fly(request.param)
 
 
-@pytest.mark.parametrize("name", ["mjx", "kernels"])
+@pytest.mark.parametrize("name", SLOW)
 def test_engines_agree(name, fly, deviation):
     """Twelve steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
     (state, samples), (others, theirs) = fly(name), fly("lanes")
@@ -121,7 +129,7 @@ def test_engines_agree(name, fly, deviation):
 
 def test_what_a_task_records_holds_between_two_looks(flown):
     _, samples = flown
-    looked = [0, 0, 4, 4, 8, 8]  # of steps 0, 2 ... 10
+    looked = np.repeat([0, 4, 8], PERIOD)
     np.testing.assert_array_equal(samples.task.share, [looked, looked])
     np.testing.assert_array_equal(samples.task.done[0, :, 3], looked)
 
@@ -140,10 +148,39 @@ def test_robots_end_when_they_have_finished_or_break_down(flown):
 
 
 def test_who_broke_down_stays_where_it_was(flown):
-    """World 0: robots 2 and 3 ended in the third step, so the samples from the fourth on agree."""
+    """World 0: robots 2 and 3 ended with the third step, so all samples after it agree."""
     state, samples = flown
-    np.testing.assert_array_equal(samples.outcome[0, :, 2], [0, 0] + 4 * [Outcome.FAILED])
-    np.testing.assert_array_equal(samples.p[0, 3, 2:], samples.p[0, 2, 2:])
-    np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 2, 2:])
+    np.testing.assert_array_equal(samples.outcome[0, :, 2], 3 * [0] + 9 * [Outcome.FAILED])
+    np.testing.assert_array_equal(samples.p[0, 4:, 2:], np.repeat(samples.p[0, 3:4, 2:], 8, axis=0))
+    np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 3, 2:])
     assert (state.vehicles.p[0, :2] != samples.p[0, 3, :2]).any(-1).all()
     np.testing.assert_array_equal(state.vehicles.nu[0, 2:], 0.0)
+
+
+def test_kernels_do_the_same_in_one_step(scene, fly, deviation):
+    """In the sixth step, from rest: robot 0 is loaded, 1 and 3 have finished, others break down."""
+    fly("lanes")
+    state = begin(scene)
+    state = replace(state, step=jnp.full_like(state.step, 5))
+    run = partial(ENGINES["lanes"].segment, scene.spec, n_sample=STEPS, steps_per_sample=1)
+    _, samples = quickly(run)(scene.fleet, scene.worlds, state)
+    one = quickly(partial(ENGINES["kernels"].control_step, scene.spec))
+    after, sample = jax.device_get(one(scene.fleet, scene.worlds, state, None))
+    running, reached, failed = Outcome.RUNNING, Outcome.REACHED, Outcome.FAILED
+    np.testing.assert_array_equal(
+        after.tally.outcome,
+        [[running, reached, failed, failed], [failed, failed, failed, reached]],
+    )
+    deviation.close("in_flight.step", after.vehicles.p, samples.p[:, 1], rtol=4e-6, atol=4e-6)
+    deviation.close("in_flight.step", after.vehicles.nu, samples.nu[:, 1], rtol=4e-6, atol=4e-6)
+    np.testing.assert_array_equal(sample.task.share, [4.0, 4.0])
+
+
+@pytest.mark.usefixtures("as_if_on_an_h200", "fly")
+def test_kernels_lower_for_cuda(scene):
+    """The segment that is told once a period, and in every step where it begins between two."""
+    run = partial(TritonEngine().segment, scene.spec, n_sample=3, steps_per_sample=2)
+    traced = jax.jit(run).trace(scene.fleet, scene.worlds, begin(scene))
+    text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    # Control, motion and judgement, for all launches; there are no obstacles.
+    assert text.count("__gpu$xla.gpu.triton") == 3
