@@ -81,9 +81,9 @@ def _places(axes: Axes, places: np.ndarray, by: np.ndarray, marker: str) -> None
     axes.scatter(
         places[:, 0],
         places[:, 1],
-        34,
-        colors,
-        marker,
+        s=34,
+        c=colors,
+        marker=marker,
         edgecolors=style.INK,
         linewidths=0.6,
         zorder=7,
