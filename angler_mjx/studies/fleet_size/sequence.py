@@ -202,7 +202,8 @@ def _choose(
         stop: position that is decided already; nothing is gained from there on.
     """
     for at in near:
-        if _worlds(counts, at) and _worlds(counts, at) * PATIENCE < rule.most_worlds:
+        few = 0 < _worlds(counts, at) * PATIENCE < rule.most_worlds
+        if few and _open(rule, counts, at):
             return at
     away = 0
     while (target + step * away - stop) * step < 0 and 0 <= target + step * away < len(rule.sizes):
