@@ -63,7 +63,7 @@ class Simulators:
         self._held: OrderedDict[str, Future[Simulator]] = OrderedDict()
         self._drawing: dict[tuple[str, int], Any] = {}
         self.compiled = 0
-        """How many were compiled."""
+        """How many were compiled, or begun with."""
 
     def begin(self, cells: Iterable[tuple[Condition, int]]) -> None:
         """Begin to compile what the next cells need, a few programs ahead."""
@@ -133,6 +133,7 @@ class Simulators:
             key = self._keys[condition.name, size] = _key(scenario)
         if key not in self._held:
             self._held[key] = self._threads.submit(self._make, scenario)
+            self.compiled += 1
         self._held.move_to_end(key)
         return self._held[key]
 
@@ -147,7 +148,6 @@ class Simulators:
     def _make(self, scenario: Scenario) -> Simulator:
         made = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
         made.compile()
-        self.compiled += 1
         return made
 
 
