@@ -190,7 +190,8 @@ def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[R
     robots = now.p_m.shape[0]
     last = _Columns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
     turn = _Columns(first=now.number // access.slot % robots, count=1)
-    memory, came = _delivered(channel, memory, now, last)
+    # By the next slot all have it, however times are rounded.
+    memory, came = _delivered(channel, memory, now, last, now.number % access.slot == 0)
     one = jnp.ones(1, bool)
 
     def send(air: Air) -> Air:
@@ -268,12 +269,20 @@ class _Columns:
 
 
 def _delivered(
-    channel: Channel, memory: Radio, now: Now, senders: _Columns
+    channel: Channel, memory: Radio, now: Now, senders: _Columns, over: jax.Array | bool = False
 ) -> tuple[Radio, jax.Array]:
-    """Packets whose last bit has come in by now are understood, bool [receiver, count]."""
+    """Packets whose last bit has come in by now are understood, bool [receiver, count].
+
+    Args:
+        channel: that is shared.
+        memory: before.
+        now: the step.
+        senders: whose packets may be on their way.
+        over: bool [] whether their time is over, so that all are in.
+    """
     air, robots = memory.air, memory.caught.shape[0]
     arrive, passes = senders.of((air.arrive_s, air.passes), 1)
-    came = passes & (arrive + channel.packet_s <= now.time_s(channel))
+    came = passes & ((arrive + channel.packet_s <= now.time_s(channel)) | over)
     said: Said = senders.of(air.said, 0)
     old = senders.of(memory.heard, 1)
     new = Others(p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words)

@@ -23,17 +23,7 @@ def unpack(words: jax.Array, jobs: int) -> jax.Array:
     return flags.reshape(*words.shape[:-1], -1)[..., :jobs]
 
 
-def merged(knows: jax.Array, delivered: jax.Array, said: jax.Array) -> jax.Array:
-    """What robots know after they have heard others.
-
-    Args:
-        knows: uint32 [R, W] before.
-        delivered: bool [R, R] whose packet arrived, receiver first.
-        said: uint32 [R, W] what each sender knew when it sent.
-
-    Returns:
-        uint32 [R, W].
-    """
-    heard = jnp.where(delivered[:, :, None], said[None], jnp.uint32(0))
-    told: jax.Array = jax.lax.reduce(heard, jnp.uint32(0), jax.lax.bitwise_or, (1,))
-    return knows | told
+def together(words: jax.Array) -> jax.Array:
+    """Bits uint32 [R, W] that any of several has set, of words [R, n, W]."""
+    found: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    return found

@@ -219,7 +219,7 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)
-    heard = jax.lax.reduce(scene.others.knows, jnp.uint32(0), jax.lax.bitwise_or, (1,))
+    heard = bits.together(scene.others.knows)
     return replace(state, knows=state.knows | known | heard)
 
 

@@ -116,7 +116,8 @@ def _settled(way: jax.Array, moves: jax.Array) -> jax.Array:
         )(way)
 
     def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return least_of_batch(state[1]) < 0
+        slowest: jax.Array = least_of_batch(state[1])
+        return slowest < 0
 
     def go_on(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         after = jax.lax.fori_loop(0, _ROUNDS, once, state[0])

@@ -49,7 +49,7 @@ def aim(routes: Routes, place: jax.Array, p: jax.Array) -> Aim:
     here = reading.cell_of(routes, p)
 
     def walk(cell: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        after, _ = reading.step_on(routes, place, cell)
+        after = reading.step_on(routes, place, cell)[0]
         ends = jnp.all(after == last)
         return after, (jnp.where(ends, target, reading.centre_m(routes, after)), ends)
 

@@ -93,5 +93,5 @@ def test_a_scenario_names_the_table():
 def test_who_hears_nothing_refuses_the_table():
     refuse_acoustics(AcousticsConfig(), "nobody listens")
     talks = AcousticsConfig(model="range", range_m=10.0)
-    with pytest.raises(ConfigError, match="acoustics.model = 'range': nobody listens"):
+    with pytest.raises(ConfigError, match=r"acoustics\.model = 'range': nobody listens"):
         refuse_acoustics(talks, "nobody listens")

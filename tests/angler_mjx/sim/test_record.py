@@ -18,9 +18,9 @@ def test_every_field_of_a_sample_is_declared():
 
 def test_phases_are_in_order_and_read_what_was_given_before():
     names = [phase.name for phase in step.PHASES]
-    assert names == ["sense", "work", "policy", "decide", "move", "obstacles", "judge"]
+    assert names == ["sense", "hear", "work", "policy", "decide", "move", "obstacles", "judge"]
     assert {one.about.phase for one in record.FIELDS} <= {*names, "sample"}
-    there = {"senses", "task", "policy", "obstacles", "known", *step.KEPT}
+    there = {"senses", "radio", "task", "policy", "obstacles", "known", *step.KEPT}
     for phase in step.PHASES:
         assert set(phase.reads) <= there, phase.name
         there |= set(phase.gives)

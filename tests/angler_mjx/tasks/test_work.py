@@ -1,7 +1,6 @@
 """Tasks flown by points that go straight to where they are sent: who does what, and the end."""
 
 import math
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -189,7 +188,9 @@ def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again(
     state = work.begin(spec, task, jnp.asarray(p))
     running = np.ones(ROBOTS, bool)
     silence = Others(
-        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m, active=jnp.zeros((ROBOTS, ROBOTS), bool)
+        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m,
+        active=jnp.zeros((ROBOTS, ROBOTS), bool),
+        knows=jnp.zeros((ROBOTS, ROBOTS, 1), jnp.uint32),
     )
     visits: list[set[int]] = [set() for _ in range(ROBOTS)]
     for look in range(LOOKS):
@@ -213,9 +214,16 @@ def test_what_is_heard_spares_the_way() -> None:
     spec = spec_of("tour", 4)
     task = task_of(spec)
     state = work.begin(spec, task, Water().start_m)
-    told = bits.pack(jnp.ones((ROBOTS, 4), bool).at[:, 2].set(False))
-    state = replace(state, knows=told)
-    alone = Others(p=jnp.zeros((ROBOTS, ROBOTS, 3)), active=jnp.zeros((ROBOTS, ROBOTS), bool))
+    said = bits.pack(jnp.ones((ROBOTS, ROBOTS, 4), bool).at[:, :, 2].set(False))
+    from_one = jnp.zeros_like(said).at[0, 1].set(said[0, 1])  # robot 0 has heard robot 1 alone
+    alone = Others(
+        p=jnp.zeros((ROBOTS, ROBOTS, 3)),
+        active=jnp.zeros((ROBOTS, ROBOTS), bool),
+        knows=from_one,
+    )
     after = looked(spec, task, state, Water().start_m, np.ones(ROBOTS, bool), 0.0, alone)
-    assert after.target.tolist() == [2, 2, 2]  # each of them thinks that it is alone
+    known = np.asarray(bits.unpack(after.knows, 4))
+    assert known[0].tolist() == [True, True, False, True]
+    assert not known[1:].any()
+    assert after.target[0] == 2
     assert not after.finished.any()

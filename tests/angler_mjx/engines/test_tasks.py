@@ -1,0 +1,84 @@
+"""A task of the worlds, in all engines: the same looks, records and ends."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.engines.base import by_name
+from angler_mjx.engines.triton.engine import TritonEngine
+from angler_mjx.sim.state import Outcome
+from angler_mjx.tasks.spec import TaskSpec, TaskWorld
+
+from ..compiling import quickly
+
+STEPS, EVERY, PERIOD = 8, 2, 3
+"""Control steps, from one sample to the next, and from one look to the next."""
+ENGINES = {
+    "mjx": by_name("mjx", "xla"),
+    "lanes": by_name("fused", "xla"),
+    "kernels": TritonEngine(lanes=2, interpret=True),
+}
+
+
+@pytest.fixture(scope="module")
+def flown(scenes):
+    """States at the end and samples, by the engines' names.
+
+    Two worlds of two robots that hold their starts. In the first the places are the starts; in the
+    second one of them is far from everybody.
+    """
+    build, members, obstacles = scenes
+    two = members("bluerov2") * 2
+    built = build(2, members=two, config=obstacles["none"])
+    start = built.worlds.environment.start_m
+    places = start.at[1, 1].add(4.0)
+    task = TaskWorld(
+        place_m=jnp.concatenate([places, start], axis=1),
+        exists=jnp.ones((2, 2), bool),
+        rank=jnp.tile(jnp.arange(2, dtype=jnp.int32), (2, 1)),
+        share=jnp.tile(jnp.arange(2, dtype=jnp.int32), (2, 1)),
+        fits=jnp.ones(2, bool),
+    )
+    spec = TaskSpec(kind="tour", jobs=2, robots=2, tolerance_m=0.2, period=PERIOD)
+    worlds, spec = replace(built.worlds, task=task), replace(built.spec, task=spec)
+    found = {}
+    for name, engine in ENGINES.items():
+        state = quickly(lambda w, e=engine: e.reset(spec, built.fleet, w))(worlds)
+        fly = quickly(
+            lambda w, s, e=engine: e.segment(
+                spec, built.fleet, w, s, n_sample=STEPS // EVERY, steps_per_sample=EVERY
+            )
+        )
+        found[name] = jax.tree.map(np.asarray, fly(worlds, state))
+    return found
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, name):
+    state, samples = flown[name]
+    assert state.task.done.tolist() == [[True, True], [True, False]]
+    assert state.task.complete.tolist() == [True, False]
+    assert state.task.completed_s[0] == 0.0
+    assert np.isnan(state.task.completed_s[1])
+    assert (state.tally.outcome[0] == Outcome.REACHED).all()
+    assert (state.tally.outcome[1] == Outcome.RUNNING).all()
+    assert np.allclose(state.tally.end_time_s[0], 0.05)
+    # The nearest robot is sent to what is left; the other stays.
+    assert sorted(state.task.target[1].tolist()) == [-1, 1]
+    assert samples.task.share.shape == (2, STEPS // EVERY)
+    assert np.allclose(samples.task.share[:, 0], [1.0, 0.5])
+    assert samples.task.done[0, -1].tolist() == [1, 1]
+
+
+def test_engines_agree_on_the_task(flown):
+    ours, seen = flown["lanes"]
+    for name in ("mjx", "kernels"):
+        state, samples = flown[name]
+        for field in ("done", "by", "knows", "target", "finished", "did"):
+            assert np.array_equal(getattr(state.task, field), getattr(ours.task, field)), field
+        assert np.allclose(state.task.goal_m, ours.task.goal_m)
+        for field in ("share", "target", "carrying", "done"):
+            assert np.array_equal(getattr(samples.task, field), getattr(seen.task, field)), field
