@@ -33,7 +33,7 @@ from angler_mjx.cli.planners import benchmark, plan
 from angler_mjx.cli.sitl import commands as sitl
 from angler_mjx.cli.sitl import run as sitl_run
 from angler_mjx.cli.sitl import spotcheck
-from angler_mjx.cli.studies import fleet_size, sweep
+from angler_mjx.cli.studies import compare, fleet_size, sweep
 from angler_mjx.errors import AnglerError
 
 EXIT_FAULT, EXIT_INTERRUPTED, EXIT_UNREAD = 2, 130, 141
@@ -101,6 +101,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "figures": rollout.figures,
     "replay": rollout.replay,
     "sweep": sweep.sweep,
+    "compare": compare.compare,
     "study": _study,
     "verify": verify.verify,
     "export": export.export,

@@ -27,7 +27,8 @@ def with_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     Args:
         table: of a scenario.
         key: dotted, such as ``time.horizon_s``; entries of lists by their index from 0, as in
-            ``fleet.0.count``. Settings of a planner stand in ``planner.NAME``, as in a file.
+            ``fleet.0.count``, or all of them, as in ``fleet.*.estimate``. Settings of a planner
+            stand in ``planner.NAME``, as in a file.
         value: plain. A table takes the place of a whole table.
 
     Raises:
@@ -37,23 +38,28 @@ def with_value(table: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     if parts[0] == "planner" and len(parts) > 2 and parts[1] not in PlannerConfig.model_fields:
         parts.insert(1, "settings")
     made = copy.deepcopy(table)
-    at: Any = made
-    for i, part in enumerate(parts):
-        here = ".".join(parts[:i])
-        last = i == len(parts) - 1
-        if isinstance(at, list):
-            if not part.isdecimal() or int(part) >= len(at):
-                held = f"entries 0 to {len(at) - 1}" if at else "no entries"
-                raise ConfigError(f"{key}: {here} is a list with {held}; there is no {part}")
-            step: Any = int(part)
-        elif isinstance(at, dict):
-            step = part
-            if not last:
-                at.setdefault(part, {})
-        else:
-            raise ConfigError(f"{key}: {here} = {shown(at)} is no table; no key can stand in it")
-        if last:
-            at[step] = value
-        else:
-            at = at[step]
+    _put(made, parts, 0, value)
     return made
+
+
+def _put(at: Any, parts: list[str], i: int, value: Any) -> None:
+    """Put a value into a table or list, where the parts from i on lead to."""
+    part, last = parts[i], i == len(parts) - 1
+    key, here = ".".join(parts), ".".join(parts[:i])
+    if isinstance(at, list):
+        held = range(len(at))
+        steps: list[Any] = [n for n in held if part in ("*", str(n))]
+        if not steps:
+            entries = f"entries 0 to {len(at) - 1}" if at else "no entries"
+            raise ConfigError(f"{key}: {here} is a list with {entries}; there is no {part}")
+    elif isinstance(at, dict):
+        steps = [part]
+        if not last:
+            at.setdefault(part, {})
+    else:
+        raise ConfigError(f"{key}: {here} = {shown(at)} is no table; no key can stand in it")
+    for step in steps:
+        if last:
+            at[step] = copy.deepcopy(value)
+        else:
+            _put(at[step], parts, i + 1, value)

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.storage.folder import Run
-from angler_mjx.storage.intervals import Mean, clustered_mean, wilson
+from angler_mjx.storage.intervals import Mean, clustered, clustered_mean, wilson
 from angler_mjx.storage.results import rates
 
 COSTS = {
@@ -24,9 +24,9 @@ def of_run(run: Run) -> dict[str, Any]:
     """Measures of a run.
 
     Returns:
-        ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``outcomes``
-        (`storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
-        interval; by cost its mean; and what it took.
+        ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
+        that have a path, ``outcomes`` (`storage.results.rates`), ``team``: worlds in which all
+        robots arrived, with Wilson's interval; by cost its mean; and what it took.
     """
     episodes = run.episodes
     world, arrived = worlds_of(episodes), arrived_of(episodes)
@@ -38,6 +38,7 @@ def of_run(run: Run) -> dict[str, Any]:
         "worlds": len(each),
         "robots": len(run.scenario.members()),
         "problems": run.scenario.digest(),
+        "planned": _share(np.asarray(episodes["planned"].to_numpy(zero_copy_only=False)), world),
         "outcomes": rates(episodes),
         "team": {"count": whole, "rate": whole / len(each), "low": low, "high": high},
         **{name: plain(cost(episodes, name)) for name in COSTS},
@@ -45,6 +46,11 @@ def of_run(run: Run) -> dict[str, Any]:
         "simulate_s": timing["simulate_s"],
         "compile_s": timing["compile_s"],
     }
+
+
+def _share(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:
+    """Share of robots, with its interval by world."""
+    return asdict(clustered({"yes": hit, "no": ~hit}, world)["yes"])
 
 
 def cost(episodes: pa.Table, name: str) -> Mean:

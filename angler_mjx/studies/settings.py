@@ -1,8 +1,9 @@
 """What a sweep varies: keys of a scenario and their values, as a command line gives them.
 
-``KEY=VALUE,VALUE,...``. A key is dotted, with entries of lists by their index from 0. A value is
-written as in a scenario file (TOML): numbers, true, false, "text", [lists], {tables}; text without
-blanks, brackets or quotes needs no quotes. Commas within brackets or quotes belong to the value.
+``KEY=VALUE,VALUE,...``. A key is dotted, with entries of lists by their index from 0, or * for all
+of them. A value is written as in a scenario file (TOML): numbers, true, false, "text", [lists],
+{tables}; text without blanks, brackets or quotes needs no quotes. Commas within brackets or quotes
+belong to the value.
 """
 
 import re
@@ -22,7 +23,7 @@ OURS = {
 }
 """Keys that no sweep varies, and what to do instead."""
 
-_KEY = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
+_KEY = re.compile(r"[A-Za-z0-9_-]+(\.([A-Za-z0-9_-]+|\*))*")
 _WORD = re.compile(r"[^\s\"'\[\]{}=,]+")
 _CLOSED_BY = {"[": "]", "{": "}"}
 

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 from angler_mjx.storage import atomic
 from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.studies.measures import COSTS
+from angler_mjx.viewing import tables as markdown
 
 type Table = tuple[list[str], list[list[str]]]
 """Head and rows."""
@@ -56,8 +57,9 @@ def table(found: Mapping[str, Any]) -> pa.Table:
     for outcome in OUTCOMES:
         for part in ("rate", "low", "high"):
             columns[f"{outcome}_{part}"] = [row["outcomes"][outcome][part] for row in cells]
-    for part in ("rate", "low", "high"):
-        columns[f"team_{part}"] = [row["team"][part] for row in cells]
+    for name in ("planned", "team"):
+        for part in ("rate", "low", "high"):
+            columns[f"{name}_{part}"] = [row[name][part] for row in cells]
     for name in COSTS:
         for part in ("mean", "low", "high", "count"):
             columns[f"{name}_{part}"] = [row[name][part] for row in cells]
@@ -99,11 +101,20 @@ def page(found: Mapping[str, Any]) -> str:
 def cells_table(found: Mapping[str, Any]) -> Table:
     """A row for each cell."""
     keys = [axis["key"] for axis in found["axes"]]
-    head = [*keys, "robots", "arrived, %", "whole teams, %", "time to goal, s", "energy, kJ"]
+    head = [
+        *keys,
+        "robots",
+        "planned, %",
+        "arrived, %",
+        "whole teams, %",
+        "time to goal, s",
+        "energy, kJ",
+    ]
     rows = [
         [
             *(row["set"][key] for key in keys),
             str(row["robots"]),
+            percent(row["planned"]),
             percent(row["outcomes"]["reached"]),
             percent(row["team"]),
             span(row["time_to_goal_s"], 1.0),
@@ -143,8 +154,9 @@ def pairs_table(found: Mapping[str, Any]) -> Table:
 def grid(table: Table) -> list[str]:
     """Lines of a table in Markdown."""
     head, rows = table
-    shown = [[text.replace("|", "&#124;").replace("*", "\\*") for text in row] for row in rows]
-    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *shown)]
+    return markdown.table(
+        head, [[x.replace("|", "&#124;").replace("*", "\\*") for x in row] for row in rows]
+    ).splitlines()
 
 
 def percent(rate: Mapping[str, float]) -> str:

@@ -118,14 +118,14 @@ FORMATS = (".png", ".pdf", ".svg", ".jpg")
 """Ends of the names of figures that can be written."""
 
 
-def require_format(path: Path) -> None:
+def require_format(path: Path, flag: str = "--out") -> None:
     """Refuse a name that says no format of figures, before anything is drawn.
 
     Raises:
         ConfigError: naming those that there are.
     """
     if path.suffix.lower() not in FORMATS:
-        raise ConfigError(f"--out {named(path)}: give a name that ends in {', '.join(FORMATS)}")
+        raise ConfigError(f"{flag} {named(path)}: give a name that ends in {', '.join(FORMATS)}")
 
 
 def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:

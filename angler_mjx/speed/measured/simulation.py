@@ -63,6 +63,7 @@ def measure(
     repeats: int,
     devices: int = 1,
     prepared: int | None = None,
+    counted: bool = True,
 ) -> Row:
     """Time the simulation of a scenario, one tile on each device.
 
@@ -74,6 +75,7 @@ def measure(
         devices: number of them.
         prepared: different worlds to draw, of which the first are taken; as many as are needed
             if left out, ``worlds_once.DIFFERENT`` at most in both cases.
+        counted: whether the operations of a step are counted, which traces the program once more.
 
     Returns:
         Rates in vehicle-steps/s: physics steps of all robots on their way.
@@ -83,7 +85,7 @@ def measure(
         RunError: a result is not finite, robots stand still, or memory does not suffice.
     """
     sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
-    return time_it(scenario, label=label, **sized, prepared=prepared).row
+    return time_it(scenario, label=label, **sized, prepared=prepared, counted=counted).row
 
 
 def time_it(
@@ -94,6 +96,7 @@ def time_it(
     repeats: int,
     devices: int = 1,
     prepared: int | None = None,
+    counted: bool = True,
 ) -> Timed:
     """As `measure`, with what was compiled for it."""
     check_repeats(repeats)
@@ -114,7 +117,7 @@ def time_it(
         engine=scenario.engine,
         kernels=simulator.kernels,
         controller=scenario.controller.title,
-        **_needs(simulator, program),
+        **(_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
         **account(program),
         device_peak_bytes=peak_device_bytes(),
         active_share=active,

@@ -1,0 +1,34 @@
+"""`angler compare`: two runs of the same worlds, paired."""
+
+import json as text
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+def compare(
+    first: Annotated[Path, tyro.conf.Positional],
+    second: Annotated[Path, tyro.conf.Positional],
+    figure: Path | None = None,
+    json: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> None:
+    """Say what differs between two runs of the same worlds, and what that changed, world by world.
+
+    Args:
+        first: Run folder, called A.
+        second: Run folder of the same seed, worlds and robots, called B. Changes are B minus A.
+        figure: File to draw the changes into, such as compare.png.
+        json: Print one JSON object, with all worlds that changed, instead of the text.
+    """
+    from angler_mjx.storage.folder import Run
+    from angler_mjx.studies import compare as comparing
+    from angler_mjx.studies import told
+    from angler_mjx.viewing import style
+
+    if figure is not None:
+        style.require_format(figure, flag="--figure")
+    found = comparing.compare(Run(first), Run(second))
+    print(text.dumps(found) if json else told.text(found))
+    if figure is not None:
+        style.save(told.draw(found), figure)

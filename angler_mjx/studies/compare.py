@@ -1,0 +1,144 @@
+"""Two runs against each other: what of their scenarios differs, and what that changed, by world."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.storage.folder import Run
+from angler_mjx.studies import paired
+from angler_mjx.studies.measures import arrived_of, numbers, plain, worlds_of
+from angler_mjx.vehicles import library
+
+
+def compare(first: Run, second: Run) -> dict[str, Any]:
+    """What the second of two runs changed.
+
+    Returns:
+        ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
+        ``same_problems``, what `paired.pair` found, ``outcomes``: robots by outcome in the first
+        and in the second, and ``changed``: worlds in which any robot ended otherwise or at another
+        time, those that changed most first.
+
+    Raises:
+        ConfigError: the runs are not of the same seed, worlds and robots; the key is named.
+    """
+    _require_pairs(first, second)
+    differ = {
+        key: values
+        for key, values in differences(_table(first), _table(second)).items()
+        if key != "description"
+    }
+    one, other = first.episodes, second.episodes
+    common = np.intersect1d(worlds_of(one), worlds_of(other))
+    one, other = (rows.filter(np.isin(worlds_of(rows), common)) for rows in (one, other))
+    return {
+        "first": str(first.path),
+        "second": str(second.path),
+        "config": [{"key": key, "first": a, "second": b} for key, (a, b) in sorted(differ.items())],
+        "same_problems": first.scenario.digest() == second.scenario.digest(),
+        "asked": first.scenario.worlds,
+        **plain(paired.pair(one, other)),
+        "outcomes": _outcomes(one, other),
+        "changed": _changed(one, other),
+    }
+
+
+def _table(run: Run) -> dict[str, Any]:
+    table: dict[str, Any] = run.scenario.model_dump(mode="json")
+    return table
+
+
+def _require_pairs(first: Run, second: Run) -> None:
+    """Refuse runs whose robots are no pairs."""
+    a, b = first.scenario, second.scenario
+    pairs: list[tuple[str, Any, Any]] = [
+        ("seed", a.seed, b.seed),
+        ("worlds", a.worlds, b.worlds),
+        ("fleet", len(a.fleet), len(b.fleet)),
+    ]
+    for i, (x, y) in enumerate(zip(a.fleet, b.fleet, strict=False)):
+        mine, others = (library.load(one.vehicle).name for one in (x, y))
+        pairs += [(f"fleet[{i}].count", x.count, y.count), (f"fleet[{i}].vehicle", mine, others)]
+    for key, mine, others in pairs:
+        if mine != others:
+            raise ConfigError(
+                f"{first.path} and {second.path}: {key} = {shown(mine)} and {shown(others)}; "
+                "compare runs of the same seed, worlds and robots"
+            )
+    for run in (first, second):
+        if run.episodes.num_rows == 0:
+            raise ConfigError(f"{run.path}: holds no episodes")
+
+
+def differences(first: Any, second: Any, key: str = "") -> dict[str, tuple[Any, Any]]:
+    """Values that differ, by dotted key; None stands for what is not there.
+
+    Args:
+        first: plain values.
+        second: plain values.
+        key: of both.
+    """
+    found: dict[str, tuple[Any, Any]] = {}
+    if first == second:
+        return found
+    for name, a, b in _parts(first, second):
+        found |= differences(a, b, f"{key}.{name}" if key else name)
+    return found or {key: (first, second)}
+
+
+def _parts(first: Any, second: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Parts of two tables, or of two lists of tables; nothing of other values."""
+    if isinstance(first, Mapping) and isinstance(second, Mapping):
+        for name in sorted({*first, *second}):
+            yield name, first.get(name), second.get(name)
+    elif _is_tables(first) and _is_tables(second) and len(first) == len(second):
+        for i, (a, b) in enumerate(zip(first, second, strict=True)):
+            yield str(i), a, b
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, Mapping) for one in value)
+
+
+def _outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+    """Robots by their two outcomes, the most first."""
+    pairs = list(zip(first["outcome"].to_pylist(), second["outcome"].to_pylist(), strict=True))
+    counts = {pair: pairs.count(pair) for pair in dict.fromkeys(pairs)}
+    return [
+        {"first": a, "second": b, "robots": count}
+        for (a, b), count in sorted(counts.items(), key=lambda one: -one[1])
+    ]
+
+
+def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
+    """Worlds that changed, those with more robots that arrived in one run alone first."""
+    worlds, arrived = worlds_of(first), [arrived_of(rows) for rows in (first, second)]
+    ended = [rows["outcome"].to_pylist() for rows in (first, second)]
+    late = numbers(second, "time_to_goal_s") - numbers(first, "time_to_goal_s")
+    lost, won = arrived[0] & ~arrived[1], ~arrived[0] & arrived[1]
+    made = []
+    begins = np.flatnonzero(np.r_[True, np.diff(worlds) != 0])
+    for begin, end in zip(begins, [*begins[1:], len(worlds)], strict=True):
+        rows = range(begin, end)
+        both = [float(late[i]) for i in rows if np.isfinite(late[i])]
+        robots = [
+            {"robot": i - int(begin), "first": ended[0][i], "second": ended[1][i]}
+            for i in rows
+            if ended[0][i] != ended[1][i]
+        ]
+        if robots or any(both):
+            made.append(
+                {
+                    "world": int(worlds[begin]),
+                    "arrived_first": int(np.sum(arrived[0][begin:end])),
+                    "arrived_second": int(np.sum(arrived[1][begin:end])),
+                    "lost": int(np.sum(lost[begin:end])),
+                    "won": int(np.sum(won[begin:end])),
+                    "time_s": sum(both) / len(both) if both else None,
+                    "robots": robots,
+                }
+            )
+    return sorted(made, key=lambda x: (-x["lost"] - x["won"], -abs(x["time_s"] or 0.0), x["world"]))

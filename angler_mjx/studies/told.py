@@ -1,0 +1,151 @@
+"""What two runs against each other came to, as text and as a figure."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from angler_mjx.errors import shown
+from angler_mjx.viewing import style
+
+MOST = 10
+"""Worlds, and pairs of outcomes, that are listed."""
+
+COSTS = {
+    "time_to_goal_s": ("time to goal", "s", 1.0),
+    "energy_j": ("energy", "kJ", 1e-3),
+    "path_length_m": ("way", "m", 1.0),
+    "min_clearance_m": ("least clearance", "m", 1.0),
+}
+"""Words, unit and scale of each cost."""
+
+
+def text(found: Mapping[str, Any]) -> str:
+    """For people.
+
+    Args:
+        found: by `angler_mjx.studies.compare.compare`.
+    """
+    lines = [f"A: {found['first']}", f"B: {found['second']}", ""]
+    lines += [
+        f"  {one['key']}: {shown(one['first'])} -> {shown(one['second'])}"
+        for one in found["config"]
+    ]
+    if not found["config"]:
+        lines.append("  the scenarios are the same")
+    if not found["same_problems"]:
+        lines.append(
+            "  problems are made of some of these: worlds may be drawn otherwise, pairs share seed "
+            "and index"
+        )
+    lines += ["", *_rates(found), *_costs(found), "", "robots by outcome, A -> B:"]
+    lines += [
+        f"  {one['robots']:>7,}  {one['first']} -> {one['second']}"
+        for one in found["outcomes"][:MOST]
+    ]
+    return "\n".join([*lines, "", *_worlds(found["changed"])])
+
+
+def _rates(found: Mapping[str, Any]) -> list[str]:
+    held = "" if found["worlds"] == found["asked"] else f" of {found['asked']:,}"
+    lines = [
+        f"{found['worlds']:,} worlds{held}; changes are B minus A, with 95 % intervals by world:"
+    ]
+    for name, what in (("robots", "robots that arrived"), ("teams", "whole teams")):
+        one = found[name]
+        total = sum(one[key] for key in ("both", "only_first", "only_second", "neither"))
+        was, now = one["both"] + one["only_first"], one["both"] + one["only_second"]
+        lines.append(
+            f"  {what}: {100 * was / total:.1f} % -> {100 * now / total:.1f} %, change "
+            f"{_points(one)} points, p = {one['p']:.2g}; in both {one['both']:,}, only in A "
+            f"{one['only_first']:,}, only in B {one['only_second']:,}, in neither "
+            f"{one['neither']:,}"
+        )
+    return lines
+
+
+def _points(one: Mapping[str, Any]) -> str:
+    low, high = ("?" if one[end] is None else f"{100 * one[end]:+.1f}" for end in ("low", "high"))
+    return f"{100 * one['difference']:+.1f} ({low} to {high})"
+
+
+def _costs(found: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for name, (word, unit, scale) in COSTS.items():
+        one = found["costs"][name]
+        if one["difference"] is None:
+            lines.append(f"  {word}: no robot has one in both")
+            continue
+        first, second, change = (scale * one[key] for key in ("first", "second", "difference"))
+        interval = (
+            "one world tells no interval"
+            if one["low"] is None
+            else f"{scale * one['low']:+.3g} to {scale * one['high']:+.3g}"
+        )
+        lines.append(
+            f"  {word}: {first:.4g} -> {second:.4g} {unit}, change {change:+.3g} ({interval}), of "
+            f"{one['pairs']:,} robots"
+        )
+    return lines
+
+
+def _worlds(changed: list[Mapping[str, Any]]) -> list[str]:
+    count = "1 world" if len(changed) == 1 else f"{len(changed):,} worlds"
+    lines = [f"{count} changed" + (", these most:" if len(changed) > MOST else "")]
+    for one in changed[:MOST]:
+        parts = [f"{one['arrived_first']} -> {one['arrived_second']} arrived"]
+        if one["time_s"] is not None:
+            parts.append(f"time of those that did in both {one['time_s']:+.1f} s")
+        parts += [f"robot {x['robot']}: {x['first']} -> {x['second']}" for x in one["robots"]]
+        lines.append(f"  world {one['world']}: {'; '.join(parts)}")
+    if len(changed) > MOST:
+        lines.append(f"  and {len(changed) - MOST:,} more; --json lists all")
+    return lines
+
+
+def draw(found: Mapping[str, Any]) -> Figure:
+    """Changes with their intervals.
+
+    Args:
+        found: by `angler_mjx.studies.compare.compare`.
+    """
+    rates = [
+        (word, 100 * x["difference"], [None if x[e] is None else 100 * x[e] for e in _ENDS])
+        for word, x in (("robots", found["robots"]), ("whole teams", found["teams"]))
+    ]
+    costs = []
+    for name, (word, _, _) in COSTS.items():
+        one = found["costs"][name]
+        if one["difference"] is None or not one["first"]:
+            continue
+        share = 100 / abs(one["first"])
+        ends = [None if one[end] is None else share * one[end] for end in _ENDS]
+        costs.append((word, share * one["difference"], ends))
+    with style.styled():
+        figure = style.new_figure(9.6, 3.6, headline_in=0.65)
+        left, right = figure.subplots(1, 2)
+        style.headline(
+            figure,
+            "What changed from A to B",
+            f"{found['worlds']:,} worlds; bars are 95 % intervals by world. "
+            f"A: {found['first']}, B: {found['second']}",
+        )
+        _forest(left, "arrivals, change in points", rates)
+        _forest(right, "means, change in % of A", costs)
+    return figure
+
+
+_ENDS = ("low", "high")
+
+
+def _forest(axes: Axes, title: str, rows: list[tuple[str, float, list[float | None]]]) -> None:
+    axes.set_title(title)
+    axes.axvline(0.0, color=style.FAINT, linewidth=1.0)
+    for i, (_, value, ends) in enumerate(rows):
+        known = [end for end in ends if end is not None]
+        axes.plot(known, [i] * len(known), color=style.INK, linewidth=1.4)
+        axes.plot([value], [i], marker="o", color=style.robot_color(0))
+    axes.set_yticks(range(len(rows)), [row[0] for row in rows])
+    axes.invert_yaxis()
+    axes.margins(y=0.3)

@@ -1,0 +1,173 @@
+"""What larger teams, denser rock and less certain vehicles do to arrivals: sweeps of shipped files.
+
+    python -m angler_experiments.scalability.arrivals teams --out runs/teams
+    python -m angler_experiments.scalability.arrivals uncertainty --out runs/uncertainty
+
+Each sweep is what `angler sweep` makes, and goes on where it was ended when the command is given
+anew. Figures, their data and tables for the page are made of the sweeps, whole or not.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from angler_mjx.runs.progress import Silent
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator import cache
+from angler_mjx.storage import claims, folder
+from angler_mjx.studies import chart, sweep
+from angler_mjx.studies import tables as sweep_tables
+from angler_mjx.studies.settings import axes
+from angler_mjx.viewing import style, tables
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """One sweep."""
+
+    name: str
+    scenario: str
+    """Shipped, or a file beside this one."""
+    set: tuple[str, ...]
+    """As for `angler sweep`."""
+
+    def asked(self, **given: Any) -> sweep.Asked:
+        """What is to be flown.
+
+        Args:
+            **given: keys of the scenario.
+        """
+        path = Path(__file__).with_name(self.scenario)
+        source = str(path) if path.suffix == ".toml" else self.scenario
+        loaded = load_scenario(source, time={"record_hz": 0.0}, **given)
+        return sweep.ask(loaded, axes(self.set), self.scenario)
+
+
+STUDIES: dict[str, tuple[Study, ...]] = {
+    "teams": (
+        Study(
+            name="teams",
+            scenario="dense_dynamic",
+            set=(
+                "fleet.0.count=1,4,16",
+                "world.density=0.03,0.1,0.2",
+                "planner.name=grid,priority",
+                "world.placement=random",
+                "world.obstacles.dynamic.count=12",
+            ),
+        ),
+    ),
+    "uncertainty": (
+        Study(name="estimate", scenario="reef_fleet", set=("fleet.*.estimate=truth,noisy,ekf",)),
+        Study(
+            name="noise",
+            scenario="reef_fleet",
+            set=("randomise.sensor_noise=[1,1],[2,2],[4,4],[8,8]", "fleet.*.estimate=ekf"),
+        ),
+        Study(
+            name="faults",
+            scenario="reef_fleet",
+            set=("randomise.fault_probability=0.0,0.05,0.1,0.2", "randomise.known=false,true"),
+        ),
+        Study(
+            name="mix",
+            scenario="reef_fleet",
+            set=(
+                "fleet.0.parameter_mix={wu2018=1.0},{blue_gazebo=1.0},{von_benzon2022=1.0},"
+                "{wu2018=1.0,von_benzon2022=1.0,blue_gazebo=1.0}",
+            ),
+        ),
+    ),
+    "smoke": (
+        Study(
+            name="smoke",
+            scenario="smoke.toml",
+            set=("world.currents.0.max_speed_mps=1.5,0.5",),
+        ),
+    ),
+}
+"""By the word of the command line; ``smoke`` is quick, and flown to see that all of it works."""
+
+
+class Told(Silent):
+    """Says which run begins."""
+
+    def part(self, number: int, of: int, name: str) -> None:
+        """See `angler_mjx.runs.several.Told`."""
+        print(f"  run {number + 1} of {of}: {name}", flush=True)
+
+
+def make(study: Study, out: Path, **given: Any) -> dict[str, Any]:
+    """Fly what is left of a sweep; returns what it came to.
+
+    Args:
+        study: which.
+        out: folder of its sweep.
+        **given: keys of the scenario.
+    """
+    if (out / sweep.SWEEP).is_file() and sweep.read(out)["complete"]:
+        return sweep.read(out)
+    begun = claims.partial_path(out).is_dir() or out.is_dir()
+    return sweep.make(study.asked(**given), out, told=Told(), resume=begun)
+
+
+def keep(found: dict[str, Any], name: str, data: Path, images: Path, page: Path | None) -> None:
+    """Keep the numbers of a sweep beside its figure, and its tables in a page.
+
+    Args:
+        found: of the sweep.
+        name: of the study.
+        data: folder of numbers.
+        images: folder of figures.
+        page: with marks ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
+    """
+    data.mkdir(parents=True, exist_ok=True)
+    folder.write_json(data / f"{name}.json", found)
+    style.save(chart.draw(found), images / f"scalability_{name}.png", palette=128)
+    if page is not None:
+        parts = [sweep_tables.cells_table(found), sweep_tables.pairs_table(found)]
+        text = "\n\n".join("\n".join(sweep_tables.grid(one)) for one in parts)
+        tables.put(page, f"<!-- {name}: begin -->", text, f"<!-- {name}: end -->")
+
+
+def main(
+    study: Annotated[Literal["teams", "uncertainty", "smoke"], tyro.conf.Positional],
+    out: Path = Path("runs/scalability"),
+    worlds: int | None = None,
+    engine: Literal["fused", "mjx"] = "fused",
+    data: Path | None = None,
+    images: Path | None = None,
+    page: Path | None = None,
+    smoke: bool = False,
+) -> None:
+    """Fly the sweeps of a study, and draw them.
+
+    Args:
+        study: Which.
+        out: Folder of the sweeps; what is there already is not flown again.
+        worlds: Of each cell; the scenario's if left out.
+        engine: Physics engine.
+        data: Folder of the figures' numbers; OUT if left out.
+        images: Folder of figures; OUT if left out.
+        page: Document whose tables are replaced.
+        smoke: Instead of the study only what ``smoke`` flies, in seconds.
+    """
+    cache.switch_on()
+    given: dict[str, Any] = {"engine": engine}
+    if worlds is not None:
+        given["worlds"] = worlds
+    for one in STUDIES["smoke" if smoke else study]:
+        print(f"{one.name}: {' '.join(one.set)}", flush=True)
+        found = make(one, out / one.name, **given)
+        keep(found, one.name, data or out, images or out, page)
+        print(json.dumps({"study": one.name, "complete": found["complete"]}), flush=True)
+        if not found["complete"]:
+            sys.exit(130)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

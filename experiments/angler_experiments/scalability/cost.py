@@ -1,0 +1,171 @@
+"""What more worlds, robots, obstacles, vortices, cells and way-points cost, in time and memory.
+
+    python -m angler_experiments.scalability.cost --out docs/scalability/cost.jsonl
+    python -m angler_experiments.scalability.draw docs/scalability/cost.jsonl
+
+Rows are written as they come, and those that the file holds already for this device are not
+measured again: a run that was ended, or that ran into --limit-s, goes on when it is started anew.
+They are rows of `angler bench` with ``extra.size``: how many there are of what is varied.
+"""
+
+import gc
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import tyro
+
+from angler_experiments.scalability import ladders, peers
+from angler_experiments.scalability.ladders import BY_NAME, Ladder
+from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.simulator import cache
+from angler_mjx.simulator.devices import is_out_of_memory
+from angler_mjx.speed import rows
+from angler_mjx.speed.measured import free_motion, simulation
+from angler_mjx.speed.rows import Row
+
+type Engine = Literal["fused", "mjx"]
+type Key = tuple[str, int, str, str]
+
+PREFIX = "scalability/"
+WORLDS = {"gpu": {"fused": 4096, "mjx": 256}, "cpu": {"fused": 16, "mjx": 4}}
+"""Of what is not measured over worlds."""
+SMOKE = (("dynamics", "fused"),)
+SMOKE_SIZES = (16, 64, 256)
+
+
+def rungs(names: Sequence[str], engines: Sequence[Engine], backend: str) -> list[tuple[Any, ...]]:
+    """Ladder, engine and size of every row, the quick ones first.
+
+    Args:
+        names: of ladders; all if empty.
+        engines: to be measured.
+        backend: cpu or gpu.
+
+    Raises:
+        ConfigError: there is no such ladder.
+    """
+    for name in names:
+        if name not in BY_NAME:
+            raise ConfigError(f"--ladders {name}: there is {', '.join(BY_NAME)}")
+    chosen = [BY_NAME[name] for name in names or BY_NAME]
+    return [
+        (ladder, engine, size)
+        for engine in engines
+        for ladder in chosen
+        for size in ladder.sizes(engine, backend)
+    ]
+
+
+def key_of(row: dict[str, Any]) -> Key:
+    """What a row is of: ladder, number, engine, device."""
+    name = row["workload"].removeprefix(PREFIX)
+    return name, int(row["extra"]["size"]), row["engine"], row["device"]
+
+
+def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> Row:
+    """One row; without a number where it was refused."""
+    label = f"{PREFIX}{ladder.name}"
+    worlds = size if ladder.key is None else WORLDS[backend][engine]
+    try:
+        if ladder.name == "dynamics":
+            row = (
+                free_motion.measure(vehicles=size, repeats=repeats)
+                if engine == "fused"
+                else peers.measure(vehicles=size, repeats=repeats)
+            )
+        else:
+            row = simulation.measure(
+                ladders.scenario(ladder, size, engine),
+                label=label,
+                worlds=worlds,
+                repeats=repeats,
+                counted=False,
+            )
+    except (AnglerError, jax.errors.JaxRuntimeError) as error:
+        full = is_out_of_memory(error.__cause__ or error)
+        if not full and not isinstance(error, AnglerError):
+            raise
+        row = Row(
+            workload=label,
+            inside="",
+            worlds=worlds,
+            robots=0,
+            unit="",
+            median=None,
+            low=None,
+            high=None,
+            compile_s=None,
+            repeats=0,
+            engine=engine,
+            refused=str(error).splitlines()[0][:300],
+            out_of_memory=full,
+        )
+    return replace(row, workload=label, extra={"size": float(ladder.number(size))})
+
+
+def run(
+    asked: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
+) -> Iterator[tuple[Row, float]]:
+    """Measure what a file lacks; gives each row with the seconds that it took in all.
+
+    Args:
+        asked: from `rungs`.
+        out: file of rows.
+        repeats: timed turns of each.
+        limit_s: no row is begun after so long.
+    """
+    around, backend = describe_environment(), jax.default_backend()
+    held = {key_of(row) for row in rows.read(out)} if out.exists() else set()
+    begun = time.perf_counter()
+    for ladder, engine, size in asked:
+        if (ladder.name, ladder.number(size), engine, around["device"]) in held:
+            continue
+        at = time.perf_counter()
+        if at - begun > limit_s:
+            print(f"--limit-s {limit_s:g}: over; start again to go on", flush=True)
+            return
+        row = measure(ladder, engine, size, repeats, backend)
+        rows.record(row, around, out)
+        yield row, time.perf_counter() - at
+        jax.clear_caches()
+        gc.collect()
+
+
+def main(
+    out: Path = Path("runs/cost.jsonl"),
+    ladders: tuple[str, ...] = (),
+    engines: tuple[Engine, ...] = ("fused", "mjx"),
+    repeats: int = rows.MIN_REPEATS,
+    limit_s: float = 330.0,
+    smoke: bool = False,
+) -> None:
+    """Measure what a file of rows lacks.
+
+    Args:
+        out: File of rows; they are appended.
+        ladders: What is varied: dynamics, worlds, robots, obstacles, vortices, cells, points; all
+            if left out.
+        engines: To be measured, one after another.
+        repeats: Timed turns of each row.
+        limit_s: No row is begun after so many seconds.
+        smoke: Only a few small rows of the equations of motion, in seconds.
+    """
+    cache.switch_on()
+    if smoke:
+        asked = [(BY_NAME[x], engine, size) for x, engine in SMOKE for size in SMOKE_SIZES]
+    else:
+        asked = rungs(ladders, engines, jax.default_backend())
+    for row, took_s in run(asked, out, repeats, limit_s):
+        said = row.refused or f"{row.median:.3g} {row.unit}, compiled in {row.compile_s:.1f} s"
+        size = int(row.extra["size"])
+        print(f"{row.workload} {size:,} {row.engine}: {said}; {took_s:.0f} s", flush=True)
+    print(out)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,78 @@
+"""Crazyflow by itself, for its line in the figure: to be run by a Python that has it.
+
+    python -m venv crazyflow-venv && crazyflow-venv/bin/pip install crazyflow
+    crazyflow-venv/bin/python crazyflow_speed.py --out cost.jsonl
+
+One drone in each world with its default dynamics and control, told nothing to do: what the table
+in its README is of. This program knows nothing of the rest of the project, so that its
+environment needs nothing of it, and adds rows of the same form to a file.
+"""
+
+import argparse
+import importlib
+import importlib.metadata
+import json
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+STEPS, REPEATS = 100, 10
+SIZES = {"gpu": (1024, 16_384, 262_144, 1_048_576), "cpu": (64, 256, 1024)}
+
+
+def measure(worlds: int, steps: int, repeats: int) -> dict[str, Any]:
+    """One row.
+
+    Args:
+        worlds: with one drone each.
+        steps: of the physics in one call.
+        repeats: timed calls, after two that are not.
+    """
+    jax = importlib.import_module("jax")
+    flow = importlib.import_module("crazyflow.sim")
+    backend = jax.default_backend()
+    sim = flow.Sim(n_worlds=worlds, n_drones=1, device=backend)
+    rates = []
+    for i in range(repeats + 2):
+        sim.reset()
+        jax.block_until_ready(sim.data)
+        begun = time.perf_counter()
+        sim.step(steps)
+        jax.block_until_ready(sim.data)
+        rates += [worlds * steps / (time.perf_counter() - begun)] * (i > 1)
+    return {
+        "workload": "scalability/dynamics",
+        "inside": f"{steps} steps of crazyflow {importlib.metadata.version('crazyflow')} in one "
+        "call: default dynamics and control, one drone in each world",
+        "worlds": worlds,
+        "robots": 1,
+        "unit": "vehicle-steps/s",
+        "median": statistics.median(rates),
+        "low": min(rates),
+        "high": max(rates),
+        "repeats": repeats,
+        "compile_s": None,
+        "engine": "crazyflow",
+        "kernels": "xla",
+        "device": jax.devices()[0].device_kind,
+        "extra": {"size": float(worlds)},
+    }
+
+
+def main() -> None:
+    """Measure each number of worlds and add its row."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--out", type=Path, required=True)
+    asked.add_argument("--worlds", type=int, nargs="*", default=None)
+    given = asked.parse_args()
+    backend = importlib.import_module("jax").default_backend()
+    for worlds in given.worlds or SIZES["gpu" if backend == "gpu" else "cpu"]:
+        row = measure(worlds, STEPS, REPEATS)
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        print(f"{worlds:,} worlds: {row['median']:.3g} drone-steps/s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

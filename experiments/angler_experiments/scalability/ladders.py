@@ -1,0 +1,114 @@
+"""What is varied to see what it costs: one thing at a time, in steps of a factor."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.files import parse
+from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.scenario.scenario import Scenario, load_scenario
+
+SCENARIO = Path(__file__).with_name("cost.toml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ladder:
+    """One thing that is varied, all else as in ``cost.toml``."""
+
+    name: str
+    label: str
+    """For figures."""
+    key: str | None
+    """Of the scenario; None for the number of worlds, and for vehicles alone."""
+    gpu: tuple[int, ...]
+    """Sizes on a GPU."""
+    cpu: tuple[int, ...]
+    mjx: tuple[int, ...] = ()
+    """Sizes on a GPU by the mjx engine, which is much slower; on a CPU as ``cpu``."""
+
+    def value(self, size: int) -> Any:
+        """Of the key."""
+        return [size, size, size] if self.name == "cells" else size
+
+    def number(self, size: int) -> int:
+        """How many there are of what is varied."""
+        return size**3 if self.name == "cells" else size
+
+    def sizes(self, engine: str, backend: str) -> tuple[int, ...]:
+        """That an engine is measured at."""
+        if backend == "cpu":
+            return self.cpu
+        return self.mjx if engine == "mjx" else self.gpu
+
+
+LADDERS = (
+    Ladder(
+        name="dynamics",
+        label="vehicles, equations of motion alone",
+        key=None,
+        gpu=(1024, 16_384, 262_144, 1_048_576),
+        cpu=(64, 256, 1024),
+        mjx=(1024, 16_384, 131_072),
+    ),
+    Ladder(
+        name="worlds",
+        label="worlds, 8 robots each",
+        key=None,
+        gpu=(64, 1024, 4096, 16_384, 65_536),
+        cpu=(4, 16, 64),
+        mjx=(64, 512, 4096),
+    ),
+    Ladder(
+        name="robots",
+        label="robots in a world",
+        key="fleet.0.count",
+        gpu=(1, 4, 16, 64),
+        cpu=(1, 2, 4),
+        mjx=(1, 4, 16),
+    ),
+    Ladder(
+        name="obstacles",
+        label="moving obstacles in a world",
+        key="world.obstacles.dynamic.count",
+        gpu=(4, 16, 64, 256),
+        cpu=(4, 16, 64),
+    ),
+    Ladder(
+        name="vortices",
+        label="vortices in a world",
+        key="world.currents.0.count",
+        gpu=(1, 4, 16, 64),
+        cpu=(1, 4, 16),
+    ),
+    Ladder(
+        name="cells",
+        label="cells of a world",
+        key="world.shape",
+        gpu=(8, 16, 32, 64),
+        cpu=(8, 16, 32),
+    ),
+    Ladder(
+        name="points",
+        label="way-points of a path",
+        key="planner.points",
+        gpu=(8, 32, 128, 512),
+        cpu=(8, 32, 128),
+    ),
+)
+"""The first is of vehicles alone, the others of whole worlds."""
+
+BY_NAME = {one.name: one for one in LADDERS}
+
+
+def scenario(ladder: Ladder, size: int, engine: str) -> Scenario:
+    """The scenario of one rung.
+
+    Args:
+        ladder: what is varied.
+        size: so many.
+        engine: fused or mjx.
+    """
+    table = table_of(load_scenario(SCENARIO, engine=engine))
+    if ladder.key is not None:
+        table = with_value(table, ladder.key, ladder.value(size))
+    return parse(Scenario, table, source=f"{SCENARIO.name} ({ladder.name} {size})")

@@ -1,0 +1,147 @@
+"""Paired statistics against SciPy and closed forms, on episodes that are made up."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy import stats
+
+from angler_mjx.storage.intervals import clustered_mean
+from angler_mjx.studies.measures import COSTS
+from angler_mjx.studies.paired import pair, sign_test
+
+
+def episodes(arrived, values, first_world=0):
+    """Rows of [w, r] robots."""
+    worlds, robots = arrived.shape
+    flat = arrived.reshape(-1)
+    costs = {
+        name: pa.array(
+            values.reshape(-1),
+            mask=~flat if name == "time_to_goal_s" else np.zeros(flat.size, bool),
+        )
+        for name in COSTS
+    }
+    return pa.table(
+        {
+            "world": np.repeat(np.arange(first_world, first_world + worlds), robots),
+            "outcome": ["reached" if one else "timeout" for one in flat],
+            **costs,
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def random():
+    return np.random.default_rng(5)
+
+
+def test_a_mean_of_worlds_with_one_robot_has_students_interval(random):
+    values = random.normal(3.0, 2.0, 40)
+    found = clustered_mean(values, np.arange(40))
+    low, high = stats.t.interval(0.95, 39, loc=values.mean(), scale=stats.sem(values))
+    assert found.mean == pytest.approx(values.mean(), rel=1e-12)
+    assert (found.low, found.high) == pytest.approx((low, high), rel=2e-3)
+
+
+def test_a_mean_of_robots_that_share_worlds_is_as_sure_as_that_of_worlds(random):
+    each = random.normal(0.0, 1.0, 30)
+    found = clustered_mean(np.repeat(each, 8), np.repeat(np.arange(30), 8))
+    alone = clustered_mean(each, np.arange(30))
+    assert found.count == 240
+    assert (found.mean, found.low, found.high) == pytest.approx(
+        (alone.mean, alone.low, alone.high), abs=1e-12
+    )
+
+
+def test_the_interval_of_a_mean_over_worlds_of_uneven_size_holds_its_truth(random):
+    """Of 400 samples of 25 worlds, 95 % within what chance allows (binomial, 99.9 %)."""
+    held = 0
+    for _ in range(400):
+        sizes = random.integers(1, 6, 25)
+        world = np.repeat(np.arange(25), sizes)
+        values = random.normal(0, 1, 25)[world] + random.normal(0, 0.5, len(world))
+        found = clustered_mean(values, world)
+        held += found.low <= 0.0 <= found.high
+    assert stats.binomtest(held, 400, 0.95).pvalue > 1e-3
+
+
+def test_nothing_and_one_world_have_no_interval():
+    none = clustered_mean(np.array([np.nan]), np.array([0]))
+    assert none.count == 0
+    assert np.isnan(none.mean)
+    one = clustered_mean(np.array([1.0, 3.0]), np.array([4, 4]))
+    assert one.mean == 2.0
+    assert np.isnan(one.low)
+
+
+@pytest.mark.parametrize(("up", "down"), [(0, 0), (1, 0), (5, 1), (7, 7), (30, 12)])
+def test_the_sign_test_is_scipys(up, down):
+    differences = np.r_[np.full(up, 0.25), np.full(down, -0.5), np.zeros(9)]
+    want = stats.binomtest(up, up + down).pvalue if up + down else 1.0
+    assert sign_test(differences) == pytest.approx(want, rel=1e-12)
+
+
+def test_who_arrived_where_is_counted_robot_by_robot_and_team_by_team():
+    first = np.array([[1, 1], [1, 0], [0, 0], [1, 1], [0, 1]], bool)
+    second = np.array([[1, 1], [1, 1], [0, 1], [0, 1], [1, 0]], bool)
+    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0))
+    robots, teams = found.robots, found.teams
+    assert (robots.both, robots.only_first, robots.only_second, robots.neither) == (4, 2, 3, 1)
+    assert (teams.both, teams.only_first, teams.only_second, teams.neither) == (1, 1, 1, 2)
+    assert found.share.difference == pytest.approx(0.1)
+    assert robots.difference == pytest.approx(0.1)
+    # Worlds 1 and 2 gained, world 3 lost, 4 exchanged one robot for another.
+    assert found.share_p == pytest.approx(stats.binomtest(2, 3).pvalue)
+    change = second.mean(axis=1) - first.mean(axis=1)
+    low, high = stats.t.interval(0.95, 4, loc=change.mean(), scale=stats.sem(change))
+    assert (found.share.low, found.share.high) == pytest.approx((low, high), rel=2e-3)
+
+
+def test_costs_are_of_robots_that_arrived_both_times_and_clearance_of_all():
+    first = np.array([[1, 1], [1, 0], [1, 1]], bool)
+    second = np.array([[1, 0], [1, 1], [1, 1]], bool)
+    before = np.array([[10.0, 20.0], [30.0, 99.0], [50.0, 60.0]])
+    after = before + np.array([[1.0, 77.0], [2.0, 88.0], [3.0, 6.0]])
+    found = pair(episodes(first, before), episodes(second, after))
+    time, clearance = found.costs["time_to_goal_s"], found.costs["min_clearance_m"]
+    assert (time.pairs, time.first, time.second) == (4, 37.5, 40.5)
+    assert time.difference == pytest.approx(3.0)
+    assert clearance.pairs == 6
+    assert clearance.difference == pytest.approx((1 + 77 + 2 + 88 + 3 + 6) / 6)
+
+
+def test_the_order_of_the_runs_is_a_sign(random):
+    first, second = (random.random((12, 3)) < 0.6 for _ in range(2))
+    values = random.normal(size=(2, 12, 3))
+    ab = pair(episodes(first, values[0]), episodes(second, values[1]))
+    ba = pair(episodes(second, values[1]), episodes(first, values[0]))
+    for one, other in ((ab.teams, ba.teams), (ab.share, ba.share)):
+        assert (one.difference, one.low, one.high) == pytest.approx(
+            (-other.difference, -other.high, -other.low), abs=1e-12
+        )
+    assert ab.share_p == ba.share_p
+
+
+def test_where_nothing_changed_the_interval_is_not_a_point():
+    """None of m worlds changed: with 95 %, at most the share that Wilson's interval ends at."""
+    both = np.ones((20, 2), bool)
+    found = pair(episodes(both, both * 1.0), episodes(both, both * 1.0))
+    most = stats.binomtest(0, 20).proportion_ci(0.95, method="wilson").high
+    assert (found.share.low, found.share.high) == pytest.approx((-most, most))
+    assert found.share_p == 1.0
+
+
+def test_fleets_of_different_sizes_are_paired_by_their_worlds():
+    first, second = np.array([[1], [0], [1]], bool), np.array([[1, 1], [1, 0], [0, 1]], bool)
+    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0))
+    assert found.robots is None
+    assert found.costs == {}
+    assert found.share.difference == pytest.approx(0.0)
+    assert found.teams.only_first == 1
+
+
+def test_only_worlds_of_both_runs_are_pairs():
+    all_ = np.ones((4, 1), bool)
+    found = pair(episodes(all_, all_ * 2.0), episodes(all_, all_ * 5.0, first_world=3))
+    assert found.worlds == 1
+    assert found.costs["energy_j"].difference == 3.0

@@ -1,0 +1,222 @@
+"""A sweep from its command to its tables, broken off and taken up again, and two runs of it."""
+
+import json
+import statistics
+
+import pyarrow.parquet as pq
+import pytest
+from scipy import stats
+
+from angler_mjx.cli.main import main
+from angler_mjx.errors import ConfigError
+from angler_mjx.runs.progress import Silent
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.storage.folder import Run
+from angler_mjx.studies import compare, sweep, told
+from angler_mjx.studies.settings import axes
+
+SCENARIO = """
+schema_version = 1
+name = "short"
+engine = "fused"
+worlds = 6
+seed = 3
+tile = 6
+
+[time]
+horizon_s = 12.0
+record_hz = 0.0
+
+[world]
+preset = "open"
+placement = "given"
+start_m = [[0.0, 0.0, -5.0]]
+goal_m = [[4.0, 0.0, -5.0]]
+
+[[fleet]]
+vehicle = "bluerov2_heavy"
+
+[[world.currents]]
+type = "gauss_markov"
+max_speed_mps = 1.5
+"""
+KEY = "world.currents.0.max_speed_mps"
+SET = [f"{KEY}=1.5,0.5"]
+
+
+class Broken(Silent):
+    """Someone who presses Ctrl-C when a certain run begins."""
+
+    def __init__(self, at):
+        self.at, self.parts = at, []
+
+    def part(self, number, of, name):
+        self.parts.append((number, of, name))
+        if number == self.at:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sweep") / "short.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+@pytest.fixture(scope="module")
+def asked(file):
+    return sweep.ask(load_scenario(file), axes(SET), "short")
+
+
+@pytest.fixture(scope="module")
+def halves(file, asked):
+    """What was said after the interruption, and the folder as it is when all is done."""
+    out = file.parent / "made"
+    broken = sweep.make(asked, out, told=Broken(1), processes=None)
+    page = (out / sweep.PAGE).read_text()
+    line = ["sweep", str(file), "--set", *SET, "--out", str(out), "--resume"]
+    main(line)
+    return broken, page, out
+
+
+@pytest.fixture(scope="module")
+def made(halves):
+    return halves[2]
+
+
+def rows_of(out, number):
+    found = sweep.read(out)
+    return Run(out / found["cells"][number]["run"]).episodes.to_pylist()
+
+
+def test_an_interrupted_sweep_holds_what_was_finished_and_goes_on(halves):
+    broken, page, made = halves
+    assert broken["complete"] is False
+    assert [row["cell"] for row in broken["cells"]] == [0]
+    assert broken["pairs"] == []
+    assert "Interrupted" in page
+    whole = sweep.read(made)
+    assert whole["complete"] is True
+    assert [row["cell"] for row in whole["cells"]] == [0, 1]
+    assert whole["cells"][0] == broken["cells"][0]
+
+
+def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
+    with pytest.raises(ConfigError, match="this sweep is complete"):
+        sweep.make(asked, made, told=Broken(None), resume=True)
+    other = sweep.ask(load_scenario(file), axes([f"{KEY}=1.5"]), "short")
+    with pytest.raises(ConfigError, match="exists; give another folder"):
+        sweep.make(other, made, told=Broken(None))
+    with pytest.raises(SystemExit) as ended:
+        main(["sweep", str(file), "--set", f"{KEY}=0.3,-1", "--out", str(made)])
+    assert ended.value.code == 2
+    assert "max_speed_mps = -1" in capsys.readouterr().err
+
+
+def test_an_interruption_before_anything_was_finished_is_one(file, asked):
+    with pytest.raises(KeyboardInterrupt):
+        sweep.make(asked, file.parent / "nothing", told=Broken(0))
+
+
+def test_the_table_is_what_the_episodes_say(made):
+    table = pq.read_table(made / sweep.TABLE).to_pylist()
+    assert [row[KEY] for row in table] == [1.5, 0.5]
+    for number, row in enumerate(table):
+        episodes = rows_of(made, number)
+        times = [one["time_to_goal_s"] for one in episodes if one["outcome"] == "reached"]
+        assert row["worlds"] == 6
+        assert row["reached_rate"] == pytest.approx(len(times) / 6)
+        assert row["time_to_goal_s_mean"] == pytest.approx(statistics.mean(times))
+        low, high = stats.binomtest(len(times), 6).proportion_ci(0.95, method="wilson")
+        assert (row["team_low"], row["team_high"]) == pytest.approx((low, high))
+
+
+def test_cells_fly_the_same_worlds_so_that_differences_are_paired(made):
+    """Who arrives against a strong current does in a weak one, and what is paired says so."""
+    strong, weak = rows_of(made, 0), rows_of(made, 1)
+    assert [row["world"] for row in strong] == [row["world"] for row in weak] == list(range(6))
+    changes = [
+        b["time_to_goal_s"] - a["time_to_goal_s"]
+        for a, b in zip(strong, weak, strict=True)
+        if a["outcome"] == b["outcome"] == "reached"
+    ]
+    (pair,) = sweep.read(made)["pairs"]
+    assert pair["costs"]["time_to_goal_s"]["pairs"] == len(changes)
+    assert pair["costs"]["time_to_goal_s"]["difference"] == pytest.approx(statistics.mean(changes))
+    won = sum(a["outcome"] != "reached" == b["outcome"] for a, b in zip(strong, weak, strict=True))
+    assert won > len(changes) > 0
+    assert pair["teams"]["only_second"] == won
+    assert pair["teams"]["only_first"] == 0
+    assert pair["share_p"] == pytest.approx(stats.binomtest(won, won).pvalue)
+
+
+def test_page_and_figure_are_there(made):
+    page = (made / sweep.PAGE).read_text()
+    assert f"| {KEY} | robots | planned, % | arrived, % |" in page
+    assert f"| {KEY} \\* | 1.5 | 0.5 | - |" in page
+    assert (made / sweep.FIGURE).stat().st_size > 10_000
+
+
+def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
+    paths = [str(made / row["run"]) for row in sweep.read(made)["cells"]]
+    main(["compare", *paths, "--json", "--figure", str(tmp_path / "c.png")])
+    found = json.loads(capsys.readouterr().out)
+    assert found["config"] == [{"key": KEY, "first": 1.5, "second": 0.5}]
+    strong, weak = rows_of(made, 0), rows_of(made, 1)
+    ended = [(a["outcome"], b["outcome"]) for a, b in zip(strong, weak, strict=True)]
+    assert {(x["first"], x["second"]): x["robots"] for x in found["outcomes"]} == {
+        pair: ended.count(pair) for pair in ended
+    }
+    changed = [x["world"] for x in found["changed"]]
+    assert sorted(changed) == [
+        i for i in range(6) if strong[i]["time_to_goal_s"] != weak[i]["time_to_goal_s"]
+    ]
+    others = [i for i in range(6) if ended[i][0] != ended[i][1]]
+    assert set(changed[: len(others)]) == set(others)
+    assert (tmp_path / "c.png").stat().st_size > 5_000
+    text = told.text(found)
+    assert f"{KEY}: 1.5 -> 0.5" in text
+    assert f"world {changed[0]}: 0 -> 1 arrived; robot 0: timeout -> reached" in text
+
+
+def test_a_run_against_itself_changed_nothing(made):
+    run = Run(made / sweep.read(made)["cells"][1]["run"])
+    found = compare.compare(run, run)
+    assert found["config"] == []
+    assert found["changed"] == []
+    assert found["same_problems"]
+    assert found["teams"]["p"] == 1.0
+    assert "the scenarios are the same" in told.text(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"seed": 4}, "seed = 3 and 4"),
+        ({"worlds": 7}, "worlds = 6 and 7"),
+        ({"fleet": [{"vehicle": "bluerov2"}]}, "fleet[0].vehicle = 'bluerov2_heavy' and"),
+    ],
+)
+def test_runs_that_are_no_pairs_are_refused_by_the_key(made, tmp_path, change, said):
+    place = made / sweep.read(made)["cells"][0]["run"]
+    other = tmp_path / "other"
+    other.mkdir()
+    for path in place.iterdir():
+        if path.is_file():
+            (other / path.name).write_bytes(path.read_bytes())
+    config = json.loads((place / "config.json").read_text())
+    (other / "config.json").write_text(json.dumps(config | change))
+    with pytest.raises(ConfigError) as caught:
+        compare.compare(Run(place), Run(other))
+    assert said in str(caught.value)
+
+
+def test_differences_name_the_innermost_key():
+    first = {"a": 1, "b": {"c": [1, 2], "d": 0}, "e": [{"f": 1}, {"f": 2}]}
+    second = {"a": 1, "b": {"c": [1, 3], "d": 0}, "e": [{"f": 1}, {"f": 4, "g": 5}]}
+    assert compare.differences(first, second) == {
+        "b.c": ([1, 2], [1, 3]),
+        "e.1.f": (2, 4),
+        "e.1.g": (None, 5),
+    }
+    assert compare.differences(first, first) == {}
