@@ -20,6 +20,7 @@ A quantile t of a time is held by the same argument: the number of worlds that w
 then a count with p known (Howard and Ramdas, Bernoulli 28, 2022).
 """
 
+import bisect
 import math
 from collections.abc import Sequence
 
@@ -118,9 +119,15 @@ def quantile(
     if total == 0:
         return math.inf, 0.0, math.inf
     wall = -math.log(alpha)
-    may = [k for k in range(total + 1) if log_ratio(share, k, total, share) < wall]
-    # k worlds are done by the quantile: it lies from the k-th time to the one after it.
-    first, last = may[0], may[-1]
+
+    def may(k: int) -> bool:
+        """Whether k worlds may be done by the quantile: it lies from the k-th time to the next."""
+        return log_ratio(share, k, total, share) < wall
+
+    # M is convex in k and below 1 at the middle, so each way one number parts those that may be.
+    middle = round(share * total)
+    first = bisect.bisect_left(range(middle), True, key=may)
+    last = middle + bisect.bisect_left(range(middle + 1, total + 1), True, key=lambda k: not may(k))
     estimate = ordered[min(math.ceil(share * total - 1e-9), total) - 1]
     return (
         float(estimate),

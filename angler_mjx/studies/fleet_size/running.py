@@ -21,9 +21,6 @@ from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import FILE, Batch, Store
 
-AHEAD = 4
-"""Batches whose simulators are compiled while others fly."""
-
 GOOD, SPENT, LATE, STOPPED = "answered", "most_worlds", "most_minutes", "interrupted"
 """How a study ends."""
 
@@ -191,8 +188,7 @@ def _fly(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]
         if batch is None:
             if work.ends_at is not None and time.monotonic() > work.ends_at:
                 return False
-            for ahead, other in left[:AHEAD]:
-                simulators.begin(other, work.rule.sizes[ahead])
+            simulators.begin((other, work.rule.sizes[ahead]) for ahead, other in left)
             left = left[1:]
             work.told.begin(condition.name, size)
             batch = fly(work.study, simulators, condition, size, _first(work, at, condition))

@@ -129,9 +129,21 @@ def wanted(rule: Rule, counts: Counts) -> list[int]:
     if between or now.good(rule):
         return between
     if not none and now.estimate - now.below > rule.within + 1:
-        return [(now.below + now.estimate) // 2]
+        unsure = [at for at in (now.below, now.estimate) if _unsure(rule, counts, at)]
+        return unsure or [(now.below + now.estimate) // 2]
     asked = [*_to_exclude(rule, counts, now), *_to_accept(rule, counts, now)]
     return sorted(dict.fromkeys(asked))
+
+
+def _unsure(rule: Rule, counts: Counts, at: int) -> bool:
+    """Whether a share is within two standard errors of P, and few worlds were flown for it.
+
+    A few batches more cost less than another size between two that may be on the same side.
+    """
+    hits, total = counts.get(at, (0, 0))
+    p = rule.probability
+    near = (hits - p * total) ** 2 < 4.0 * p * (1.0 - p) * total
+    return near and total * PATIENCE**2 < rule.most_worlds
 
 
 def _beside_best(rule: Rule, counts: Counts) -> list[int]:
@@ -155,6 +167,8 @@ def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
     target = lowest(rule, now)
     if now.excluded >= target:
         return []
+    if now.estimate == len(rule.sizes):  # all that were flown have to be
+        return [at for at in counts if at > now.excluded and _open(rule, counts, at)]
     near = [at for at in range(now.below, target, -1) if at > now.excluded]
     chosen = _choose(rule, counts, near, target, -1, now.excluded)
     if chosen is None:
@@ -188,7 +202,8 @@ def _choose(
         stop: position that is decided already; nothing is gained from there on.
     """
     for at in near:
-        if _worlds(counts, at) and _worlds(counts, at) * PATIENCE < rule.most_worlds:
+        few = 0 < _worlds(counts, at) * PATIENCE < rule.most_worlds
+        if few and _open(rule, counts, at):
             return at
     away = 0
     while (target + step * away - stop) * step < 0 and 0 <= target + step * away < len(rule.sizes):

@@ -14,7 +14,7 @@ import gc
 import json
 import os
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -34,6 +34,9 @@ from angler_mjx.studies.fleet_size.asking import Condition, Study
 MOST = 24
 """Simulators that are held at a time: the programs of more would use up the memory maps that a
 process may have."""
+
+AHEAD = 4
+"""Simulators that are compiled before they are needed."""
 
 
 class Simulators:
@@ -60,11 +63,15 @@ class Simulators:
         self._held: OrderedDict[str, Future[Simulator]] = OrderedDict()
         self._drawing: dict[tuple[str, int], Any] = {}
         self.compiled = 0
-        """How many were compiled."""
+        """How many were compiled, or begun with."""
 
-    def begin(self, condition: Condition, size: int) -> None:
-        """Begin to compile what will be needed, if it is not there."""
-        self._future(condition, size)
+    def begin(self, cells: Iterable[tuple[Condition, int]]) -> None:
+        """Begin to compile what the next cells need, a few programs ahead."""
+        ahead: set[int] = set()
+        for condition, size in cells:
+            ahead.add(id(self._future(condition, size)))
+            if len(ahead) > AHEAD:
+                return
 
     def of(self, condition: Condition, size: int) -> Simulator:
         """A compiled simulator.
@@ -126,6 +133,7 @@ class Simulators:
             key = self._keys[condition.name, size] = _key(scenario)
         if key not in self._held:
             self._held[key] = self._threads.submit(self._make, scenario)
+            self.compiled += 1
         self._held.move_to_end(key)
         return self._held[key]
 
@@ -140,7 +148,6 @@ class Simulators:
     def _make(self, scenario: Scenario) -> Simulator:
         made = Simulator(self._canonical(scenario), tile=self.tile, devices=self._devices)
         made.compile()
-        self.compiled += 1
         return made
 
 

@@ -81,3 +81,14 @@ def test_quantile_of_times_that_never_came():
     assert bernoulli.quantile(times, 0.9, 0.05) == (math.inf, math.inf, math.inf)
     assert bernoulli.quantile(times, 0.6, 0.05)[1:] == (10.0, math.inf)
     assert bernoulli.quantile([], 0.5, 0.05) == (math.inf, 0.0, math.inf)
+
+
+@pytest.mark.parametrize("total", [1, 2, 10, 57, 400])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+def test_quantile_is_between_all_counts_that_may_be(total, share):
+    wall = math.log(20.0)
+    may = [k for k in range(total + 1) if bernoulli.log_ratio(share, k, total, share) < wall]
+    times = np.arange(1.0, total + 1.0)
+    low = float(may[0])  # the k-th time is k
+    high = math.inf if may[-1] == total else may[-1] + 1.0
+    assert bernoulli.quantile(times, share, 0.05)[1:] == (low, high)

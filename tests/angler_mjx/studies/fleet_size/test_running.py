@@ -9,6 +9,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from angler_mjx.cli import main as cli
+from angler_mjx.cli.studies import fleet_size as command
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.fleet_size import asking, folder, report, running
 from angler_mjx.studies.fleet_size.flying import arrival
@@ -206,6 +208,23 @@ def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
 class _Never(Told):
     def begin(self, condition, size):
         raise KeyboardInterrupt
+
+
+def test_the_command_tells_what_came_of_it(whole, source, capsys):
+    out, found = whole
+    with pytest.raises(SystemExit) as left:
+        cli.main(["study", "fleet_size", str(source), "--out", str(out), "--resume"])
+    assert left.value.code == cli.EXIT_FAULT
+    assert "is complete; nothing is left to do" in capsys.readouterr().err
+    command._report(found, out, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["conditions"] == json.loads(json.dumps(found["conditions"]))
+    command._report(found, out, as_json=False)
+    text = capsys.readouterr().out
+    for one in found["conditions"]:
+        assert one["name"] in text
+    page = (out / folder.PAGE).read_text()
+    assert "| breaking | none | more than 2 |" in page or "| breaking | none | 1 or more |" in page
 
 
 def test_arrival_of_some_robots():

@@ -1,0 +1,39 @@
+"""The studies that ship can be asked, for every size and condition."""
+
+from pathlib import Path
+
+import pytest
+
+import angler_experiments.studies
+from angler_mjx.studies.fleet_size import asking
+
+FILES = sorted(Path(angler_experiments.studies.__file__).parent.glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_size_can_be_flown(path):
+    study = asking.read(path)
+    assert study.config.name == path.stem
+    for condition in study.conditions:
+        for size in study.config.first_sizes():
+            scenario = study.scenario(condition, size)
+            assert len(scenario.members()) == size
+            assert scenario.time.horizon_s >= study.config.deadline_s
+
+
+def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
+    for name in ("survey_reef", "delivery_corridor"):
+        study = asking.read(next(path for path in FILES if path.stem == name))
+        made = {one.name: study.scenario(one, 8) for one in study.conditions}
+        speeds = [
+            made[name].randomise.current[0] * 0.5 for name in ("still water", "0.2 m/s", "0.5 m/s")
+        ]
+        assert speeds == pytest.approx([0.0, 0.2, 0.5])
+        for scenario in made.values():
+            east, north, up = scenario.world.currents[0].velocity_mps
+            assert (east**2 + north**2 + up**2) ** 0.5 == pytest.approx(0.5)
+        assert made["one in five breaks down"].breakdowns.share == 0.2
+        assert made["acoustic"].acoustics.model == "budget"
+        assert study.sizes == tuple(range(1, 65))
+        smoke = asking.read(Path(study.source), smoke=True)
+        assert (smoke.sizes, smoke.config.budget.most_worlds) == ((1, 2), 4)
