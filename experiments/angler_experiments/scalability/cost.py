@@ -87,9 +87,6 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
                 counted=False,
             )
     except (AnglerError, jax.errors.JaxRuntimeError) as error:
-        full = is_out_of_memory(error.__cause__ or error)
-        if not full and not isinstance(error, AnglerError):
-            raise
         row = Row(
             workload=label,
             inside="",
@@ -103,7 +100,7 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
             repeats=0,
             engine=engine,
             refused=str(error).splitlines()[0][:300],
-            out_of_memory=full,
+            out_of_memory=is_out_of_memory(error.__cause__ or error),
         )
     return replace(row, workload=label, extra={"size": float(ladder.number(size))})
 

@@ -164,13 +164,13 @@ def draw(found: Sequence[Line], what: str) -> Figure:
         every = figure.subplots(down, columns, squeeze=False).flat
         for axes, ladder in zip(every, shown, strict=False):
             axes.set_title(ladder.label, fontsize=10)
+            axes.set_xscale("log", base=2)
+            axes.set_yscale("log")
             for one in found:
                 if one.ladder == ladder.name:
                     _panel(axes, one, what, colors[one.engine, one.device])
             if ladder.name == "dynamics" and what == "time":
                 _published(axes)
-            axes.set_xscale("log", base=2)
-            axes.set_yscale("log")
             axes.grid(True)
             axes.legend(fontsize=7.0, loc="best")
         for axes in list(every)[len(shown) :]:

@@ -8,6 +8,8 @@ from angler_mjx.files import parse
 from angler_mjx.scenario.editing import table_of, with_value
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 
+HEIGHT = 16
+"""Cells one above the other; the grid planner takes 32 at most, so worlds grow to the sides."""
 SCENARIO = Path(__file__).with_name("cost.toml")
 
 
@@ -28,11 +30,11 @@ class Ladder:
 
     def value(self, size: int) -> Any:
         """Of the key."""
-        return [size, size, size] if self.name == "cells" else size
+        return [size, size, HEIGHT] if self.name == "cells" else size
 
     def number(self, size: int) -> int:
         """How many there are of what is varied."""
-        return size**3 if self.name == "cells" else size
+        return size * size * HEIGHT if self.name == "cells" else size
 
     def sizes(self, engine: str, backend: str) -> tuple[int, ...]:
         """That an engine is measured at."""

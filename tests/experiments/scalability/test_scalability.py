@@ -159,7 +159,7 @@ def test_every_rung_is_a_scenario_with_so_many(ladder):
             "points": made.planner.points,
         }
         assert counts[ladder.name] == ladder.number(size)
-        others = {"robots": 8, "obstacles": 4, "vortices": 4, "cells": 4096, "points": 32}
+        others = {"robots": 8, "obstacles": 4, "vortices": 4, "cells": 16_384, "points": 32}
         assert {k: v for k, v in counts.items() if k != ladder.name} == {
             k: v for k, v in others.items() if k != ladder.name
         }
