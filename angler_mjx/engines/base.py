@@ -50,8 +50,9 @@ class Engine(Protocol):
         policy: Policy | None = None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        steps: int = 1,
     ) -> tuple[WorldState, Sample]:
-        """One control step.
+        """One control step, or several with one command.
 
         Args:
             spec: settings.
@@ -63,9 +64,11 @@ class Engine(Protocol):
             rows: int32 [tile] which of the ``worlds`` each state is of, where they are a bank of
                 any number; each state is then at a step of its own. Without them all are at one.
             laid: of `lay_out`, of the same fleet and worlds, or nothing: only with ``rows``.
+            steps: how many control steps.
 
         Returns:
-            The state one control period later, and the sample of the state before.
+            The state so many control periods later, and the sample of the state before one of the
+            steps; what it says that robots were told is of the last.
         """
         ...
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from angler_mjx.control import plans
 from angler_mjx.control.stack import Command, ControlParams
+from angler_mjx.engines.repeated import repeated
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics import step as physics
@@ -255,10 +256,14 @@ class MjxEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
+        if steps > 1:
+            again = partial(self.control_step, spec, fleet, worlds, command=command, policy=policy)
+            return repeated(again, state, steps)
         one = partial(control_step, spec, policy=policy, number=_number(state, policy))
         after: WorldState
         after, sample = jax.vmap(one, (None, 0, 0, 0))(

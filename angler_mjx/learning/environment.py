@@ -42,6 +42,8 @@ class Rules:
     aim: Aim
     horizon: int
     """Control steps of an episode."""
+    action_repeat: int = 1
+    """Control steps of one step of the environment."""
 
 
 @jax.tree_util.register_dataclass
@@ -106,7 +108,9 @@ class FleetEnv:
         return begun
 
     def step(self, state: EnvState, action: jax.Array) -> Stepped:
-        """One control step of all worlds; those that end begin anew as others.
+        """One step of all worlds; those that end begin anew as others.
+
+        It is ``action_repeat`` control steps long, all with one action.
 
         Args:
             state: from `reset` or the step before.
@@ -137,6 +141,7 @@ class FleetEnv:
             command,
             rows=state.row,
             laid=self.bank.laid,
+            steps=rules.action_repeat,
         )
         reward, terms = rewards.of(
             rules.weights,
@@ -147,7 +152,7 @@ class FleetEnv:
                 aim_yaw_rad=yaw,
                 last=state.action,
                 action=wanted,
-                dt_s=rules.spec.control_dt_s,
+                dt_s=rules.spec.control_dt_s * rules.action_repeat,
             ),
         )
         seen = self._see(after, state.row, wanted, sample.belief)
@@ -257,6 +262,7 @@ def make(
     aim: Aim = "goal",
     horizon: int | None = None,
     seed: int | None = None,
+    action_repeat: int = 1,
 ) -> FleetEnv:
     """An environment over a simulator.
 
@@ -271,6 +277,8 @@ def make(
         aim: what robots are to be near to.
         horizon: control steps of an episode; the scenario's if left out.
         seed: of the bank, instead of the scenario's.
+        action_repeat: control steps that an action is held for; the horizon is a whole number of
+            these.
 
     Raises:
         ConfigError: a name or number is none that there is, no stage of the controllers takes the
@@ -285,11 +293,20 @@ def make(
     steps = most if horizon is None else horizon
     if aim not in ("goal", "start"):
         raise ConfigError(f"aim = {aim!r}: there is goal, start")
-    for name, value in (("worlds", worlds), ("horizon", steps)):
+    for name, value in (
+        ("worlds", worlds),
+        ("horizon", steps),
+        ("action_repeat", action_repeat),
+    ):
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise ConfigError(f"{name} = {value!r}: give a whole number above 0")
     if steps > most:
         raise ConfigError(f"horizon = {steps}: the scenario's is {most} control steps; give less")
+    if steps % action_repeat:
+        raise ConfigError(
+            f"action_repeat = {action_repeat}: the horizon of {steps} control steps is no whole "
+            "number of these; give one that divides it, or another horizon"
+        )
     thrusters = int(simulator.fleet.control.vehicle.B.shape[-1])
     kind = actions.named(action, thrusters, scale)
     if kind.command is not None:
@@ -312,6 +329,7 @@ def make(
         weights=weights,
         aim=aim,
         horizon=steps,
+        action_repeat=action_repeat,
     )
     env = FleetEnv(
         bank=bank,

@@ -17,7 +17,7 @@ MARGIN_M = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """A control step of worlds [W]."""
+    """A step of worlds [W], of one control step or of several."""
 
     before: WorldState
     after: WorldState

@@ -43,6 +43,8 @@ class _Form:
     """Steps in one unit; None where values are stored as they are."""
     missing: int = 0
     """Stands for NaN among steps."""
+    endless: int | None = None
+    """Stands for inf among steps; None where nothing does."""
 
 
 class StoredArray:
@@ -115,6 +117,8 @@ class StoredArray:
         unknown = steps == form.missing
         if unknown.any():
             found[unknown] = np.nan
+        if form.endless is not None and (endless := steps == form.endless).any():
+            found[endless] = np.inf
         return found
 
     def _chunk(self, form: _Form, world: int) -> np.ndarray:
@@ -210,12 +214,13 @@ def _form(about: dict[str, Any]) -> _Form | None:
         if not plain or names[:3] != ["transpose", "scale_offset", "cast_value"]:
             return None
         order, scale, cast = (codec.get("configuration", {}) for codec in inner[:3])
-        ((missing, nan),) = cast["scalar_map"]["decode"]
+        stands_for = {value: steps for steps, value in cast["scalar_map"]["decode"]}
         usual = (
             tuple(order["order"]) == (0, *range(2, len(shape)), 1)
             and scale.get("offset", 0) == 0
             and dtype == np.float32
-            and nan == "NaN"
+            and "NaN" in stands_for
+            and stands_for.keys() <= {"NaN", "Infinity"}
         )
     except (KeyError, TypeError, ValueError):
         return None
@@ -225,5 +230,6 @@ def _form(about: dict[str, Any]) -> _Form | None:
         **given,
         stored=np.dtype(cast["data_type"]),
         per_unit=np.float32(scale.get("scale", 1)),
-        missing=int(missing),
+        missing=int(stands_for["NaN"]),
+        endless=stands_for.get("Infinity"),
     )

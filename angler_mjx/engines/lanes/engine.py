@@ -34,6 +34,7 @@ from angler_mjx.engines.lanes.layout import (
     world_state,
 )
 from angler_mjx.engines.lanes.steps import Cells, OnLanes, Shape
+from angler_mjx.engines.repeated import repeated
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import aboard, nearness, start
@@ -76,8 +77,14 @@ class FusedEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
+        if steps > 1:
+            again = partial(
+                self.control_step, spec, fleet, worlds, command=command, policy=policy, rows=rows
+            )
+            return repeated(again, state, steps)
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
         policy = aboard.asked(policy, command)

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.engines.repeated import repeated
 from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.kernels import Kernels, Launch
 from angler_mjx.engines.triton.segment import AHEAD, Arrays, Segment
@@ -70,9 +71,24 @@ class TritonEngine:
         policy: Policy | None = None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        after, sample = self._segment(spec, fleet, worlds, state, 1, 1, command, policy, rows, laid)
+        if steps > 1 and spec.instrumented:
+            again = partial(
+                self.control_step,
+                spec,
+                fleet,
+                worlds,
+                command=command,
+                policy=policy,
+                rows=rows,
+                laid=laid,
+            )
+            return repeated(again, state, steps)
+        after, sample = self._segment(
+            spec, fleet, worlds, state, 1, steps, command, policy, rows, laid
+        )
         return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
 
     def segment(

@@ -41,9 +41,20 @@ class Stepped:
         """Stands for NaN: the least number there is."""
         return int(np.iinfo(self.dtype).min)
 
+    @property
+    def endless(self) -> int | None:
+        """Stands for inf where there are 32 bits: the greatest number; 16 bits are clamped."""
+        return None if self.short else int(np.iinfo(self.dtype).max)
+
     def filters(self, ndim: int) -> list[Any]:
         """Codecs between the array and its bytes."""
-        between: Any = {"encode": [["NaN", self.missing]], "decode": [[self.missing, "NaN"]]}
+        pairs: list[tuple[str, int]] = [("NaN", self.missing)]
+        if self.endless is not None:
+            pairs.append(("Infinity", self.endless))
+        between: Any = {
+            "encode": [[value, steps] for value, steps in pairs],
+            "decode": [[steps, value] for value, steps in pairs],
+        }
         return [
             TransposeCodec(order=(0, *range(2, ndim), 1)),
             ScaleOffset(scale=self.per_unit),
@@ -64,6 +75,8 @@ class Stepped:
         whole = self._whole(values)
         found: np.ndarray = whole.astype(np.float32) / np.float32(self.per_unit)
         found[whole == self.missing] = np.nan
+        if self.endless is not None:
+            found[whole == self.endless] = np.inf
         return found
 
     def encoded(self, values: np.ndarray) -> list[bytes]:
@@ -76,11 +89,15 @@ class Stepped:
         steps = np.empty(values.shape, np.float32)
         np.multiply(values, np.float32(self.per_unit), out=steps)
         np.rint(steps, out=steps)
+        endless = None if self.endless is None else steps == np.inf
         most = np.nextafter(np.float32(np.iinfo(self.dtype).max), np.float32(0.0))
         np.clip(steps, -most, most, out=steps)
         # What is no number yet takes the least one.
         np.fmax(steps, np.float32(self.missing), out=steps)
-        return steps.astype(self.dtype)
+        whole = steps.astype(self.dtype)
+        if endless is not None and endless.any():
+            whole[endless] = self.endless
+        return whole
 
 
 def stepped(step: float | None, unit: str) -> Stepped | None:

@@ -53,6 +53,7 @@ def main(
     action: str = "twist",
     scenario: str = "reef_fleet",
     kernels: str = "",
+    action_repeat: int = 1,
 ) -> None:
     """Measure both.
 
@@ -62,6 +63,7 @@ def main(
         action: of the environment: plan, or twist with zeros.
         scenario: a shipped one.
         kernels: of the fused engine in `Simulator.segment`; its default if left out.
+        action_repeat: control steps that the environment holds an action for.
     """
     # No record: `segment` then keeps one sample of its steps.
     changes: dict[str, Any] = {"engine": "fused", "time": {"record_hz": 0.0}}
@@ -81,10 +83,10 @@ def main(
         return simulator.reset(drawn)
 
     plain_s = best_s(segment, repeats) - best_s(reset, repeats)
-    env = make(simulator, worlds=worlds, action=action)
-    program, (state, _) = scanned(steps), env.reset()
+    env = make(simulator, worlds=worlds, action=action, action_repeat=action_repeat)
+    program, (state, _) = scanned(steps // action_repeat), env.reset()
     env_s = best_s(lambda: program(env, state), repeats)
-    total = worlds * robots * steps
+    total = worlds * robots * (steps // action_repeat * action_repeat)
     print(f"{jax.devices()[0].device_kind}: {scenario}, {worlds} worlds of {robots}, {action}")
     print(f"Simulator.segment ({simulator.kernels}): {total / plain_s:,.0f} robot steps/s")
     print(f"environment: {total / env_s:,.0f} robot steps/s, {plain_s / env_s:.0%} of it")

@@ -78,6 +78,39 @@ def test_a_fixed_command_flies_as_a_segment_does(simulator, env, step):
     assert truncated.all()
 
 
+def test_an_action_that_is_held_is_as_many_steps_of_it(simulator, env, step):
+    held = make(
+        simulator,
+        worlds=WORLDS,
+        bank=env.bank,
+        reward=REWARD,
+        observe=("velocity", "goal", "current"),
+        action_repeat=4,
+    )
+    twist = np.full((WORLDS, 2, 6), 0.1, np.float32)
+    state, _ = env.reset()
+    worth = 0.0
+    for _ in range(8):
+        state, seen, reward, _, _, info = step(env, state, twist)
+        worth += reward
+    now, _ = held.reset()
+    gained = 0.0
+    for _ in range(2):
+        now, seen_held, reward, _, truncated, told = step(held, now, twist)
+        gained += reward
+    assert (np.asarray(told["time_s"]) == 0.4).all()
+    np.testing.assert_allclose(now.flight.vehicles.p, state.flight.vehicles.p, atol=1e-5)
+    np.testing.assert_allclose(told["energy_j"], info["energy_j"], rtol=1e-4)
+    np.testing.assert_allclose(seen_held, seen, atol=1e-4)
+    # Progress and energy add up; distance is taken four times as rarely, for four times as long.
+    np.testing.assert_allclose(gained, worth, rtol=0.02, atol=0.02)
+    for _ in range(3):
+        now, _, _, _, truncated, _ = step(held, now, twist)
+    assert truncated.all()
+    with pytest.raises(ConfigError, match="action_repeat = 3: the horizon of 20"):
+        make(simulator, worlds=WORLDS, bank=env.bank, action_repeat=3)
+
+
 def test_only_ended_worlds_are_replaced_and_by_the_bank(env, step):
     state, _ = env.reset()
     late = state.flight.step.at[1].set(env.rules.horizon - 1)

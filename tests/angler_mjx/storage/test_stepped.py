@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.datasets.reading.stored import StoredArray
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.storage import layout
 from angler_mjx.storage.chunks import shards
@@ -48,14 +49,19 @@ def test_zarr_reads_what_is_written_to_half_a_step(tmp_path, step, unit):
     assert np.array_equal(other[:], read, equal_nan=True)
 
 
-def test_what_is_out_of_range_is_clamped(tmp_path):
+def test_what_is_out_of_range_is_clamped_and_inf_stays_where_there_is_room(tmp_path):
     values = np.array([[[1e12], [-1e12], [np.inf], [0.0]]], np.float32)
-    for step, unit, most in ((1e-3, "m", 2147483.0), (1e-3, "m/s", 32.767)):
+    for step, unit, most, endless in (
+        (1e-3, "m", 2147483.0, np.inf),
+        (1e-3, "m/s", 32.767, 32.767),
+    ):
         steps = stepped(step, unit)
         path = tmp_path / f"{unit[-1]}.zarr"
         array = described(path, steps, values.shape)
         shards.write(path / "c" / "0" / "0" / "0", [steps.encoded(values)], shard=1)
-        np.testing.assert_allclose(array[0, :, 0], [most, -most, most, 0.0], rtol=1e-3)
+        np.testing.assert_allclose(array[0, :, 0], [most, -most, endless, 0.0], rtol=1e-3)
+        np.testing.assert_array_equal(array[0], StoredArray(path).read(0))
+        np.testing.assert_array_equal(steps.rounded(values)[0], array[0])
 
 
 def test_samples_are_stepped_by_their_units_and_nothing_else_is():
