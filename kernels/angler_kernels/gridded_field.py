@@ -6,6 +6,7 @@ beyond it, so that single precision suffices far from the first knot.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -57,10 +58,11 @@ def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
         inside = (steps >= low) & (steps <= high)
         return knot + lower.astype(jnp.int32), held - lower, jnp.where(inside, inverse, 0.0)
     if axis.knots:
-        known = np.asarray(axis.knots, rest.dtype)
+        known: Any = np.asarray(axis.knots, rest.dtype)
+        lengths: Any = np.diff(known)
         begin = take(known, knot)
         lower = jnp.sum(known[1:last] <= begin + rest, dtype=jnp.int32)
-        before, length = take(known, lower), take(np.diff(known), lower)
+        before, length = take(known, lower), take(lengths, lower)
     elif knots is not None:
         begin = take(knots, knot)
         lower = jnp.clip(count_not_above(knots, begin + rest) - 1, 0, last - 1)

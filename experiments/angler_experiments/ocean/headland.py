@@ -50,7 +50,8 @@ def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray
         wall = np.tanh(np.maximum(past, 0.0) / 1500.0)
         total = total - side * 180.0 * strength * np.exp(-0.5 * apart**2) * wall
     slower = (1.0 - 0.5 * depth_m / DEPTHS_M[-1]) ** 0.5
-    return slower * total
+    psi: np.ndarray = slower * total
+    return psi
 
 
 def dataset(n: int = 24) -> Any:

@@ -19,7 +19,7 @@ from angler_experiments.ocean import headland
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
-VORTICES = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
+VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
 
 
 def flying(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
@@ -47,7 +47,8 @@ def compare(name: str, worlds: int, repeats: int) -> dict[str, Any]:
     """Medians of both, taken by turns."""
     with tempfile.TemporaryDirectory() as folder:
         path = headland.write(Path(folder) / "headland.nc")
-        currents = {"vortices": VORTICES, "grid": {"type": "grid", "file": str(path)}}
+        grid: dict[str, Any] = {"type": "grid", "file": str(path)}
+        currents = {"vortices": VORTICES, "grid": grid}
         flights = {kind: flying(name, one, worlds) for kind, one in currents.items()}
         times: dict[str, list[float]] = {kind: [] for kind in flights}
         for _ in range(repeats + 1):
