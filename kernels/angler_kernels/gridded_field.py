@@ -6,9 +6,11 @@ beyond it, so that single precision suffices far from the first knot.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels.table import count_not_above, take
 
@@ -20,9 +22,14 @@ class Axis:
     count: int
     """Number of knots."""
     step: float | None
-    """From one knot to the next where that is the same all along; None where knots are looked up.
-    Of a single knot any number."""
+    """From one knot to the next where that is the same all along, else None. Of a single knot any
+    number."""
+    knots: tuple[float, ...] = ()
+    """Where steps differ and knots are few: their places, which programs then hold as numbers."""
 
+
+FEW = 16
+"""Most knots that programs hold as numbers."""
 
 type Spot = tuple[jax.Array, jax.Array, jax.Array]
 """Lower knot int32 [], share of the way to the next [], and derivative of that share [] by the
@@ -34,7 +41,7 @@ def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
 
     Args:
         axis: static.
-        knots: [count] places of the knots, rising; not looked at where the step is one.
+        knots: [count] places of the knots, rising, where they differ in steps and are many.
         knot: int32 [] from which the place is said.
         rest: [] how far beyond it, of either sign.
     """
@@ -50,15 +57,22 @@ def locate(axis: Axis, knots: jax.Array | None, knot: jax.Array, rest: jax.Array
         lower = jnp.minimum(jnp.floor(held), high - 1.0)
         inside = (steps >= low) & (steps <= high)
         return knot + lower.astype(jnp.int32), held - lower, jnp.where(inside, inverse, 0.0)
-    if knots is None:
+    if axis.knots:
+        known: Any = np.asarray(axis.knots, rest.dtype)
+        lengths: Any = np.diff(known)
+        begin = take(known, knot)
+        lower = jnp.sum(known[1:last] <= begin + rest, dtype=jnp.int32)
+        before, length = take(known, lower), take(lengths, lower)
+    elif knots is not None:
+        begin = take(knots, knot)
+        lower = jnp.clip(count_not_above(knots, begin + rest) - 1, 0, last - 1)
+        before = take(knots, lower)
+        length = take(knots, lower + 1) - before
+    else:
         raise TypeError("an axis of steps that differ needs its knots")
-    begin = take(knots, knot)
-    k = jnp.clip(count_not_above(knots, begin + rest) - 1, 0, last - 1)
-    before = take(knots, k)
-    length = take(knots, k + 1) - before
     share = (rest - (before - begin)) / length
     held = jnp.clip(share, 0.0, 1.0)
-    return k, held, jnp.where(share == held, 1.0 / length, 0.0)
+    return lower, held, jnp.where(share == held, 1.0 / length, 0.0)
 
 
 def multilinear(

@@ -50,7 +50,11 @@ class Gridded:
             # The same arrays in every call: a program then holds them once.
             given = tuple(one.astype(p.dtype, copy=False) for one in self.field.numbers)
         values, *uneven = given
-        axes = [(axis, uneven.pop(0) if axis.step is None else None) for axis in self.field.axes]
+        long = [axis.step is None and not axis.knots for axis in self.field.axes]
+        axes = [
+            (axis, uneven.pop(0) if is_long else None)
+            for axis, is_long in zip(self.field.axes, long, strict=True)
+        ]
         return gridded(
             p, t, values, self.field.shape, axes, self.knot, self.rest, self.rate, self.factor
         )

@@ -12,7 +12,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from angler_kernels.table import take
 from angler_mjx.files import FileModel
 from angler_mjx.world import ocean
-from angler_mjx.world.currents.fields import Component, Current
+from angler_mjx.world.currents.fields import Current
 from angler_mjx.world.currents.gridded import GridConfig, Gridded, absolute
 from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
 from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
@@ -66,7 +66,7 @@ class BathymetryConfig(FileModel):
         return places(floor.wet[:, :, None], floor.knots, floor.degrees, y, x)
 
 
-def check(currents: Sequence[Component], bathymetry: BathymetryConfig | None) -> None:
+def check(currents: Sequence[FileModel], bathymetry: BathymetryConfig | None) -> None:
     """Refuse files that do not lie together.
 
     Args:
@@ -107,7 +107,7 @@ def check(currents: Sequence[Component], bathymetry: BathymetryConfig | None) ->
 
 
 def rock(
-    configs: Sequence[Component],
+    configs: Sequence[FileModel],
     current: Current,
     bathymetry: BathymetryConfig | None,
     key: jax.Array,

@@ -215,7 +215,7 @@ def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
     if not one.needed:
         return None
     raise ConfigError(
-        f"{named(path)}: no variable has the standard_name {one.standard[0]}; say which one is meant "
+        f"{named(path)}: no variable has the standard_name {one.standard[0]}; say which is meant "
         f"by {key} = NAME; there is {', '.join(about) or 'none'}"
     )
 
@@ -333,9 +333,11 @@ def _laid(array: Any, axes: Mapping[str, tuple[str, Axis]]) -> np.ndarray:
     kinds = [kind for kind in AXES if kind in axes]
     order = [axes[kind][0] for kind in kinds]
     alone = {dim: 0 for dim in array.dims if dim not in order}
-    values = np.asarray(array.isel(alone).transpose(*order).values, np.float64)
-    values = np.flip(values, [i for i, kind in enumerate(kinds) if axes[kind][1].turned])
-    return np.expand_dims(values, [i for i, kind in enumerate(AXES) if kind not in axes])
+    values: np.ndarray = np.asarray(array.isel(alone).transpose(*order).values, np.float64)
+    turned = [slice(None, None, -1 if axes[kind][1].turned else 1) for kind in kinds]
+    whole = [slice(None) if kind in axes else None for kind in AXES]
+    laid: np.ndarray = values[tuple(turned)][tuple(whole)]
+    return laid
 
 
 def _unit(path: Path, array: Any, known: Mapping[str, float]) -> float:

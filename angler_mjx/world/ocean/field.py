@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from angler_kernels.gridded_field import Axis
+from angler_kernels.gridded_field import FEW, Axis
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named
 from angler_mjx.world.ocean import cf
@@ -75,11 +75,11 @@ class Field:
 
     @cached_property
     def numbers(self) -> tuple[np.ndarray, ...]:
-        """Flat arrays that programs look up: the values, and the knots of uneven axes."""
+        """Flat arrays that programs look up: the values, and the knots of long uneven axes."""
         uneven = [
             knots - knots[0]
             for axis, knots in zip(self.axes, self.knots, strict=True)
-            if axis.step is None
+            if axis.step is None and not axis.knots
         ]
         return tuple(np.asarray(one, np.float32) for one in (self.values.reshape(-1), *uneven))
 
@@ -92,7 +92,10 @@ def even_axis(knots: np.ndarray) -> Axis:
     mean = float((knots[-1] - knots[0]) / (len(knots) - 1))
     even = knots[0] + mean * np.arange(len(knots))
     is_even = np.max(np.abs(knots - even)) <= _EVEN * float(steps.min())
-    return Axis(count=len(knots), step=mean if is_even else None)
+    if is_even:
+        return Axis(count=len(knots), step=mean)
+    few = tuple((knots - knots[0]).tolist()) if len(knots) <= FEW else ()
+    return Axis(count=len(knots), step=None, knots=few)
 
 
 def load(path: str, names: Mapping[str, str | None]) -> Field:

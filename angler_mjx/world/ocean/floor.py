@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.gridded_field import Axis, locate
-from angler_kernels.table import take
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named
 from angler_mjx.world.ocean import cf
@@ -117,7 +116,7 @@ def dry_cells(
         centres: of the cells.
     """
     y, x, z = (
-        _nearest(axis, values, *(part[i] for part in place), along)
+        _nearest(axis, values, (place[0][i], place[1][i], place[2][i]), along)
         for i, (axis, values, along) in enumerate(
             zip(axes, knots, (centres.y, centres.x, centres.z), strict=True)
         )
@@ -144,7 +143,7 @@ def below_floor(
         centres: of the cells.
     """
     spots = [
-        _spots(axis, values, *(part[i] for part in place), along)
+        _spots(axis, values, (place[0][i], place[1][i], place[2][i]), along)
         for i, (axis, values, along) in enumerate(
             zip(floor.axes, floor.knots, (centres.y, centres.x), strict=True)
         )
@@ -174,12 +173,11 @@ def carried_over(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.
 def _spots(
     axis: Axis,
     knots: np.ndarray,
-    knot: jax.Array,
-    rest: jax.Array,
-    rate: jax.Array,
+    place: tuple[jax.Array, jax.Array, jax.Array],
     along: jax.Array,
 ) -> tuple[jax.Array, jax.Array]:
     """Lower knots and shares of the way to the next of places along an axis of W."""
+    knot, rest, rate = place
     table = jnp.asarray(knots - knots[0], rest.dtype)
 
     def one(at: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -192,10 +190,8 @@ def _spots(
 def _nearest(
     axis: Axis,
     knots: np.ndarray,
-    knot: jax.Array,
-    rest: jax.Array,
-    rate: jax.Array,
+    place: tuple[jax.Array, jax.Array, jax.Array],
     along: jax.Array,
 ) -> jax.Array:
-    lower, share = _spots(axis, knots, knot, rest, rate, along)
+    lower, share = _spots(axis, knots, place, along)
     return lower + (share > 0.5)

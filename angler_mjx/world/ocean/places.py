@@ -132,7 +132,7 @@ def places(
     order = np.argsort(-deepest[iy, ix], kind="stable")
     iy, ix = iy[order], ix[order]
     shrink = np.cos(np.radians(knots[0][iy])) if degrees else 1.0
-    # A span that is one place has no length, and a knot that it meets no area: then all count alike.
+    # A span that is one place has no length, and no area: then all parts count alike.
     width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
     sides = [one if one.any() else np.ones_like(one) for one in width]
     levels = np.arange(wet.shape[2])

@@ -154,14 +154,16 @@ def flat_file(current: Any, path: Path) -> None:
     ).to_netcdf(path, engine="h5netcdf")
 
 
-def apart(ours: Array, theirs: Array, clear: Array) -> dict[str, float]:
-    """Distances after a day between two sets of tracks, of particles that stayed clear of land."""
-    gap = np.linalg.norm((ours - theirs)[-1, clear, :2], axis=-1)
+def apart(ours: Array, theirs: Array, clear: Array) -> dict[str, Any]:
+    """Distances between two sets of tracks, of particles that stayed clear of land."""
+    gap = np.linalg.norm((ours - theirs)[:, clear, :2], axis=-1)
     return {
         "particles": int(clear.sum()),
-        "median_m": float(np.median(gap)),
-        "p99_m": float(np.quantile(gap, 0.99)),
-        "greatest_m": float(gap.max()),
+        "median_m": float(np.median(gap[-1])),
+        "p99_m": float(np.quantile(gap[-1], 0.99)),
+        "greatest_m": float(gap[-1].max()),
+        "median_by_hour_m": np.round(np.median(gap, axis=1), 6).tolist(),
+        "greatest_by_hour_m": np.round(gap.max(axis=1), 6).tolist(),
     }
 
 

@@ -32,7 +32,8 @@ _M2, _S2 = 2 * np.pi / (12.4206012 * 3600), 2 * np.pi / (12.0 * 3600)
 def sea_floor_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Depth of the sea floor, m, by metres east and north; negative on land."""
     off = np.minimum(y, np.hypot(x, y) - RADIUS_M)
-    return np.where(off > 0, 4.0 + 44.0 * np.tanh(np.maximum(off, 0.0) / 5000.0), -5.0)
+    depth: np.ndarray = np.where(off > 0, 4.0 + 44.0 * np.tanh(np.maximum(off, 0.0) / 5000.0), -5.0)
+    return depth
 
 
 def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray) -> np.ndarray:
@@ -49,7 +50,8 @@ def stream_m2ps(x: np.ndarray, y: np.ndarray, depth_m: float, time_s: np.ndarray
         wall = np.tanh(np.maximum(past, 0.0) / 1500.0)
         total = total - side * 180.0 * strength * np.exp(-0.5 * apart**2) * wall
     slower = (1.0 - 0.5 * depth_m / DEPTHS_M[-1]) ** 0.5
-    return slower * total
+    psi: np.ndarray = slower * total
+    return psi
 
 
 def dataset(n: int = 24) -> Any:

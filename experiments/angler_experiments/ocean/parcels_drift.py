@@ -3,9 +3,9 @@
     python -m venv parcels && parcels/bin/pip install "parcels>=4" netCDF4
     parcels/bin/python experiments/angler_experiments/ocean/parcels_drift.py runs/drift
 
-Reads the places and the field that ``drift`` left in the folder and writes ``parcels.npz``: tracks of
-the particles that stayed clear of land. The field is on a plane (``mesh="flat"``) with the water carried on into land, as ours is: what is
-compared is interpolation and integration.
+Reads the places and the field that ``drift`` left in the folder and writes ``parcels.npz``: tracks
+of the particles that stayed clear of land. The field is on a plane (``mesh="flat"``) with the water
+carried on into land, as ours is: what is compared is interpolation and integration.
 """
 
 import argparse

@@ -122,7 +122,9 @@ def test_fields_that_a_device_cannot_hold_are_refused(place, monkeypatch):
     held = load_scenario(place / "tide.toml").world.held_bytes
     assert held == 4 * (24 * 24 * 8 * 26 * 2 + 8)
     monkeypatch.setattr(devices, "limit_bytes", lambda device: 12 * held - 4)
-    with pytest.raises(ConfigError, match="the fields of files take 958 kB.*a device has 11.5 MB"):
+    with pytest.raises(
+        ConfigError, match=r"the fields of files take 958 kB.*a device has 11\.5 MB"
+    ):
         devices.require_room(held)
     monkeypatch.setattr(devices, "limit_bytes", lambda device: 12 * held)
     devices.require_room(held)

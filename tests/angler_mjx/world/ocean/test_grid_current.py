@@ -199,5 +199,5 @@ def test_bad_tables_are_refused(ocean_file, keys, words):
 
 def test_a_run_that_the_times_do_not_cover_is_refused(ocean_file):
     (config,) = configs(ocean_file, scale={"space": 0.001, "speed": 0.1})
-    with pytest.raises(ValueError, match="covers 2024-06-01.*a run of 1200 s"):
+    with pytest.raises(ValueError, match=r"covers 2024-06-01.*a run of 1200 s"):
         config.starts_s(1200.0)

@@ -1,0 +1,83 @@
+"""What a current of a file costs: one scenario with it, and with three vortices instead.
+
+    python -m angler_experiments.ocean.speed --worlds 65536
+
+Flies `reef_fleet` with both currents by turns and prints vehicle-steps a second and their ratio.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_experiments.ocean import headland
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.simulator.simulator import Simulator
+
+VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
+
+
+def flying(name: str, current: dict[str, Any], worlds: int) -> tuple[Simulator, Any, Any]:
+    """A compiled simulator of `reef_fleet` in a current, with its worlds and their state."""
+    plain = load_scenario(name).world.model_dump(mode="json", exclude_none=True)
+    table = {**plain, "currents": [current]}
+    scenario = load_scenario(
+        name, world=table, worlds=worlds, engine="fused", time={"record_hz": 0.0}
+    )
+    simulator = Simulator(scenario, tile=worlds)
+    simulator.compile()
+    made = simulator.worlds()
+    return simulator, made, simulator.reset(made)
+
+
+def seconds(simulator: Simulator, worlds: Any, state: Any) -> tuple[float, Any]:
+    """Wall time of a segment, and the state after it."""
+    begun = time.perf_counter()
+    after, _, running = simulator.advance(worlds, state)
+    jax.block_until_ready(running)
+    return time.perf_counter() - begun, after
+
+
+def compare(name: str, worlds: int, repeats: int) -> dict[str, Any]:
+    """Medians of both, taken by turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = headland.write(Path(folder) / "headland.nc")
+        grid: dict[str, Any] = {"type": "grid", "file": str(path)}
+        currents = {"vortices": VORTICES, "grid": grid}
+        flights = {kind: flying(name, one, worlds) for kind, one in currents.items()}
+        times: dict[str, list[float]] = {kind: [] for kind in flights}
+        for _ in range(repeats + 1):
+            for kind, (simulator, made, state) in flights.items():
+                took, after = seconds(simulator, made, state)
+                flights[kind] = (simulator, made, after)
+                times[kind].append(took)
+    simulator = flights["grid"][0]
+    steps = simulator.segment_steps * simulator.spec.physics_steps * worlds
+    steps *= len(simulator.scenario.members())
+    found = {kind: steps / float(np.median(took[1:])) for kind, took in times.items()}
+    return {
+        "device": jax.devices()[0].device_kind,
+        "kernels": simulator.kernels,
+        "worlds": worlds,
+        "vehicle_steps_per_s": found,
+        "ratio": found["grid"] / found["vortices"],
+    }
+
+
+def main() -> None:
+    """Measure as the command line says."""
+    parser = argparse.ArgumentParser(description="What a current of a file costs.")
+    parser.add_argument("--scenario", default="reef_fleet")
+    parser.add_argument("--worlds", type=int, default=65536)
+    parser.add_argument("--repeats", type=int, default=7)
+    given = parser.parse_args()
+    print(json.dumps(compare(given.scenario, given.worlds, given.repeats), indent=2))
+
+
+if __name__ == "__main__":
+    main()
