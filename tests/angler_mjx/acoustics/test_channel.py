@@ -180,34 +180,16 @@ def test_rock_throws_shadows():
     assert known[2, 0]
 
 
-def test_losses_come_as_often_as_the_link_says():
-    link = Budget(
-        snr_db=30.0,
-        bit_db=11.0,
-        spreading=1.5,
-        absorption_db_per_m=6e-3,
-        bits=64,
-        modulation="bpsk",
-        fading="rayleigh",
-    )
-    one = shared(access.tdma(PACKET_S, 0.1, DT_S), link=link)
-    frames, worlds = 25, 60
-    end, _ = fly(one, ROW_M, frames * 3 * one.access.slot, worlds=worlds)
-    distance = np.linalg.norm(ROW_M[:, None] - ROW_M, axis=-1)
-    success = np.where(np.eye(3), 0.0, link.success(distance, 0.0))
-    assert 0.05 < success[0, 2] < 0.95  # or nothing is tested
-    mean = end.caught.mean(axis=0) / frames
-    spread = np.sqrt(np.sum(success * (1 - success), axis=1) / (frames * worlds))
-    assert np.all(np.abs(mean - success.sum(axis=1)) < 4.5 * spread + 1.0 / frames)
-
-
 CROWD = 16
 """Robots within a metre of each other, where sound takes no time."""
 
 
-def crowd(one, steps, worlds):
-    """The channel after so many steps; the number of the step is one for all worlds."""
-    p_m = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (CROWD, 3)), jnp.float32)
+CROWD_M = np.random.default_rng(1).uniform(-1.0, 1.0, (CROWD, 3))
+
+
+def stay(one, place_m, steps, worlds):
+    """The channel after so many steps of robots that stay where they are."""
+    p_m = jnp.asarray(place_m, jnp.float32)
 
     def advance(number, key, memory):
         now = Now(
@@ -229,6 +211,27 @@ def crowd(one, steps, worlds):
     return jax.device_get(quickly(run)(jax.random.split(jax.random.key(5), worlds)))
 
 
+def test_losses_come_as_often_as_the_link_says():
+    link = Budget(
+        snr_db=30.0,
+        bit_db=11.0,
+        spreading=1.5,
+        absorption_db_per_m=6e-3,
+        bits=64,
+        modulation="bpsk",
+        fading="rayleigh",
+    )
+    one = shared(access.tdma(PACKET_S, 0.1, DT_S), link=link)
+    frames, worlds = 25, 60
+    end = stay(one, ROW_M, frames * 3 * one.access.slot, worlds)
+    distance = np.linalg.norm(ROW_M[:, None] - ROW_M, axis=-1)
+    success = np.where(np.eye(3), 0.0, link.success(distance, 0.0))
+    assert 0.05 < success[0, 2] < 0.95  # or nothing is tested
+    mean = end.caught.mean(axis=0) / frames
+    spread = np.sqrt(np.sum(success * (1 - success), axis=1) / (frames * worlds))
+    assert np.all(np.abs(mean - success.sum(axis=1)) < 4.5 * spread + 1.0 / frames)
+
+
 @pytest.mark.parametrize(("slotted", "interval_s"), [(False, 30.0), (True, 15.0)])
 def test_aloha_gets_through_what_abramson_says(slotted, interval_s):
     """Throughput G exp(-2 G), in slots G exp(-G), G being the load of the 15 others on a receiver.
@@ -240,7 +243,7 @@ def test_aloha_gets_through_what_abramson_says(slotted, interval_s):
     guard_s = -1e-4 if slotted else 1.3
     one = shared(make(PACKET_S, guard_s, DT_S, interval_s), sound_mps=1e9)
     steps, worlds = 12_000, 24
-    end = crowd(one, steps, worlds)
+    end = stay(one, CROWD_M, steps, worlds)
     packets = steps * DT_S / PACKET_S
     rate = end.air.sent.mean() / packets
     assert rate == pytest.approx(PACKET_S / interval_s, rel=0.05)
