@@ -280,17 +280,16 @@ class MjxEngine:
         """See `Engine.control_step`."""
         if rows is not None:
             worlds = jax.tree.map(lambda leaf: leaf[rows], worlds)
-        if steps > 1:
-            again = partial(self.control_step, spec, fleet, worlds, command=command, policy=policy)
-            return repeated(again, state, steps)
-        one = partial(
-            control_step, spec, policy=policy, number=_number(spec, state, policy), fleet=fleet
-        )
-        after: WorldState
-        after, sample = jax.vmap(one, (None, 0, 0, 0))(
-            _multibody(spec, fleet, worlds), worlds, state, command
-        )
-        return after, nearness.completed(spec, worlds, sample)
+        engine = _multibody(spec, fleet, worlds)
+
+        def once(state: WorldState) -> tuple[WorldState, Sample]:
+            number = _number(spec, state, policy) if rows is None else None
+            one = partial(control_step, spec, policy=policy, number=number, fleet=fleet)
+            after: WorldState
+            after, sample = jax.vmap(one, (None, 0, 0, 0))(engine, worlds, state, command)
+            return after, nearness.completed(spec, worlds, sample)
+
+        return repeated(once, state, steps)
 
     def segment(
         self,

@@ -21,6 +21,8 @@ from angler_mjx.world.rules import OpenRule
 
 MOST_ROBOTS = 64
 """Of a fleet with a task."""
+PLACES, GOODS = 8, 4
+"""Of a task whose file gives no number."""
 MOST_CELLS = 8192
 """That a robot looks at, at a time."""
 
@@ -58,8 +60,9 @@ class TourTask(_Task):
     """Places that are to be visited."""
 
     type: Literal["tour"]
-    places: int = Field(default=8, ge=1, le=MOST_JOBS)
-    """Number of places, drawn for each world among the cells that all robots can reach."""
+    places: int | None = Field(default=None, ge=1, le=MOST_JOBS)
+    """Number of places, drawn for each world among the cells that all robots can reach; 8 if left
+    out."""
     within: tuple[Corner, Corner] = WHOLE
     """Part of the cube that they are drawn in: lower and upper corner, as shares of its edges."""
     places_m: tuple[Vector, ...] = Field(default=(), max_length=MOST_JOBS)
@@ -76,9 +79,14 @@ class TourTask(_Task):
             raise ValueError(
                 "ordered = true: one robot after the other would have to wait; give shared = false"
             )
-        if self.places_m and "places" in self.model_fields_set:
+        if self.places_m and self.places is not None:
             raise ValueError("places and places_m: give one of them, not both")
         return self
+
+    @property
+    def count(self) -> int:
+        """Number of places."""
+        return len(self.places_m) or self.places or PLACES
 
 
 class SurveyTask(_Task):
@@ -103,8 +111,8 @@ class DeliverTask(_Task):
     """Goods that are to be brought to other places; a robot carries one at a time."""
 
     type: Literal["deliver"]
-    goods: int = Field(default=4, ge=1, le=MOST_JOBS)
-    """Number of goods."""
+    goods: int | None = Field(default=None, ge=1, le=MOST_JOBS)
+    """Number of goods; as many as from_m or to_m has places, or 4, if left out."""
     from_within: tuple[Corner, Corner] = WHOLE
     """Part of the cube that they lie in: lower and upper corner, as shares of its edges."""
     to_within: tuple[Corner, Corner] = WHOLE
@@ -131,9 +139,7 @@ class DeliverTask(_Task):
     @property
     def count(self) -> int:
         """Number of goods."""
-        if "goods" in self.model_fields_set or not (self.from_m or self.to_m):
-            return self.goods
-        return len(self.from_m or self.to_m)
+        return self.goods or len(self.from_m) or len(self.to_m) or GOODS
 
 
 type TaskConfig = Annotated[
@@ -167,8 +173,7 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
         after=task.after,
     )
     if isinstance(task, TourTask):
-        jobs = len(task.places_m) or task.places
-        return replace(spec, jobs=jobs, shared=task.shared, ordered=task.ordered)
+        return replace(spec, jobs=task.count, shared=task.shared, ordered=task.ordered)
     if isinstance(task, DeliverTask):
         return replace(spec, jobs=task.count, dropped=task.dropped)
     return replace(spec, jobs=task.viewpoints, survey=_survey(task, world))
@@ -178,7 +183,7 @@ def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:
     """Places of a task by the keys that say where they are, where jobs begin first."""
     if isinstance(task, TourTask):
         where = Places(within=task.within, given_m=task.places_m)
-        return (("places_m" if task.places_m else "within", where, task.places),)
+        return (("places_m" if task.places_m else "within", where, task.count),)
     if isinstance(task, DeliverTask):
         begin = Places(within=task.from_within, given_m=task.from_m)
         end = Places(within=task.to_within, given_m=task.to_m)

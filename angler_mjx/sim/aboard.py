@@ -4,6 +4,7 @@ Plain arrays with robots leading, in every engine: filters and policies are matr
 lanes have nothing to offer for. The fused engines run them between their own phases.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -319,6 +320,20 @@ def tells(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
     wanted = policy is not None or spec.by_task or spec.acoustics is not None
     return bool(spec.instrumented) or wanted
+
+
+def period(spec: SimSpec, policy: Policy | None) -> int:
+    """Control steps of which the phases of worlds act in none but the first, counted from t = 0.
+
+    What they give holds in the others. A phase that is not known here acts in every step.
+    """
+    every = {
+        SENSE.name: 1 if spec.instrumented else 0,
+        HEAR.name: 0 if spec.acoustics is None else 1,
+        WORK.name: 0 if spec.task is None else spec.task.period,
+        POLICY.name: 0 if policy is None else policy.period,
+    }
+    return math.gcd(*(every.get(phase.name, 1) for phase in PHASES)) or 1
 
 
 def watches(policy: Policy | None) -> bool:

@@ -61,6 +61,14 @@ def window(
     return jnp.clip(cells, 0, last), inside
 
 
+def columns(spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array) -> jax.Array:
+    """Columns int32 [c, 2] of the window about a cell int32 [3], in the order of `window`."""
+    side = np.arange(-spec.footprint.wide, spec.footprint.wide + 1)
+    step = np.stack(np.meshgrid(side, side, indexing="ij"), -1).reshape(-1, 2)
+    last = jnp.array(shape[:2], jnp.int32) - 1
+    return jnp.clip(cell[:2] + jnp.array(step, jnp.int32), 0, last)
+
+
 def window_size(spec: SurveySpec) -> int:
     """Number n of cells of a window."""
     seen = spec.footprint

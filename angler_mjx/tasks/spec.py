@@ -98,7 +98,8 @@ class SurveyWorld:
     ground: jax.Array
     """int32 [nx, ny] lowest free cell of each column; nz where there is none."""
     of_job: jax.Array
-    """bool [M, n] which cells of the window about its viewpoint are a job's; see `sight`."""
+    """uint32 [M, c, w] which cells of the columns about its viewpoint are a job's, as bits along z:
+    cell k is bit k % 32 of word k // 32; see `sight.columns`."""
     count: jax.Array
     """int32 [] number of ``cells``."""
 

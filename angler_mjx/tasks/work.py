@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
+from angler_kernels import bit_grid
 from angler_kernels.quaternion import rotate
 from angler_mjx.tasks import allocation, bits, deliver, sight
 from angler_mjx.tasks.allocation import View
@@ -191,12 +192,12 @@ def _over(
     viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells that were seen in
     passing are the nearest robot's.
     """
-    points = task.place_m[: spec.jobs]
+    # A whole column is one word or a few: a look at each cell would cost several times as much.
+    points, packed = task.place_m[: spec.jobs], bit_grid.pack(seen)
 
     def whole(point: jax.Array, mine: jax.Array) -> jax.Array:
-        cell = sight.cell_of(scene.grid, point)
-        at, _ = sight.window(survey, seen.shape, world.ground, cell)
-        return jnp.all(seen[at[:, 0], at[:, 1], at[:, 2]] | ~mine)
+        at = sight.columns(survey, seen.shape, sight.cell_of(scene.grid, point))
+        return jnp.all(mine & ~packed[at[:, 0], at[:, 1]] == 0)
 
     apart = jnp.sum((scene.p[:, None] - points) ** 2, axis=-1)
     apart = jnp.where(scene.running[:, None], apart, jnp.inf)

@@ -202,15 +202,16 @@ def log_still(
         config: of its vehicle.
         robot: its index.
         space: path of its entities.
-        goal_m: [3] in W.
+        goal_m: [3] in W; NaN where it has none of its own.
         plan_m: [n, 3] way-points in W.
         named: whether its goal is written at; else only a click tells.
     """
     color = color_of(robot)
-    goal = rr.Points3D(
-        [goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"], show_labels=named
-    )
-    recording.log(f"{space}/goal", goal, static=True)
+    if np.isfinite(goal_m).all():
+        goal = rr.Points3D(
+            [goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"], show_labels=named
+        )
+        recording.log(f"{space}/goal", goal, static=True)
     plan = rr.LineStrips3D([plan_m], colors=[color], radii=[_PLAN])
     recording.log(f"{space}/plan", plan, static=True)
     _log_vehicle(recording, config, f"{space}/vehicle", color)

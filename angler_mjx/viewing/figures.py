@@ -5,7 +5,7 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage.folder import FIGURES, Run
-from angler_mjx.viewing import scene, statistics, style
+from angler_mjx.viewing import scene, statistics, style, task_figure
 from angler_mjx.viewing.choose import good_world, worst_world
 from angler_mjx.viewing.maps import one_world
 
@@ -14,7 +14,8 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
     """Draw all figures of a run; older ones of the same name are replaced.
 
     ``outcomes.png``, ``distances.png`` and ``time_to_goal.png`` about all robots, and one
-    ``map_world_K.png`` for each chosen world, where the run stored trajectories.
+    ``map_world_K.png`` for each chosen world, where the run stored trajectories; of a task also
+    ``task_world_K.png``.
 
     Args:
         run: run folder.
@@ -38,7 +39,21 @@ def make(run: Run, worlds: Sequence[int] | None = None) -> list[Path]:
             folder / "time_to_goal.png",
         ),
     ]
-    return paths + [world_map(run, world, word) for world, word in chosen.items()]
+    paths += [world_map(run, world, word) for world, word in chosen.items()]
+    if run.scenario.task_spec() is not None:
+        paths += [task_map(run, world) for world in chosen]
+    return paths
+
+
+def task_map(run: Run, world: int) -> Path:
+    """Draw what a team did of its task in one world.
+
+    Args:
+        run: run folder of a scenario with a task, with trajectories.
+        world: global index.
+    """
+    figure = task_figure.draw(run, scene.read(run, world))
+    return style.save(figure, run.path / FIGURES / f"task_world_{world}.png")
 
 
 def world_map(run: Run, world: int, word: str = "") -> Path:

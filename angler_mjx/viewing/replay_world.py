@@ -61,6 +61,8 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
     )
     _trail(recording, scene, robot, f"{space}/trail")
     _label(recording, scene, robot, f"{space}/vehicle/label")
+    if not np.isfinite(robot.goal_m).all():
+        return
     away = np.linalg.norm(robot.p_m - robot.goal_m, axis=1)
     series = f"{root}/distance_to_goal_m/{name}"
     color = entities.color_of(robot.index)

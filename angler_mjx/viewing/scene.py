@@ -45,7 +45,7 @@ class RobotTrack:
     start_m: np.ndarray
     """[3]."""
     goal_m: np.ndarray
-    """[3]."""
+    """[3]; NaN where a task has other places."""
 
     @property
     def arrived(self) -> bool:
@@ -117,6 +117,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
     robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
     courses = layout.courses(stored, world)
+    tasked = run.scenario.task_spec() is not None
     tracks = tuple(
         RobotTrack(
             index=i,
@@ -129,7 +130,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
             failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"], float),
             plan_m=courses[i][1],
             start_m=np.asarray(environment.start_m[i]),
-            goal_m=np.asarray(environment.goal_m[i]),
+            goal_m=np.full(3, np.nan) if tasked else np.asarray(environment.goal_m[i]),
             **{name: values[:, i] for name, values in robots.items()},
         )
         for i, row in enumerate(rows)

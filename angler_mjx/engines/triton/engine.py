@@ -9,6 +9,7 @@ Phases of worlds, where there are any (instruments and filters, policies), are p
 the kernels.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -74,7 +75,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and spec.instrumented:
+        if steps > 1 and aboard.tells(spec, aboard.asked(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
@@ -149,20 +150,29 @@ class TritonEngine:
             ended = state.tally.outcome if spec.by_task else None
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
-        ahead = 1 if watched else min(AHEAD, n_sample * steps_per_sample)
+        steps = n_sample * steps_per_sample
+        period = aboard.period(spec, policy) if rows is None and steps > 1 else 1
+        ahead = 1 if watched else min(_together(period), steps)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
         )
-        kernels = Kernels(self._program, spec, part)
+        launches = Kernels(self._program, spec, part).launches()
         if told is not None:
             asks = (watched, spec.by_task)
-            end = _fly_looped(kernels, part, partial(_tell, tell, part, *asks))
+            end = _fly_told(launches, part, partial(_tell, tell, part, *asks), period)
         elif self._program.interpret:
-            end = _fly_looped(kernels, part, None)
+            end = _fly_looped(launches, part, None)
         else:
-            end = _fly(kernels, part)
+            end = _fly(launches, part)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
         return after, nearness.all_completed(spec, here, samples)
+
+
+def _together(period: int) -> int:
+    """Control steps that obstacles are moved ahead, where phases of worlds act once a period."""
+    if period == 1:
+        return AHEAD
+    return max(steps for steps in range(1, AHEAD + 1) if period % steps == 0)
 
 
 def _tell(
@@ -173,11 +183,12 @@ def _tell(
     base: jax.Array,
     k: jax.Array,
     x: Arrays,
+    hold: int = 1,
 ) -> Arrays:
     """The phases of worlds in control step ``base + k``, and their record: no kernel.
 
     Where a policy has obstacles ``watched``, they are not ahead of the robots yet; ``by_task``, a
-    task asks how robots ended.
+    task asks how robots ended. What they give and record holds for ``hold`` steps.
     """
     tile, count = part.tile, base[0] + k[0]
     number = (part.first if tile.some_rows else part.first[0]) + count
@@ -186,10 +197,13 @@ def _tell(
     ended = part.layouts["tally"].unpack(x.slots["tally"], lead).outcome if by_task else None
     bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
     minds, told = tell(x.minds, number, vehicles, bodies, ended)
-    place, is_sample = count // part.every, count % part.every == 0
 
     def record(kept: jax.Array, new: jax.Array) -> jax.Array:
-        return kept.at[place].set(jnp.where(is_sample, new, kept[place]))
+        for later in range(1 + math.ceil((hold - 1) / part.every)):
+            place = count // part.every + later
+            is_sample = (place * part.every >= count) & (place * part.every < count + hold)
+            kept = kept.at[place].set(jnp.where(is_sample, new, kept[place]))
+        return kept
 
     packed = {
         name: part.layouts[name].pack(tree, tile.dtype) for name, tree in told.given().items()
@@ -202,9 +216,9 @@ def _tell(
     )
 
 
-def _fly(kernels: Kernels, part: Segment) -> Arrays:
+def _fly(launches: tuple[Launch, Launch], part: Segment) -> Arrays:
     """The arrays after all steps of a segment."""
-    obstacles, robots = kernels.launches()
+    obstacles, robots = launches
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
         for k in range(count):
@@ -214,12 +228,41 @@ def _fly(kernels: Kernels, part: Segment) -> Arrays:
             x = robots(base, at, x)
         return x
 
-    return _chunks(steps, UNROLLED, part)
+    return _chunks(steps, UNROLLED, part.steps, jnp.zeros(1, jnp.int32), part.start)
 
 
-def _fly_looped(kernels: Kernels, part: Segment, tell: Launch | None) -> Arrays:
+def _fly_told(
+    launches: tuple[Launch, Launch], part: Segment, tell: Callable[..., Arrays], period: int
+) -> Arrays:
+    """As `_fly`, with ``tell`` before the robots act, once a period where the segment begins so."""
+    begin = jnp.zeros(1, jnp.int32)
+    if period == 1:
+        return _fly_looped(launches, part, tell)
+    obstacles, robots = launches
+
+    def some(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
+            return robots(base, k[None], x), None
+
+        x = obstacles(base, begin, x)
+        return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        return _chunks(some, part.ahead, count, base, tell(base, begin, x, hold=period))
+
+    def at_its_times() -> Arrays:
+        return _chunks(steps, period, part.steps, begin, part.start)
+
+    def in_every_step() -> Arrays:
+        return _fly_looped(launches, part, tell)
+
+    after: Arrays = jax.lax.cond(part.first[0] % period == 0, at_its_times, in_every_step)
+    return after
+
+
+def _fly_looped(launches: tuple[Launch, Launch], part: Segment, tell: Launch | None) -> Arrays:
     """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
-    obstacles, robots = kernels.launches()
+    obstacles, robots = launches
     now = jnp.zeros(1, jnp.int32)
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
@@ -233,19 +276,32 @@ def _fly_looped(kernels: Kernels, part: Segment, tell: Launch | None) -> Arrays:
             x = obstacles(base, now, x)
         return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
 
-    return _chunks(steps, part.ahead, part)
+    return _chunks(steps, part.ahead, part.steps, now, part.start)
 
 
-def _chunks(steps: Callable[[jax.Array, int, Arrays], Arrays], size: int, part: Segment) -> Arrays:
-    """All control steps of a segment: of a base int32 [1], a number of them, and the arrays."""
+def _chunks(
+    steps: Callable[[jax.Array, int, Arrays], Arrays],
+    size: int,
+    total: int,
+    base: jax.Array,
+    x: Arrays,
+) -> Arrays:
+    """A number of control steps in chunks of ``size``.
+
+    Args:
+        steps: of a base int32 [1], a number of steps from there, and the arrays.
+        size: of a chunk.
+        total: control steps.
+        base: int32 [1] the first of them.
+        x: the arrays before.
+    """
 
     def some(carry: tuple[jax.Array, Arrays], _: None) -> tuple[Any, None]:
         base, x = carry
         x = steps(base, size, x)
         return (base + size, x), None
 
-    chunks, rest = divmod(part.steps, size)
-    base, x = jnp.zeros(1, jnp.int32), part.start
+    chunks, rest = divmod(total, size)
     if chunks:
         (base, x), _ = jax.lax.scan(some, (base, x), length=chunks)
     return steps(base, rest, x) if rest else x

@@ -36,7 +36,8 @@ def signs(scene: Scene) -> list[Line2D | Patch]:
     given = scene.environment.obstacles
     there = np.asarray(given.exists)
     still = np.asarray(given.motion) == STATIC
-    handles: list[Line2D | Patch] = [
+    goals = any(np.isfinite(robot.goal_m).all() for robot in scene.robots)
+    plans: list[Line2D | Patch] = [
         Line2D(
             [],
             [],
@@ -44,10 +45,13 @@ def signs(scene: Scene) -> list[Line2D | Patch]:
             linestyle=(0, (3, 2)),
             label="first plan" if scene.replan_hz else "planned way",
         ),
-        Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
         Line2D(
             [], [], color=style.QUIET, marker="*", ms=11, linestyle="", label="goal (disc: start)"
         ),
+    ]
+    handles: list[Line2D | Patch] = [
+        *(plans if goals else []),
+        Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
     ]
     if any(not robot.arrived for robot in scene.robots):
         handles.append(

@@ -9,22 +9,28 @@ import numpy as np
 import pytest
 
 from angler_mjx.engines.base import by_name
+from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.sim import aboard, fleet
 from angler_mjx.sim.phase import Done, Phase
+from angler_mjx.sim.record import Progress
 from angler_mjx.sim.state import Outcome
+from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles.load import Load
 
 from ..compiling import quickly
 
-STEPS, EVERY = 8, 2
-"""Control steps of 0.05 s, and from one sample to the next."""
+STEPS = 6
+"""Control steps of 0.05 s of a segment, all with a sample; two segments are flown."""
+PERIOD = 4
+"""Control steps from one look at the task to the next; the second segment begins between two."""
 FINISHED_FROM = np.array([1000, 4, 1000, 4])
 """Number of the control step from which on each robot's part is done."""
 FAILS_AT_S = np.array([[np.inf, np.inf, 0.12, 0.12], [0.2, 0.11, 0.0, np.inf]])
 """When each robot of the two worlds breaks down."""
-LOADED = np.array([(2, 5), (3, 8), (0, 2), (9, 9)])
+LOADED = np.array([(4, 8), (8, 1000), (0, 4), (9, 9)])
 """Control steps from and to which each robot carries a load."""
+TASK = TaskSpec(kind="tour", jobs=1, robots=4, tolerance_m=0.5, period=PERIOD)
 LOAD = Load(
     mass_kg=4.0,
     volume_m3=0.001,
@@ -37,15 +43,20 @@ ENGINES = {
     "lanes": by_name("fused", "xla"),
     "kernels": TritonEngine(lanes=2, interpret=True),
 }
+BY = "lanes, and a control step of the kernels in test_kernels_do_the_same_in_one_step"
+SLOW = [pytest.param(name, marks=pytest.mark.nightly(by=BY)) for name in ("mjx", "kernels")]
 
 
 def work(here, now):
-    """A task that is done at a given time."""
+    """A task that is done at a given time, and records when it was looked at."""
+    number = here.number // PERIOD * PERIOD
     slots = {
-        "finished": here.number >= FINISHED_FROM,
-        "loaded": (here.number >= LOADED[:, 0]) & (here.number < LOADED[:, 1]),
+        "finished": number >= FINISHED_FROM,
+        "loaded": (number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
     }
-    return Done(slots=lambda: slots)
+    none = jnp.zeros(len(LOADED), jnp.int32)
+    progress = Progress(share=number * 1.0, target=none, carrying=none, done=none + number)
+    return Done(slots=lambda: slots, record=lambda: {"task": progress})
 
 
 WORK = Phase(name="work", of="world", run=work, reads=(), gives=("finished", "loaded"))
@@ -70,7 +81,7 @@ def scene(scenes):
         environment=replace(environment, goal_m=environment.start_m),
         fails_at_s=jnp.asarray(FAILS_AT_S, environment.start_m.dtype),
     )
-    spec = replace(built.spec, task="by the clock")
+    spec = replace(built.spec, task=TASK)
     return replace(built, spec=spec, fleet=kinds, worlds=worlds)
 
 
@@ -80,32 +91,47 @@ def fly(scene):
 
     @cache
     def with_engine(name):
-        engine = ENGINES[name]
-        run = partial(engine.segment, scene.spec, n_sample=STEPS // EVERY, steps_per_sample=EVERY)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
-            start = quickly(partial(engine.reset, replace(scene.spec, task=None)))(
-                scene.fleet, scene.worlds
-            )
-            return jax.device_get(quickly(run)(scene.fleet, scene.worlds, start))
+        state, samples = begin(scene), []
+        part = partial(ENGINES[name].segment, scene.spec, n_sample=STEPS, steps_per_sample=1)
+        run = quickly(part)
+        for _ in range(2):
+            state, seen = run(scene.fleet, scene.worlds, state)
+            samples.append(seen)
+        both = jax.tree.map(lambda *x: np.concatenate(x, axis=1), *samples)
+        return jax.device_get(state), both
 
-    return with_engine
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+        yield with_engine
 
 
-@pytest.fixture(params=ENGINES)
+def begin(scene):
+    """At rest; the same program for all engines."""
+    start = partial(FusedEngine().reset, replace(scene.spec, task=None))
+    return quickly(start)(scene.fleet, scene.worlds)
+
+
+@pytest.fixture(params=["lanes", *SLOW])
 def flown(request, fly):
     """Of each engine."""
     return fly(request.param)
 
 
-@pytest.mark.parametrize("name", ["mjx", "kernels"])
+@pytest.mark.parametrize("name", SLOW)
 def test_engines_agree(name, fly, deviation):
-    """Eight steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
+    """Twelve steps in float32: an ulp or two of 12 m, and as much of forces of 120 N."""
     (state, samples), (others, theirs) = fly(name), fly("lanes")
     for ours, other in ((state.vehicles, others.vehicles), (samples, theirs)):
         deviation.close(f"in_flight.{name}", ours.p, other.p, rtol=4e-6, atol=4e-6)
         deviation.close(f"in_flight.{name}", ours.nu, other.nu, rtol=4e-6, atol=4e-6)
     np.testing.assert_array_equal(state.tally.outcome, others.tally.outcome)
+
+
+def test_what_a_task_records_holds_between_two_looks(flown):
+    _, samples = flown
+    looked = np.repeat([0, 4, 8], PERIOD)
+    np.testing.assert_array_equal(samples.task.share, [looked, looked])
+    np.testing.assert_array_equal(samples.task.done[0, :, 3], looked)
 
 
 def test_robots_end_when_they_have_finished_or_break_down(flown):
@@ -117,15 +143,44 @@ def test_robots_end_when_they_have_finished_or_break_down(flown):
         [[running, reached, failed, failed], [failed, failed, failed, reached]],
     )
     np.testing.assert_allclose(
-        state.tally.end_time_s, [[0.4, 0.25, 0.15, 0.15], [0.2, 0.15, 0.05, 0.25]], rtol=1e-6
+        state.tally.end_time_s, [[0.6, 0.25, 0.15, 0.15], [0.2, 0.15, 0.05, 0.25]], rtol=1e-6
     )
 
 
 def test_who_broke_down_stays_where_it_was(flown):
-    """World 0: robots 2 and 3 ended in the third step, so the samples from the fourth on agree."""
+    """World 0: robots 2 and 3 ended with the third step, so all samples after it agree."""
     state, samples = flown
-    np.testing.assert_array_equal(samples.outcome[0, :, 2], [0, 0, Outcome.FAILED, Outcome.FAILED])
-    np.testing.assert_array_equal(samples.p[0, 3, 2:], samples.p[0, 2, 2:])
-    np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 2, 2:])
+    np.testing.assert_array_equal(samples.outcome[0, :, 2], 3 * [0] + 9 * [Outcome.FAILED])
+    np.testing.assert_array_equal(samples.p[0, 4:, 2:], np.repeat(samples.p[0, 3:4, 2:], 8, axis=0))
+    np.testing.assert_array_equal(state.vehicles.p[0, 2:], samples.p[0, 3, 2:])
     assert (state.vehicles.p[0, :2] != samples.p[0, 3, :2]).any(-1).all()
     np.testing.assert_array_equal(state.vehicles.nu[0, 2:], 0.0)
+
+
+def test_kernels_do_the_same_in_one_step(scene, fly, deviation):
+    """In the sixth step, from rest: robot 0 is loaded, 1 and 3 have finished, others break down."""
+    fly("lanes")
+    state = begin(scene)
+    state = replace(state, step=jnp.full_like(state.step, 5))
+    run = partial(ENGINES["lanes"].segment, scene.spec, n_sample=STEPS, steps_per_sample=1)
+    _, samples = quickly(run)(scene.fleet, scene.worlds, state)
+    one = quickly(partial(ENGINES["kernels"].control_step, scene.spec))
+    after, sample = jax.device_get(one(scene.fleet, scene.worlds, state, None))
+    running, reached, failed = Outcome.RUNNING, Outcome.REACHED, Outcome.FAILED
+    np.testing.assert_array_equal(
+        after.tally.outcome,
+        [[running, reached, failed, failed], [failed, failed, failed, reached]],
+    )
+    deviation.close("in_flight.step", after.vehicles.p, samples.p[:, 1], rtol=4e-6, atol=4e-6)
+    deviation.close("in_flight.step", after.vehicles.nu, samples.nu[:, 1], rtol=4e-6, atol=4e-6)
+    np.testing.assert_array_equal(sample.task.share, [4.0, 4.0])
+
+
+@pytest.mark.usefixtures("as_if_on_an_h200", "fly")
+def test_kernels_lower_for_cuda(scene):
+    """The segment that is told once a period, and in every step where it begins between two."""
+    run = partial(TritonEngine().segment, scene.spec, n_sample=3, steps_per_sample=2)
+    traced = jax.jit(run).trace(scene.fleet, scene.worlds, begin(scene))
+    text = traced.lower(lowering_platforms=("cuda",)).as_text()
+    # Control, motion and judgement, for all launches; there are no obstacles.
+    assert text.count("__gpu$xla.gpu.triton") == 3

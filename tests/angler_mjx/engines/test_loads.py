@@ -14,6 +14,7 @@ from angler_mjx.sim import aboard, fleet
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.policy import Policy
+from angler_mjx.tasks.spec import TaskSpec
 from angler_mjx.vehicles import library
 from angler_mjx.vehicles.load import Load
 
@@ -30,6 +31,7 @@ LOAD = Load(
     added_mass_kg=(0.4, 0.5, 0.6),
     density_kgpm3=1020.0,
 )
+TASK = TaskSpec(kind="tour", jobs=1, robots=len(SETS), tolerance_m=0.5, period=1)
 DENSITY, GRAVITY = 1000.0, 9.81
 NEUTRAL_US = 1490.0
 """With the masses in kg added the thrusters stand still: their dead band is 1472 to 1528 us."""
@@ -80,7 +82,7 @@ def sunk(scenes):
         policy_key=jnp.zeros((1, 2), jnp.uint32),
     )
     kinds = fleet.build(members(), multibody=False, load=LOAD)
-    spec, policy = replace(scene.spec, task="to carry"), SaysMass()
+    spec, policy = replace(scene.spec, task=TASK), SaysMass()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
         engine = FusedEngine()

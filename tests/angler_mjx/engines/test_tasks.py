@@ -1,4 +1,4 @@
-"""A task of the worlds, in all engines: the same looks, records and ends."""
+"""A task of the worlds, on lanes and in kernels: the same looks, records and ends."""
 
 from dataclasses import replace
 
@@ -17,7 +17,6 @@ from ..compiling import quickly
 STEPS, EVERY, PERIOD = 8, 2, 3
 """Control steps, from one sample to the next, and from one look to the next."""
 ENGINES = {
-    "mjx": by_name("mjx", "xla"),
     "lanes": by_name("fused", "xla"),
     "kernels": TritonEngine(lanes=2, interpret=True),
 }
@@ -73,12 +72,11 @@ def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, na
     assert samples.task.done[0, -1].tolist() == [1, 1]
 
 
-def test_engines_agree_on_the_task(flown):
+def test_kernels_and_lanes_agree_on_the_task(flown):
     ours, seen = flown["lanes"]
-    for name in ("mjx", "kernels"):
-        state, samples = flown[name]
-        for field in ("done", "by", "knows", "target", "finished", "did"):
-            assert np.array_equal(getattr(state.task, field), getattr(ours.task, field)), field
-        assert np.allclose(state.task.goal_m, ours.task.goal_m)
-        for field in ("share", "target", "carrying", "done"):
-            assert np.array_equal(getattr(samples.task, field), getattr(seen.task, field)), field
+    state, samples = flown["kernels"]
+    for field in ("done", "by", "knows", "target", "finished", "did"):
+        assert np.array_equal(getattr(state.task, field), getattr(ours.task, field)), field
+    assert np.allclose(state.task.goal_m, ours.task.goal_m)
+    for field in ("share", "target", "carrying", "done"):
+        assert np.array_equal(getattr(samples.task, field), getattr(seen.task, field)), field

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.session.batch import BatchSession
 from angler_mjx.simulator.scenario_policy import policy_of
 
@@ -56,7 +56,11 @@ def test_places_of_goods_count_twice(tmp_path: Path) -> None:
     spec = scenario(tmp_path, '[task]\ntype = "deliver"\ngoods = 3\n').sim_spec().task
     assert (spec.homes, spec.places) == (6, 8)
     given = '[task]\ntype = "deliver"\nfrom_m = [[0.0, 0.0, -5.0], [1.0, 0.0, -5.0]]\n'
-    assert scenario(tmp_path, given).sim_spec().task.jobs == 2
+    two = scenario(tmp_path, given)
+    assert two.sim_spec().task.jobs == 2
+    assert Scenario.model_validate(two.model_dump()) == two  # as a run folder keeps it
+    tour = scenario(tmp_path, '[task]\ntype = "tour"\nplaces_m = [[0.0, 0.0, -5.0]]\n')
+    assert Scenario.model_validate(tour.model_dump()) == tour
 
 
 @pytest.mark.parametrize(

@@ -76,14 +76,21 @@ def test_viewpoints_are_reachable_and_see_what_is_theirs_and_enough_together(of:
             spec, JOBS, 0.3, grid, grid.origin_m[2], jnp.array(reachable)
         )
         assert fits
-        cells, ground = np.asarray(world.cells), world.ground
+        cells = np.asarray(world.cells)
         assert world.count == cells.sum() > 20
         assert not cells[rock].any()
         covered = np.zeros(SHAPE, bool)
         for p, there, mine in zip(points, exists, world.of_job, strict=True):
             cell = sight.cell_of(grid, p)
-            at, _ = sight.window(spec, SHAPE, ground, cell)
-            theirs = np.asarray(at)[np.asarray(mine)]
+            columns = np.asarray(sight.columns(spec, SHAPE, cell))
+            theirs = np.array(
+                [
+                    (*column, k)
+                    for column, word in zip(columns, np.asarray(mine)[:, 0], strict=True)
+                    for k in range(SHAPE[2])
+                    if int(word) >> k & 1
+                ]
+            )
             assert len(theirs) == 0 or there
             if not there:
                 continue
