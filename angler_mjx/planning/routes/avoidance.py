@@ -28,9 +28,9 @@ SPEEDS = (1.0, 0.5)
 """Shares of the cruise speed at which they are tried."""
 SLOWER = (1.0, 0.7, 0.35, 0.0)
 """Shares of the wanted velocity that are tried."""
-CONTACT_S = 3.0
-"""A contact in so many seconds costs as much as flying at cruise speed beside the wanted velocity,
-more than it would in twice the time."""
+CONTACT_S = 1.5
+"""A contact in so many seconds costs as much as a velocity that is off the wanted one by the cruise
+speed; one at the horizon costs nothing."""
 ROCK = 6.0
 """What flying into rock at once costs, likewise."""
 ROCK_S = (0.5, 1.0, 1.5, 2.0)

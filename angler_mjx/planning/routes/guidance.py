@@ -54,7 +54,7 @@ def aim(routes: Routes, place: jax.Array, p: jax.Array) -> Aim:
         return after, (jnp.where(ends, target, reading.centre_m(routes, after)), ends)
 
     after, length = reading.step_on(routes, place, here)
-    _, (points, ends) = jax.lax.scan(walk, here, length=CELLS)
+    _, (points, ends) = jax.lax.scan(walk, here, length=CELLS, unroll=True)
     seen = jnp.int32(0)
     for more in _HALVINGS:
         tried = jnp.minimum(seen + more, CELLS)
