@@ -197,7 +197,10 @@ def test_what_is_stored_beside_is_asked_for_by_name(scenario_file):
     plain = load_scenario(scenario_file)
     assert plain.sim_spec().also == ()
     assert plain.digest() == asked.digest()
-    for also, word in ((["speed"], "'wrench', 'clearance' or 'acoustics'"), (["wrench"] * 2, "name it once")):
+    for also, word in (
+        (["speed"], "'wrench', 'clearance' or 'acoustics'"),
+        (["wrench"] * 2, "name it once"),
+    ):
         with pytest.raises(ConfigError, match=word) as caught:
             load_scenario(scenario_file, store={"also": also})
         assert str(caught.value).count("also") == 1
