@@ -85,7 +85,7 @@ def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m:
     """Loss [...] from 1 m to a distance, dB: ``10 k log10(r) + a r``.
 
     Urick, Principles of Underwater Sound, 3rd ed., 1983, ch. 5; Stojanovic, On the relationship
-    between capacity and distance in an underwater acoustic communication channel, 2007, eq. 2.
+    between capacity and distance in an underwater acoustic communication channel, 2007.
 
     Args:
         distance_m: [...]
@@ -100,8 +100,8 @@ def transmission_loss_db(distance_m: Any, spreading: float, absorption_db_per_m:
 def bit_error(ratio: Any, modulation: Modulation, fading: Fading) -> Any:
     """Probability [...] that a bit comes out wrong.
 
-    Proakis, Salehi, Digital Communications, 5th ed., 2008: eq. 4.3-13 and 4.5-45 in white noise,
-    13.3-7 and 13.3-12 in Rayleigh fading, where ``ratio`` is its mean.
+    Proakis, Salehi, Digital Communications, 5th ed., 2008: sections 4.3 and 4.5 in white noise,
+    13.3 in Rayleigh fading, where ``ratio`` is its mean.
 
     Args:
         ratio: [...] energy of a bit over the density of the noise.

@@ -27,7 +27,7 @@ def thorp_db_per_km(frequency_khz: float) -> float:
     """Absorption in sea water of 4 degrees at 1 km, dB/km.
 
     Thorp, Analytic description of the low-frequency attenuation coefficient, J. Acoust. Soc. Am.
-    42, 1967, in the form for dB/km of Stojanovic, 2007, eq. 3: from some hundred Hz to 50 kHz.
+    42, 1967, in the form for dB/km of Stojanovic, 2007: from some hundred Hz to 50 kHz.
     """
     f2 = frequency_khz**2
     return 0.11 * f2 / (1.0 + f2) + 44.0 * f2 / (4100.0 + f2) + 2.75e-4 * f2 + 0.003
@@ -85,7 +85,7 @@ def ambient_db(frequency_khz: float, shipping: float, wind_mps: float) -> float:
     """Density of the noise of the sea, dB re 1 uPa^2/Hz: turbulence, ships, waves, heat.
 
     Coates, Underwater Acoustic Systems, 1989, after Wenz, Acoustic ambient noise in the ocean, J.
-    Acoust. Soc. Am. 34, 1962; as given by Stojanovic, 2007, eq. 7.
+    Acoust. Soc. Am. 34, 1962; as given by Stojanovic, 2007.
 
     Args:
         frequency_khz: above 0.

@@ -23,11 +23,11 @@ def test_francois_and_garrison_as_others_compute_it():
     assert found == pytest.approx(13.96602, rel=2e-3)
 
 
-@pytest.mark.parametrize(("khz", "db_per_km"), [(38.0, 10.0), (120.0, 38.0), (200.0, 53.0)])
+@pytest.mark.parametrize(("khz", "db_per_km"), [(200.0, 50.0), (400.0, 100.0)])
 def test_absorption_at_the_frequencies_of_echo_sounders(khz, db_per_km):
-    # What their handbooks give for 10 degrees and 35 parts per thousand, rounded there.
+    # Manual of R2Sonic's Sonic 2024, v5.0, section 12.3.2: "approximately", for 35 ppt.
     for equation in (sound.francois_garrison_db_per_km, sound.ainslie_mccolm_db_per_km):
-        assert equation(khz, 10.0, 35.0, 10.0, 8.0) == pytest.approx(db_per_km, rel=0.06)
+        assert equation(khz, 10.0, 35.0, 10.0, 8.0) == pytest.approx(db_per_km, rel=0.15)
 
 
 def test_ainslie_and_mccolm_keep_within_ten_per_cent_of_francois_and_garrison():

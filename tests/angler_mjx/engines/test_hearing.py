@@ -103,7 +103,10 @@ def fly(scene):
     return with_engine
 
 
-@pytest.mark.parametrize("name", ["mjx", "kernels"])
+MJX = pytest.param("mjx", marks=pytest.mark.nightly(by="the kernels, farther from the lanes"))
+
+
+@pytest.mark.parametrize("name", [MJX, "kernels"])
 def test_engines_agree(name, fly):
     (state, samples), (others, theirs) = fly(name), fly("lanes")
     np.testing.assert_array_equal(state.radio.air.sent, others.radio.air.sent)
