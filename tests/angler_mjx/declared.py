@@ -20,7 +20,8 @@ def check(sample, lead, sizes, *, told=False, also=(), dtype=jnp.float64):
     assert record.sizes_of(sample, lead=len(lead)) == sizes
     for one in record.FIELDS:
         value = one.of(sample)
-        there = one.wanted(also) if one.about.asked else told or not one.optional
+        of_belief = told and one.about.phase == "sense"
+        there = one.wanted(also) if one.about.asked else of_belief or not one.optional
         assert (value is not None) == there, one.path
         if value is not None:
             assert value.shape == (*lead, *one.shape(sizes)), one.path
