@@ -90,12 +90,12 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     return jnp.where(jnp.isinf(length), jnp.inf, whole)
 
 
-def is_clear(routes: Routes, p: jax.Array) -> jax.Array:
-    """Whether a robot may be at p [..., 3] in W, bool [...]; nowhere outside the grid."""
-    at = jnp.floor((p - routes.origin_m) * (FINER / routes.cell_m)).astype(jnp.int32)
-    n = FINER * jnp.array(routes.words.shape[1:])
-    inside = jnp.all((at >= 0) & (at < n), axis=-1)
-    at = jnp.clip(at, 0, n - 1)
-    word = routes.clear[at[..., 0], at[..., 1], at[..., 2] >> 5]
-    bit = (at[..., 2] & 31).astype(jnp.uint32)
-    return inside & (((word >> bit) & 1) == 1)
+def is_clear(routes: Routes, x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Array:
+    """Whether a robot may be at points x, y, z [...] m in W, bool [...]; nowhere off the grid."""
+    inside, at = jnp.ones((), bool), []
+    for axis, (value, n) in enumerate(zip((x, y, z), routes.words.shape[1:], strict=True)):
+        cube = jnp.floor((value - routes.origin_m[axis]) * (FINER / routes.cell_m))
+        inside &= (cube >= 0) & (cube < FINER * n)
+        at.append(jnp.clip(cube, 0, FINER * n - 1).astype(jnp.int32))
+    word = routes.clear[at[0], at[1], at[2] >> 5]
+    return inside & (((word >> (at[2] & 31).astype(jnp.uint32)) & 1) == 1)

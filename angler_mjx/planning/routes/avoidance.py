@@ -10,6 +10,7 @@ on their left-hand sides: each prefers to turn to its right.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -19,20 +20,20 @@ import numpy as np
 from angler_mjx.world import routes as reading
 from angler_mjx.world.routes import Routes
 
-ANGLES_RAD = tuple(math.radians(angle) for angle in (15.0, 30.0, 50.0, 75.0, 105.0, 140.0))
+ANGLES_RAD = tuple(math.radians(angle) for angle in (15.0, 35.0, 60.0, 95.0, 140.0))
 """Of the velocities that are tried, off the wanted one."""
-SIDES = 8
+SIDES = 6
 """Directions about the wanted one at each angle."""
 SPEEDS = (1.0, 0.5)
 """Shares of the cruise speed at which they are tried."""
-SLOWER = (1.0, 0.75, 0.5, 0.25, 0.0)
+SLOWER = (1.0, 0.7, 0.35, 0.0)
 """Shares of the wanted velocity that are tried."""
 CONTACT_S = 1.5
-"""A contact in so many seconds costs as much as flying at cruise speed beside the wanted velocity,
-more than it would in twice the time."""
+"""A contact in so many seconds costs as much as a velocity that is off the wanted one by the cruise
+speed; one at the horizon costs nothing."""
 ROCK = 6.0
 """What flying into rock at once costs, likewise."""
-ROCK_S = tuple(0.3 * (k + 1) for k in range(8))
+ROCK_S = (0.5, 1.0, 1.5, 2.0)
 """Times ahead at which rock is looked for."""
 RIGHT = 0.03
 """What going straight to the left costs more than to the right, likewise."""
@@ -78,22 +79,22 @@ def choose(
         horizon_s: contacts later than this do not count.
     """
     tried = candidates(wanted, speed_mps)
-    off = jnp.sqrt(jnp.sum((tried - wanted) ** 2, axis=-1)) / speed_mps
-    when = jnp.min(_contact_s(bodies, p, v, tried), axis=-1, initial=jnp.inf)
+    off = jnp.sqrt(sum((tried[i] - wanted[i]) ** 2 for i in range(3))) / speed_mps
+    when = jnp.min(contact_s(bodies, p, v, tried), axis=0, initial=jnp.inf)
     late = jnp.maximum(1.0 / jnp.maximum(when, 0.1) - 1.0 / horizon_s, 0.0)
     # Reached with a lag: the robot drifts on as it does now for a moment.
-    begin = p + RESPONSE_S * (v - tried)
-    ahead = begin[:, None] + jnp.array(ROCK_S)[:, None] * tried[:, None]
-    share = np.linspace(2.0, 0.0, len(ROCK_S) + 1)[:-1] / len(ROCK_S)
-    rock = jnp.sum(jnp.where(reading.is_clear(routes, ahead), 0.0, share), axis=-1)
-    right = jnp.stack([wanted[1], -wanted[0], jnp.zeros_like(wanted[0])])
-    aside = tried @ right / jnp.maximum(speed_mps**2, 1e-6)
+    ahead_s = jnp.array(ROCK_S)[:, None]
+    ahead = [p[i] + RESPONSE_S * (v[i] - tried[i]) + ahead_s * tried[i] for i in range(3)]
+    share = np.linspace(2.0, 0.0, len(ROCK_S) + 1)[:-1, None] / len(ROCK_S)
+    rock = jnp.sum(jnp.where(reading.is_clear(routes, *ahead), 0.0, share), axis=0)
+    aside = (tried[0] * wanted[1] - tried[1] * wanted[0]) / speed_mps**2
     cost = off + CONTACT_S * late + ROCK * rock - RIGHT * jnp.clip(aside, -1.0, 1.0)
-    return tried[jnp.argmin(cost)]
+    best = jnp.argmin(cost)
+    return jnp.stack([each[best] for each in tried])
 
 
-def candidates(wanted: jax.Array, speed_mps: jax.Array) -> jax.Array:
-    """Velocities [n, 3] to be tried: slower ones, and others about the wanted one [3]."""
+def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
+    """Velocities to be tried, x, y, z [m]: slower ones, and others about the wanted one [3]."""
     length = jnp.sqrt(jnp.sum(wanted**2) + 1e-12)
     still = jnp.array([1.0, 0.0, 0.0])
     ahead = jnp.where(length > 1e-3, wanted / length, still)
@@ -106,27 +107,30 @@ def candidates(wanted: jax.Array, speed_mps: jax.Array) -> jax.Array:
     up = jnp.cross(right, ahead)
     angle = np.repeat(ANGLES_RAD, SIDES)
     side = np.tile(2.0 * np.pi * np.arange(SIDES) / SIDES, len(ANGLES_RAD))
-    about = (
-        jnp.outer(np.cos(angle), ahead)
-        + jnp.outer(np.sin(angle) * np.cos(side), right)
-        + jnp.outer(np.sin(angle) * np.sin(side), up)
-    )
-    fast = (jnp.array(SPEEDS)[:, None, None] * speed_mps * about).reshape(-1, 3)
-    return jnp.concatenate([jnp.outer(np.array(SLOWER), wanted), fast])
+    turned, along = np.cos(angle), [np.sin(angle) * np.cos(side), np.sin(angle) * np.sin(side)]
+    found = []
+    for i in range(3):
+        about = turned * ahead[i] + along[0] * right[i] + along[1] * up[i]
+        around = jnp.append(about, -ahead[i]) * speed_mps
+        slower = np.array(SLOWER) * wanted[i]
+        found.append(jnp.concatenate([slower, *(share * around for share in SPEEDS)]))
+    return found
 
 
-def _contact_s(bodies: Bodies, p: jax.Array, v: jax.Array, tried: jax.Array) -> jax.Array:
-    """Times [m, n] to the first contact with each body at each velocity [m, 3]; inf for none."""
+def contact_s(bodies: Bodies, p: jax.Array, v: jax.Array, tried: Sequence[jax.Array]) -> jax.Array:
+    """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none."""
     apart = bodies.p_m - p
     square = jnp.sum(apart**2, axis=-1)
     # Nearer than the reach already: it only must not come nearer still.
     reach = jnp.minimum(bodies.reach_m, 0.95 * jnp.sqrt(square + 1e-12))
     # Whoever avoids likewise changes by the other half of what this robot changes by.
-    own = jnp.where(bodies.yields[:, None], 2.0 * tried[:, None] - v, tried[:, None])
-    closing = own - bodies.v_mps
-    a, b = jnp.sum(closing**2, axis=-1), jnp.sum(closing * apart, axis=-1)
-    c = square - reach**2
+    times = jnp.where(bodies.yields, 2.0, 1.0)
+    goes = bodies.v_mps + (times - 1.0)[:, None] * v
+    closing = [times[:, None] * tried[i] - goes[:, i, None] for i in range(3)]
+    a = sum(each**2 for each in closing)
+    b = sum(each * apart[:, i, None] for i, each in enumerate(closing))
+    c = (square - reach**2)[:, None]
     root = b**2 - a * c
-    meets = (b > 0.0) & (root > 0.0) & (bodies.reach_m > 0.0)
+    meets = (b > 0.0) & (root > 0.0) & (bodies.reach_m > 0.0)[:, None]
     when = c / jnp.where(meets, b + jnp.sqrt(jnp.where(meets, root, 1.0)), 1.0)
     return jnp.where(meets, when, jnp.inf)

@@ -54,13 +54,13 @@ def aim(routes: Routes, place: jax.Array, p: jax.Array) -> Aim:
         return after, (jnp.where(ends, target, reading.centre_m(routes, after)), ends)
 
     after, length = reading.step_on(routes, place, here)
-    _, (points, ends) = jax.lax.scan(walk, here, length=CELLS)
+    _, (points, ends) = jax.lax.scan(walk, here, length=CELLS, unroll=True)
     seen = jnp.int32(0)
     for more in _HALVINGS:
         tried = jnp.minimum(seen + more, CELLS)
         seen = jnp.where(sees(routes, p, points[tried - 1]), tried, seen)
     middle = reading.centre_m(routes, here)
-    kept = reading.is_clear(routes, middle)
+    kept = reading.is_clear(routes, *middle)
     nearest = jnp.where(kept, middle, reading.centre_m(routes, after))
     # In the place's own cell the line ends there, seen or not: a place may stand near rock.
     own = jnp.all(here == last)
@@ -79,4 +79,5 @@ def sees(routes: Routes, a: jax.Array, b: jax.Array) -> jax.Array:
     """
     count = int(CELLS * 3**0.5 * FINER) + FINER
     share = (jnp.arange(count) + 1.0) / count
-    return jnp.all(reading.is_clear(routes, a + share[:, None] * (b - a)))
+    x, y, z = (a[i] + share * (b[i] - a[i]) for i in range(3))
+    return jnp.all(reading.is_clear(routes, x, y, z))

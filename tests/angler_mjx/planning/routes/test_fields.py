@@ -140,7 +140,7 @@ def drawn():
             lambda place: jax.vmap(lambda p: reading.distance(routes, place, p))(middle)
         )(jnp.arange(len(PLACES)))
         fine = jnp.asarray(centres(tuple(4 * k for k in SHAPE), CELL / 4))
-        return after, length, told, reading.is_clear(routes, fine)
+        return after, length, told, reading.is_clear(routes, *jnp.moveaxis(fine, -1, 0))
 
     return [np.asarray(x) for x in all_of(world, jnp.asarray(place_m))], place_m
 

@@ -11,10 +11,13 @@ import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes import fields
+from angler_mjx.sim.aboard import Aboard, Sent
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator import scenario_policy
 from angler_mjx.world import routes as reading
+
+from ...compiling import quickly
 
 SCENARIO = """
 name = "meeting"
@@ -157,6 +160,36 @@ def test_who_has_no_way_stays_and_what_is_told_there_holds_it(simulator, around)
     state, seen = fly(simulator, closed)
     assert np.asarray(state.tally.outcome).tolist() == [[Outcome.RUNNING, Outcome.REACHED]]
     assert np.max(np.linalg.norm(seen[:, 0] - starts[0], axis=-1)) < 0.1
+
+
+def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
+    policy, world = simulator.policy, jax.tree.map(lambda x: x[0], simulator.worlds())
+    state = jax.tree.map(lambda x: x[0], simulator.reset(simulator.worlds()))
+    goals = world.environment.goal_m
+
+    @quickly
+    def told(memory, p, place):
+        here = Aboard(
+            spec=simulator.spec,
+            policy=policy,
+            world=world,
+            number=jnp.int32(0),
+            vehicles=replace(state.vehicles, p=p),
+            obstacles=state.obstacles,
+        )
+        known = here.known(None, sent=Sent(goal_m=goals, place=place))
+        return policy.act(memory, known, None, jnp.int32(0))
+
+    start, drift = state.vehicles.p, jnp.array([0.3, -0.2, 0.1])
+    sent, nowhere = jnp.array([0, 1]), jnp.array([-1, 1])
+    memory, command = told(state.policy.carry, start, sent)
+    assert command.velocity_mps[0, 0] > 0.4
+    memory, command = told(memory, start + drift, nowhere)
+    np.testing.assert_allclose(command.velocity_mps[0], np.zeros(3), atol=1e-6)
+    # Carried away from there, it goes back; the other flies on.
+    memory, command = told(memory, start + 2.0 * drift, nowhere)
+    np.testing.assert_allclose(command.velocity_mps[0], -0.8 * drift, atol=1e-5)
+    assert command.velocity_mps[1, 0] < -0.4
 
 
 @pytest.mark.nightly(by="tests of policies, which fly alike in every engine")
