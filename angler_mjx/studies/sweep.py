@@ -14,7 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.errors import AnglerError, ConfigError, RunError
 from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
@@ -99,7 +99,8 @@ def make(
 
     Raises:
         ConfigError: the folder is taken, or is of another sweep.
-        RunError: the disk or the device gave out, or another process did.
+        RunError: the disk or the device gave out, or another process did. Cells that were finished
+            stand in the folder with their tables, as after an interruption.
     """
     together = processes or OneProcess()
     with telling(together), ExitStack() as stack:
@@ -113,7 +114,12 @@ def make(
         building = claims.partial_path(out)
         flights = [(cell.path, cell.scenario) for cell in asked.cells]
         how = {"devices": devices, "workers": workers}
-        complete = _fly(flights, building, told, together, how)
+        try:
+            complete = _fly(flights, building, told, together, how)
+        except AnglerError:
+            if claimed is not None and _any_whole(flights, building):
+                _close(asked, claimed, complete=False)
+            raise
         if claimed is not None:
             _close(asked, claimed, complete=complete)
         together.meet("closed")
@@ -147,11 +153,13 @@ def _fly(
     try:
         return several.fly(flights, building, told, together, how)
     except (KeyboardInterrupt, NothingKeptError):
-        if together.count > 1 or not any(
-            several.stands(building / x) == "whole" for x, _ in flights
-        ):
+        if together.count > 1 or not _any_whole(flights, building):
             raise
         return False
+
+
+def _any_whole(flights: Sequence[tuple[str, Scenario]], building: Path) -> bool:
+    return any(several.stands(building / path) == "whole" for path, _ in flights)
 
 
 def _close(asked: Asked, claimed: Claim, *, complete: bool) -> None:

@@ -1,6 +1,7 @@
 """A sweep from its command to its tables, broken off and taken up again, and two runs of it."""
 
 import json
+import shutil
 import statistics
 
 import pyarrow.parquet as pq
@@ -8,7 +9,8 @@ import pytest
 from scipy import stats
 
 from angler_mjx.cli.main import main
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import rollout
 from angler_mjx.runs.progress import Silent
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.storage.folder import Run
@@ -116,6 +118,24 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
 def test_an_interruption_before_anything_was_finished_is_one(file, asked):
     with pytest.raises(KeyboardInterrupt):
         sweep.make(asked, file.parent / "nothing", told=Broken(0))
+
+
+def test_a_cell_that_cannot_be_flown_after_all_costs_no_other(file, asked, made, monkeypatch):
+    out, first = file.parent / "failed", made / sweep.read(made)["cells"][0]["run"]
+
+    def fly(scenario, *, out, **how):
+        if scenario == asked.cells[1].scenario:
+            raise RunError("a world cannot hold the fleet")
+        shutil.copytree(first, out)
+        return Run(out)
+
+    monkeypatch.setattr(rollout, "rollout", fly)
+    with pytest.raises(RunError, match="a world cannot hold the fleet"):
+        sweep.make(asked, out, told=Broken(None))
+    found = sweep.read(out)
+    assert found["complete"] is False
+    assert found["cells"] == sweep.read(made)["cells"][:1]
+    assert (out / sweep.PAGE).exists()
 
 
 def test_the_table_is_what_the_episodes_say(made):
