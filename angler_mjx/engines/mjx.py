@@ -15,8 +15,9 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.physics import mjx_engine
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody, VehicleState
-from angler_mjx.sim import aboard, nearness, start
-from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim import nearness, start
+from angler_mjx.sim.aboard import telling
+from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.detection import Contact, detect
 from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.phase import Slots, run
@@ -171,10 +172,10 @@ def control_step(
     """
     t = state.step.astype(state.vehicles.p.dtype) * spec.control_dt_s
     minds, told = Minds.of(state), Told()
-    policy = aboard.asked(policy, command)
-    if aboard.tells(spec, policy):
+    policy = telling.asked(policy, command)
+    if telling.tells(spec, policy):
         count = state.step if number is None else number
-        minds, told = aboard.tell(
+        minds, told = telling.tell(
             spec,
             policy,
             world,

@@ -21,7 +21,7 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.session.interface import Observation, Order, Session
 from angler_mjx.session.recording import Recordable
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.aboard import Aboard
+from angler_mjx.sim.aboard.here import Aboard
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.knowledge import Observation as Seen
 from angler_mjx.sim.policy import Policy, PolicyMemory

@@ -12,8 +12,10 @@ from angler_mjx.acoustics import channel
 from angler_mjx.errors import ConfigError
 from angler_mjx.physics import step as physics
 from angler_mjx.physics.step import Multibody
-from angler_mjx.sim import aboard, hearing, robot, senses
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim import robot
+from angler_mjx.sim.aboard import hearing, phases, senses
+from angler_mjx.sim.aboard.here import Aboard, Sent
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
@@ -92,7 +94,7 @@ def _begun(spec: SimSpec, world: World) -> TaskState | None:
 
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
     """A state with the memory of a policy, which knows what the first step tells the robots."""
-    here = aboard.Aboard(
+    here = Aboard(
         spec=spec,
         policy=policy,
         world=world,
@@ -101,11 +103,11 @@ def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -
         obstacles=state.obstacles,
         outcome=state.tally.outcome,
     )
-    belief = aboard.sense(here, {"senses": state.senses}).slots().get("known")
+    belief = phases.sense(here, {"senses": state.senses}).slots().get("known")
     others = None if spec.acoustics is None else channel.unheard(world.environment.start_m)
     sent = None
     if state.task is not None:  # The first look at the task comes with the first step.
-        sent = aboard.Sent(goal_m=state.task.goal_m, place=state.task.target)
+        sent = Sent(goal_m=state.task.goal_m, place=state.task.target)
     known = here.known(belief, others, sent)
     memory = policies.begin(policy, spec.stages, world.policy_key, known)
     return replace(state, policy=memory)

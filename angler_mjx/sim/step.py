@@ -23,7 +23,8 @@ import jax.numpy as jnp
 
 from angler_mjx.control import stack
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import aboard, robot
+from angler_mjx.sim import robot
+from angler_mjx.sim.aboard import phases as world_phases
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.phase import Done, Here, Phase, Slots
 from angler_mjx.sim.record import Belief
@@ -185,7 +186,7 @@ JUDGE = Phase(
     meets=True,
 )
 
-PHASES = (*aboard.PHASES, DECIDE, MOVE, OBSTACLES, JUDGE)
+PHASES = (*world_phases.PHASES, DECIDE, MOVE, OBSTACLES, JUDGE)
 """A control step, in order."""
 
 ALONE = tuple(phase for phase in PHASES if phase.of == "robot" and not phase.meets)

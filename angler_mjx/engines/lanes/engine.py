@@ -39,8 +39,9 @@ from angler_mjx.engines.lanes.steps import Cells, OnLanes, Shape
 from angler_mjx.engines.repeated import repeated
 from angler_mjx.physics.closed_form import ClosedForm
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim import aboard, nearness, start
-from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim import nearness, start
+from angler_mjx.sim.aboard import telling
+from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Phase, Slots, run
@@ -89,11 +90,11 @@ class FusedEngine:
             return repeated(again, state, steps)
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
-        policy = aboard.asked(policy, command)
+        policy = telling.asked(policy, command)
         minds, told = Minds.of(state), Told()
-        if aboard.tells(spec, policy):
+        if telling.tells(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-            minds, told = aboard.tell_tile(
+            minds, told = telling.tell_tile(
                 spec,
                 policy,
                 here,
@@ -124,18 +125,18 @@ class FusedEngine:
         policy: Policy | None = None,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
-        scene, policy = scene_of(fleet, worlds), aboard.asked(policy, command)
+        scene, policy = scene_of(fleet, worlds), telling.asked(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []
 
         @jax.jit  # traced once, for the types of its results and for the loop
         def fly(row: list[jax.Array], minds: Minds, number: jax.Array) -> tuple[Any, Any, Any]:
             moving, told = rebuild(row), Told()
-            if aboard.tells(spec, policy):
+            if telling.tells(spec, policy):
                 there = vehicles_of(moving)
-                bodies = to_arrays(moving.obstacles, 2) if aboard.watches(policy) else None
+                bodies = to_arrays(moving.obstacles, 2) if telling.watches(policy) else None
                 ended = outcome_of(moving) if spec.by_task else None
-                minds, told = aboard.tell_tile(
+                minds, told = telling.tell_tile(
                     spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
                 )
             after, sample = _control_step(spec, scene, moving, number, command, told)

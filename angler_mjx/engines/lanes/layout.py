@@ -17,7 +17,7 @@ from angler_mjx.engines.lanes import steps as lane_steps
 from angler_mjx.engines.lanes.steps import Cells
 from angler_mjx.errors import RunError
 from angler_mjx.physics.step import VehicleState
-from angler_mjx.sim.aboard import Minds
+from angler_mjx.sim.aboard.telling import Minds
 from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
 from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.world.currents import Current, looked_up

@@ -25,8 +25,9 @@ from angler_mjx.engines.triton import launch as triton
 from angler_mjx.engines.triton.kernels import Kernels, Launch
 from angler_mjx.engines.triton.segment import AHEAD, Arrays, Segment
 from angler_mjx.engines.triton.tile import Tile
-from angler_mjx.sim import aboard, nearness
-from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim import nearness
+from angler_mjx.sim.aboard import telling
+from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -75,7 +76,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and aboard.tells(spec, aboard.asked(policy, command)):
+        if steps > 1 and telling.tells(spec, telling.asked(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
@@ -141,17 +142,17 @@ class TritonEngine:
 
         here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
-        policy = aboard.asked(policy, command)
-        watched = aboard.watches(policy)
-        tell, told = partial(aboard.tell_tile, spec, policy, flying, fleet=fleet), None
-        if aboard.tells(spec, policy):
+        policy = telling.asked(policy, command)
+        watched = telling.watches(policy)
+        tell, told = partial(telling.tell_tile, spec, policy, flying, fleet=fleet), None
+        if telling.tells(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
             ended = state.tally.outcome if spec.by_task else None
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         steps = n_sample * steps_per_sample
-        period = aboard.period(spec, policy) if rows is None and steps > 1 else 1
+        period = telling.period(spec, policy) if rows is None and steps > 1 else 1
         ahead = 1 if watched else min(_together(period), steps)
         part = Segment(
             tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also

@@ -11,7 +11,7 @@ from angler_kernels.lanes.planes import Layout, Shelf
 from angler_mjx.control.stack import Command
 from angler_mjx.engines.triton.tile import Tile
 from angler_mjx.sim import record, step
-from angler_mjx.sim.aboard import Minds, Told
+from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import SimSpec, WorldState

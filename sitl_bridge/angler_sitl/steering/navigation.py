@@ -14,7 +14,7 @@ import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.session.interface import Floats
-from angler_mjx.sim import senses
+from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Senses, SimSpec, World
 from angler_sitl.scene.scene import Scene

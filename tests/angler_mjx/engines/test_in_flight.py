@@ -11,7 +11,8 @@ import pytest
 from angler_mjx.engines.base import by_name
 from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.engines.triton.engine import TritonEngine
-from angler_mjx.sim import aboard, fleet
+from angler_mjx.sim import fleet
+from angler_mjx.sim.aboard import phases, telling
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.record import Progress
 from angler_mjx.sim.state import Outcome
@@ -101,7 +102,7 @@ def fly(scene):
         return jax.device_get(state), both
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+        patch.setattr(telling, "PHASES", (phases.SENSE, WORK, phases.POLICY))
         yield with_engine
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.engines.lanes.engine import FusedEngine
-from angler_mjx.sim import aboard, fleet
+from angler_mjx.sim import fleet
+from angler_mjx.sim.aboard import phases, telling
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.policy import Policy
@@ -84,7 +85,7 @@ def sunk(scenes):
     kinds = fleet.build(members(), multibody=False, load=LOAD)
     spec, policy = replace(scene.spec, task=TASK), SaysMass()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(aboard, "PHASES", (aboard.SENSE, WORK, aboard.POLICY))
+        patch.setattr(telling, "PHASES", (phases.SENSE, WORK, phases.POLICY))
         engine = FusedEngine()
         start = quickly(partial(engine.reset, scene.spec, policy=policy))(kinds, worlds)
         run = partial(engine.segment, spec, n_sample=STEPS, steps_per_sample=1, policy=policy)

@@ -14,7 +14,7 @@ from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.sensing import instruments, params, suite
 from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sensing.readings import Truth
-from angler_mjx.sim.senses import OF_FILTER
+from angler_mjx.sim.aboard.senses import OF_FILTER
 
 from ..independence import assert_uncorrelated
 

@@ -21,7 +21,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
-from angler_mjx.sim.aboard import Aboard
+from angler_mjx.sim.aboard.here import Aboard
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.vehicles import library, params
 from angler_mjx.world import currents

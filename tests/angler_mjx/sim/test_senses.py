@@ -17,7 +17,7 @@ from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.scenario import instrumented
 from angler_mjx.sensing.config import SensorsConfig
-from angler_mjx.sim import senses
+from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.grid import Grid, height_above_bottom

@@ -12,7 +12,7 @@ from angler_mjx.control.navigation import NavigationParams
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sensing import instruments, params
 from angler_mjx.sensing.config import SensorsConfig
-from angler_mjx.sim import senses
+from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.state import InstrumentedRobots, SimSpec
 from angler_mjx.world.grid import Grid
 

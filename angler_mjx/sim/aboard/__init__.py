@@ -1,0 +1,1 @@
+"""What goes on aboard the robots of a world before their controllers act."""

@@ -1,0 +1,140 @@
+"""Where phases of worlds are run: one world, and what its robots may know of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.acoustics.channel import Others
+from angler_mjx.control import stack
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim import knowledge
+from angler_mjx.sim.aboard import senses
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.knowledge import KnownObstacles, Observation
+from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.world import currents
+from angler_mjx.world.obstacles import ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Sent:
+    """Where robots are to go, [R] leading."""
+
+    goal_m: jax.Array
+    """[R, 3] in W."""
+    place: jax.Array | None
+    """int32 [R] which place of the world's routes that is; -1: none, it stays."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aboard:
+    """Where phases of worlds are run: in plain arrays, [R] leading, in every engine."""
+
+    spec: SimSpec
+    policy: Policy | None
+    world: World
+    number: jax.Array
+    """int32 [] control steps taken."""
+    vehicles: VehicleState
+    obstacles: ObstacleState | None = None
+    """Now; None where no policy asks for them."""
+    outcome: jax.Array | None = None
+    """int32 [R] of the robots so far; None where there is no task."""
+    fleet: Fleet | None = None
+    """None where robots carry nothing."""
+
+    @property
+    def t(self) -> jax.Array:
+        """[] s."""
+        return self.number.astype(self.vehicles.p.dtype) * self.spec.control_dt_s
+
+    @property
+    def flow(self) -> jax.Array | None:
+        """[R, 3] true current at the robots, m/s, in W; None where nobody wants it."""
+        if self.policy is None and not stack.wants_flow(self.spec.stages):
+            return None
+        current = self.world.environment.current
+        flow: jax.Array = jax.vmap(currents.velocity, (None, 0, None))(
+            current, self.vehicles.p, self.t
+        )
+        return flow
+
+    def known(
+        self, belief: Belief | None, others: Others | None = None, sent: Sent | None = None
+    ) -> Known:
+        """What the robots know, for a policy.
+
+        Args:
+            belief: what they are told of their motion; None for the truth.
+            others: what they have heard of each other; None where everybody knows everything.
+            sent: where the task sends them; None where each has a goal of its own.
+        """
+        to = self._goals() if sent is None else sent
+        return Known(
+            belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
+            time_s=self.t,
+            goal_m=to.goal_m,
+            path=self.world.path,
+            params=self.world.control,
+            others=others,
+            routes=self.world.routes,
+            place=to.place,
+            **self._scenery(),
+        )
+
+    def _goals(self) -> Sent:
+        """Each robot to its goal, which is its place of the routes too."""
+        place = None
+        if self.world.routes is not None:
+            place = jnp.arange(self.world.variant.shape[0], dtype=jnp.int32)
+        return Sent(goal_m=self.world.environment.goal_m, place=place)
+
+    def _scenery(self) -> dict[str, Any]:
+        """What a policy that asks for it is told of the world about the robots."""
+        if self.policy is None or self.policy.knows is None:
+            return {}
+        if self.obstacles is None:
+            raise RuntimeError("an engine does not say where obstacles are to a policy that asks")
+        policy, knows = self.policy, self.policy.knows
+        environment, water = self.world.environment, self.spec.water
+        at_m, seen = (
+            self.vehicles.p,
+            Observation(time_s=self.t, obstacles=self.obstacles, at_m=self.vehicles.p),
+        )
+
+        def look() -> KnownObstacles:
+            return knowledge.obstacles(
+                environment,
+                knows,
+                policy.ahead_s,
+                self.spec.control_dt_s,
+                water.density_kgpm3,
+                water.gravity_mps2,
+                seen,
+            )
+
+        return {
+            "grid": environment.grid,
+            "floor_z_m": environment.floor_z_m,
+            "obstacles": self._at_times(look, policy.looks),
+            "current": knowledge.current(environment, knows.current, at_m, self.t),
+        }
+
+    def _at_times[T](self, look: Callable[[], T], every: int) -> T:
+        """What is seen in every n-th control step, and zeros of its shapes in the others."""
+        if every == 1:
+            return look()
+        shapes = jax.eval_shape(look)
+
+        def nothing() -> T:
+            zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+            return zeros
+
+        seen: T = jax.lax.cond(self.number % every == 0, look, nothing)
+        return seen

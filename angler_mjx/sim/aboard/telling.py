@@ -1,0 +1,157 @@
+"""What engines ask of the phases of worlds: whether, when, and what they tell the robots."""
+
+import math
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any
+
+import jax
+
+from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim.aboard.here import Aboard
+from angler_mjx.sim.aboard.phases import HEAR, PHASES, POLICY, SENSE, WORK
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.phase import run
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.world.obstacles import ObstacleState
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What robots are told in a control step, [R] leading; None where nothing is."""
+
+    known: Belief | None = None
+    """Of their own motion."""
+    command: Any = None
+    """By a policy."""
+    finished: jax.Array | None = None
+    """bool [R] whose part of the task is done; None where each robot has a goal of its own."""
+    loaded: jax.Array | None = None
+    """bool [R] who carries a load; None where there are none."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """Of the phases of worlds."""
+
+    def given(self) -> dict[str, Any]:
+        """What there is of it for the phases of robots, by the names of their slots."""
+        return {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name != "record" and getattr(self, field.name) is not None
+        }
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Minds:
+    """Memories of the phases of worlds; fields of `WorldState`."""
+
+    senses: Any
+    policy: Any
+    task: Any
+    radio: Any
+
+    @classmethod
+    def of(cls, state: WorldState) -> "Minds":
+        """Those of a state."""
+        return cls(senses=state.senses, policy=state.policy, task=state.task, radio=state.radio)
+
+
+def asked(policy: Policy | None, command: Any) -> Policy | None:
+    """The policy, where no command stands in for it; otherwise it keeps its memory."""
+    return policy if command is None else None
+
+
+def tells(spec: SimSpec, policy: Policy | None) -> bool:
+    """Whether the phases of worlds have anything to do."""
+    wanted = policy is not None or spec.by_task or spec.acoustics is not None
+    return bool(spec.instrumented) or wanted
+
+
+def period(spec: SimSpec, policy: Policy | None) -> int:
+    """Control steps of which the phases of worlds act in none but the first, counted from t = 0.
+
+    What they give holds in the others. A phase that is not known here acts in every step.
+    """
+    every = {
+        SENSE.name: 1 if spec.instrumented else 0,
+        HEAR.name: 0 if spec.acoustics is None else 1,
+        WORK.name: 0 if spec.task is None else spec.task.period,
+        POLICY.name: 0 if policy is None else policy.period,
+    }
+    return math.gcd(*(every.get(phase.name, 1) for phase in PHASES)) or 1
+
+
+def watches(policy: Policy | None) -> bool:
+    """Whether a policy asks where obstacles are."""
+    return policy is not None and policy.knows is not None
+
+
+def tell(
+    spec: SimSpec,
+    policy: Policy | None,
+    world: World,
+    minds: Minds,
+    number: jax.Array,
+    vehicles: VehicleState,
+    obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
+) -> tuple[Minds, Told]:
+    """The phases of one world.
+
+    Args:
+        spec: settings.
+        policy: that commands the robots, if one does.
+        world: constants.
+        minds: memories.
+        number: int32 [] control steps taken.
+        vehicles: now, [R] leading.
+        obstacles: now, [n] leading, where a policy asks (`watches`).
+        outcome: int32 [R] of the robots so far, where there is a task.
+        fleet: whose robots may carry loads; if left out they do not.
+    """
+    here = Aboard(
+        spec=spec,
+        policy=policy,
+        world=world,
+        number=number,
+        vehicles=vehicles,
+        obstacles=obstacles,
+        outcome=outcome,
+        fleet=fleet,
+    )
+    now, record = run(here, PHASES, vars(minds))
+    after = Minds(**{name: now[name] for name in vars(minds)})
+    told = Told(
+        known=now.get("known"),
+        command=now.get("command"),
+        finished=now.get("finished"),
+        loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
+        record=record,
+    )
+    return after, told
+
+
+def tell_tile(
+    spec: SimSpec,
+    policy: Policy | None,
+    worlds: World,
+    minds: Minds,
+    number: jax.Array,
+    vehicles: VehicleState,
+    obstacles: ObstacleState | None = None,
+    outcome: jax.Array | None = None,
+    *,
+    fleet: Fleet | None = None,
+) -> tuple[Minds, Told]:
+    """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
+    one = partial(tell, spec, policy, fleet=fleet)
+    axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
+    after: tuple[Minds, Told] = jax.vmap(one, axes)(
+        worlds, minds, number, vehicles, obstacles, outcome
+    )
+    return after
