@@ -92,6 +92,10 @@ def _news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> 
     learned = jnp.any(before.knows != after.knows, axis=1) | (scene.t == 0.0)
     if scene.others is None and spec.shared:
         learned |= jnp.any(~scene.running & (before.target >= 0))
+    if scene.others is not None:
+        # Goods that it put down it knew to be gone since it took them up, and nobody tells it that
+        # another has fallen silent: who is on its way to no job looks for one at each look.
+        learned |= (before.target < 0) | (before.target >= spec.jobs)
     return learned
 
 

@@ -210,6 +210,27 @@ def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again(
     assert known.all()
 
 
+def test_robots_that_hear_nothing_come_back_for_more_goods() -> None:
+    spec = spec_of("deliver", 5)
+    task, p = task_of(spec), np.asarray(Water().start_m)
+    state = work.begin(spec, task, jnp.asarray(p))
+    silence = Others(
+        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m,
+        active=jnp.zeros((ROBOTS, ROBOTS), bool),
+        knows=jnp.zeros((ROBOTS, ROBOTS, 1), jnp.uint32),
+    )
+    for look in range(2 * LOOKS):
+        state = looked(spec, task, state, p, np.ones(ROBOTS, bool), 0.5 * look, silence)
+        if np.asarray(state.finished).all():
+            break
+        way = np.asarray(state.goal_m) - p
+        far = np.linalg.norm(way, axis=1, keepdims=True)
+        p = p + way * np.minimum(1.0, STEP_M / np.maximum(far, 1e-9))
+    assert np.asarray(state.done).all()
+    assert np.asarray(state.did).sum() == 5  # each thing was brought by one of them, once
+    assert np.asarray(state.finished).all()
+
+
 def test_what_is_heard_spares_the_way() -> None:
     spec = spec_of("tour", 4)
     task = task_of(spec)
