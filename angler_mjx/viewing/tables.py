@@ -1,5 +1,6 @@
 """Tables in Markdown, and their place between two marks of a document."""
 
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -38,6 +39,12 @@ def put(document: Path, begin: str, body: str, end: str) -> None:
         document.write_text(f"{before}{begin}\n{body}\n{end}{after}", encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"--out {document}: {error.strerror or error}") from error
+
+
+def picture(document: Path, figure: Path) -> str:
+    """A line of a document, in Markdown, that shows a figure; called what its file is."""
+    title = figure.stem.replace("_", " ")
+    return f"![{title}]({os.path.relpath(figure, document.parent)})"
 
 
 def _around(document: Path, begin: str, end: str) -> tuple[str, str]:

@@ -127,10 +127,12 @@ def keep(found: dict[str, Any], name: str, data: Path, images: Path, page: Path 
     """
     data.mkdir(parents=True, exist_ok=True)
     folder.write_json(data / f"{name}.json", found)
-    style.save(chart.draw(found), images / f"scalability_{name}.png", palette=128)
+    figure = style.save(chart.draw(found), images / f"scalability_{name}.png", palette=128)
     if page is not None:
         parts = [sweep_tables.cells_table(found), sweep_tables.pairs_table(found)]
-        text = "\n\n".join("\n".join(sweep_tables.grid(one)) for one in parts)
+        text = "\n\n".join(
+            [tables.picture(page, figure), *("\n".join(sweep_tables.grid(one)) for one in parts)]
+        )
         tables.put(page, f"<!-- {name}: begin -->", text, f"<!-- {name}: end -->")
 
 

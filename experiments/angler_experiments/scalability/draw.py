@@ -233,9 +233,11 @@ def main(
     """
     found = lines(rows)
     print(table(found))
+    drawn = []
     if figures is not None:
         for what in ("time", "memory"):
-            print(style.save(draw(found, what), figures / f"scalability_{what}.png", palette=64))
+            picture = figures / f"scalability_{what}.png"
+            drawn.append(style.save(draw(found, what), picture, palette=64))
         fits = [
             {
                 "ladder": one.ladder,
@@ -251,7 +253,8 @@ def main(
         ]
         rows.with_suffix(".fits.json").write_text(json.dumps(fits, indent=1) + "\n")
     if page is not None:
-        tables.put(page, BEGIN, table(found), END)
+        pictures = [tables.picture(page, one) for one in drawn]
+        tables.put(page, BEGIN, "\n\n".join([*pictures, table(found)]), END)
 
 
 def _plain(fit: Fit | None) -> dict[str, float | None] | None:
