@@ -79,10 +79,12 @@ def test_make_help_lists_the_two_commands():
 
 def test_scenarios_of_the_package_are_the_named_ones():
     assert set(shipped()) == {
+        "corridor_delivery",
         "dense_dynamic",
         "heterogeneous",
         "open_water_current",
         "reef_fleet",
+        "reef_survey",
         "sitl_formation",
         "sitl_hold",
     }

@@ -36,6 +36,7 @@ OF_EXTRAS = {
     "coal": "plan",
     "grain": "learn",
     "gymnasium": "learn",
+    "h5netcdf": "ocean",
     "h5py": "export",
     "minari": "export",
     "numba": "plan",

@@ -9,16 +9,20 @@ carried on into land, as ours is: what is compared is interpolation and integrat
 """
 
 import argparse
+import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import parcels
 import xarray
 
 STEP_S, EVERY, HOURS = 300.0, 12, 24
 
+parcels: Any = importlib.import_module("parcels")
+"""No dependency of this package."""
 
-def fieldset(path: Path) -> parcels.FieldSet:
+
+def fieldset(path: Path) -> Any:
     """The field of the folder as Parcels has it."""
     data = xarray.open_dataset(path).load()
     about = {
