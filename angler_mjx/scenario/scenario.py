@@ -308,6 +308,8 @@ class Scenario(FileModel):
         for table, current in zip(world["currents"], self.world.currents, strict=True):
             if isinstance(current, GridConfig):
                 table["file"] = current.field.digest
+        if self.world.bathymetry is None:  # as before there were any: problems stay what they were
+            del world["bathymetry"]
         drawn = {
             "world": world,
             "fleet": [_as_drawn(entry) for entry in self.fleet],
