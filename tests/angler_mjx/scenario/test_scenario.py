@@ -207,6 +207,6 @@ def test_what_is_stored_beside_is_asked_for_by_name(scenario_file):
 
 
 def test_problems_are_called_what_they_were_called_before():
-    """Manifests of data sets and benchmarks hold these: what is added later must not change them."""
+    """Manifests of data sets and benchmarks hold these: what comes later must not change them."""
     known = {"reef_fleet": "838f894a1f35e9fb", "open_water_current": "b1e50edbb82876bb"}
     assert {name: load_scenario(name).digest()[:16] for name in known} == known
