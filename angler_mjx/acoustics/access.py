@@ -13,8 +13,14 @@ class Tdma:
 
     slot: int
     """Control steps."""
-    look: int = 1
-    """Control steps from one time that robots are told what they heard to the next."""
+
+    @property
+    def period(self) -> int:
+        """Control steps of which packets begin in none but the first, counted from t = 0.
+
+        What came in in the others is understood by the next such step.
+        """
+        return self.slot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +38,13 @@ class Aloha:
     rests: int
     """Chances from a packet to the next that its sender may take."""
     look: int
-    """As in `Tdma`; divides the time from chance to chance."""
+    """Control steps from one time that robots are told what they heard to the next; divides the
+    time from chance to chance."""
+
+    @property
+    def period(self) -> int:
+        """As in `Tdma`."""
+        return self.look
 
 
 type Access = Tdma | Aloha

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from angler_mjx.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.acoustics.link import Budget, Link
 from angler_mjx.acoustics.shadow import Rock
+from angler_mjx.counting import once_in
 from angler_mjx.draws import children
 from angler_mjx.world.grid import Grid
 
@@ -163,6 +164,12 @@ class Now:
     """What robots say now, worked out where packets begin."""
     silent: jax.Array | None = None
     """bool [R] who cannot send."""
+    every: int = 1
+    """What the number is known to be a multiple of."""
+
+    def once_in[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """See `counting.once_in`."""
+        return once_in(period, self.number, do, otherwise, self.every)
 
     def time_s(self, channel: Channel) -> jax.Array:
         """[] at the beginning of the step."""
@@ -197,7 +204,7 @@ def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[R
     def send(air: Air) -> Air:
         return _sent(channel, air, now, turn, one, jnp.full(1, now.time_s(channel)))
 
-    air = jax.lax.cond(now.number % access.slot == 0, send, lambda air: air, memory.air)
+    air = now.once_in(access.slot, lambda: send(memory.air), lambda: memory.air)
     everybody = last.put(jnp.zeros((robots, robots), bool), came, 1)
     return replace(memory, air=air), everybody
 
@@ -219,23 +226,13 @@ def _by_chance(channel: Channel, access: Aloha, memory: Radio, now: Now) -> tupl
 
     def look(memory: Radio) -> tuple[Radio, jax.Array]:
         memory, came = _delivered(channel, memory, now, everybody)
-        air = _every(access.chance, now.number, send, memory.air)
+        air = now.once_in(access.chance, lambda: send(memory.air), lambda: memory.air)
         return replace(memory, air=air), came
 
-    def wait(memory: Radio) -> tuple[Radio, jax.Array]:
+    def wait() -> tuple[Radio, jax.Array]:
         return memory, jnp.zeros((robots, robots), bool)
 
-    if access.look == 1:
-        return look(memory)
-    done: tuple[Radio, jax.Array] = jax.lax.cond(now.number % access.look == 0, look, wait, memory)
-    return done
-
-
-def _every(steps: int, number: jax.Array, send: Callable[[Air], Air], air: Air) -> Air:
-    if steps == 1:
-        return send(air)
-    after: Air = jax.lax.cond(number % steps == 0, send, lambda air: air, air)
-    return after
+    return now.once_in(access.look, lambda: look(memory), wait)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -88,7 +88,7 @@ class MppiConfig(FileModel):
 class RoutesConfig(FileModel):
     """Flight along ways that were worked out before the start; see `docs/routes.md`."""
 
-    hz: float = Field(default=5.0, gt=0.0, le=1e4)
+    hz: float = Field(default=4.0, gt=0.0, le=1e4)
     """How often robots are told anew; a whole number of control steps from one time to the next."""
     horizon_s: float = Field(default=5.0, gt=0.0, le=600.0)
     """How far ahead contacts with what moves count."""

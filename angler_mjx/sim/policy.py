@@ -21,6 +21,7 @@ from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.plans import Plan
 from angler_mjx.control.stack import ControlParams, Stages
+from angler_mjx.counting import once_in
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
 from angler_mjx.sim.record import Belief
@@ -257,6 +258,7 @@ def step(
     memory: PolicyMemory,
     known: Callable[[], Known],
     number: jax.Array,
+    every: int = 1,
 ) -> tuple[PolicyMemory, Any]:
     """One control step of one world.
 
@@ -266,6 +268,7 @@ def step(
         memory: of the policy.
         known: what the robots know, worked out where the policy is called.
         number: int32 [] control steps taken.
+        every: what ``number`` is known to be a multiple of.
 
     Returns:
         The memory, and the command of the robots.
@@ -279,7 +282,6 @@ def step(
     if policy.period == 1:
         carry, command = act()
         return PolicyMemory(carry=carry, command=None), command
-    carry, command = jax.lax.cond(
-        number % policy.period == 0, act, lambda: (memory.carry, memory.command)
-    )
+    before = memory.carry, memory.command
+    carry, command = once_in(policy.period, number, act, lambda: before, every)
     return PolicyMemory(carry=carry, command=command), command

@@ -265,8 +265,10 @@ def _task_arrays(tile: FinishedTile) -> Arrays:
         "done_at_s": state.done_at_s,
     }
     if world.survey is not None:
-        seen = np.asarray(state.seen) & np.asarray(world.survey.cells)
-        made["cells"] = np.asarray(world.survey.cells).astype(np.uint8) + seen
+        cells = np.asarray(world.survey.cells)
+        words = np.asarray(state.seen).astype("<u4").view(np.uint8)
+        seen = np.unpackbits(words, axis=-1, count=cells.shape[-1], bitorder="little")
+        made["cells"] = cells.astype(np.uint8) + (seen & cells)
     return {f"{TASK}/{name}": partial(_rows, values) for name, values in made.items()}
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.matching import matched
 from angler_mjx.errors import ConfigError, shown
 
 
@@ -46,32 +47,10 @@ type Allocator = Callable[[View], jax.Array]
 def nearest(view: View) -> jax.Array:
     """Each robot takes the open job that is nearest to it, unless that is nearer to another.
 
-    Pairs of a robot and a job that are each other's nearest are taken out until none is left: the
-    same pairs as by taking the shortest way of all, again and again.
+    The shortest way of all is taken, again and again.
     """
     way = jnp.where(view.open & view.able[:, None], view.reach_m, jnp.inf)
     return matched(way)
-
-
-def matched(way: jax.Array) -> jax.Array:
-    """Pairs of rows and columns of [R, M], shortest first: the column of each row, or -1."""
-    rows, columns = way.shape
-    row = jnp.arange(rows)
-
-    def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return jnp.any(jnp.isfinite(state[1]))
-
-    def go_on(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        taken, way = state
-        best = jnp.argmin(way, axis=1).astype(jnp.int32)
-        back = jnp.argmin(way, axis=0)
-        pair = (back[best] == row) & jnp.isfinite(jnp.min(way, axis=1))
-        gone = jnp.zeros(columns, bool).at[best].max(pair)
-        way = jnp.where(pair[:, None] | gone, jnp.inf, way)
-        return jnp.where(pair, best, taken), way
-
-    none = jnp.full(rows, -1, jnp.int32)
-    return jax.lax.while_loop(going, go_on, (none, way))[0]
 
 
 def auction(view: View) -> jax.Array:

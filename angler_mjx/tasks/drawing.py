@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from angler_kernels.matching import matched
 from angler_mjx.tasks import allocation, surface, travel
 from angler_mjx.tasks.sight import cell_of, centre_m
 from angler_mjx.tasks.spec import TaskSpec, TaskWorld
@@ -122,4 +123,4 @@ def _shares(
     part = allocation.part_of(rank, jnp.sum(exists, dtype=jnp.int32), robots)
     first = (part == jnp.arange(robots)[:, None]) & exists
     at = places[jnp.argmin(jnp.where(first, rank, spec.jobs), axis=1)]
-    return allocation.matched(travel.straight(start_m, at))
+    return matched(travel.straight(start_m, at))

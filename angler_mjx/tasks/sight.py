@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_kernels.bit_grid import WORD
 from angler_mjx.tasks.spec import Footprint, SurveySpec
 from angler_mjx.world.grid import Grid
 
@@ -69,6 +70,54 @@ def columns(spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array) -> jax.Ar
     return jnp.clip(cell[:2] + jnp.array(step, jnp.int32), 0, last)
 
 
+def packed(spec: SurveySpec, nz: int, height: jax.Array, which: jax.Array) -> jax.Array:
+    """Cells of windows as bits along z of their columns.
+
+    Args:
+        spec: settings.
+        nz: cells of the grid along z.
+        height: int32 [k, n] third coordinate of the cells of k windows, from `window`.
+        which: bool [k, n] those of them that are meant; none that lie outside the grid.
+
+    Returns:
+        Words uint32 [k, c, w] of the columns, in the order of `columns`.
+    """
+    side = 2 * spec.footprint.wide + 1
+    height, which = (x.reshape(len(x), side * side, -1, 1) for x in (height, which))
+    word = jnp.arange(-(-nz // WORD), dtype=jnp.int32)
+    bit = jnp.uint32(1) << (height % WORD).astype(jnp.uint32)
+    # Cells of a column are different ones, so a sum of their bits is their union.
+    found = jnp.where(which & (height // WORD == word), bit, jnp.uint32(0))
+    return jnp.sum(found, axis=2, dtype=jnp.uint32)
+
+
+def together(
+    spec: SurveySpec, shape: tuple[int, ...], cell: jax.Array, words: jax.Array
+) -> jax.Array:
+    """The union of what lies in the windows about several cells.
+
+    Args:
+        spec: settings.
+        shape: of the grid.
+        cell: int32 [k, 3] their middles.
+        words: uint32 [k, c, w] of their columns, as `packed` gives them.
+
+    Returns:
+        Packed grid uint32 [nx, ny, w].
+    """
+    # Each column of the grid reads what is its own: writing from each window would be slower.
+    wide, (nx, ny, _) = spec.footprint.wide, shape
+    side = 2 * wide + 1
+    x = jnp.arange(nx)[:, None] - cell[:, 0, None, None] + wide
+    y = jnp.arange(ny) - cell[:, 1, None, None] + wide
+    within = (x >= 0) & (x < side) & (y >= 0) & (y < side)
+    column = jnp.where(within, x * side + y, 0)
+    read = jax.vmap(lambda words, column: words[column])(words, column)
+    read = jnp.where(within[..., None], read, jnp.uint32(0))
+    found: jax.Array = jax.lax.reduce(read, jnp.uint32(0), jax.lax.bitwise_or, (0,))
+    return found
+
+
 def window_size(spec: SurveySpec) -> int:
     """Number n of cells of a window."""
     seen = spec.footprint
@@ -110,7 +159,9 @@ def in_cone(
     return near
 
 
-def is_free(seen: Footprint, grid: Grid, p: jax.Array, cells: jax.Array) -> jax.Array:
+def is_free(
+    seen: Footprint, grid: Grid, p: jax.Array, cells: jax.Array, asked: jax.Array
+) -> jax.Array:
     """Whether the lines from p [3] in W to the centres of cells int32 [n, 3] are free, bool [n].
 
     The cell that p lies in is not looked at.
@@ -120,6 +171,7 @@ def is_free(seen: Footprint, grid: Grid, p: jax.Array, cells: jax.Array) -> jax.
         grid: rock.
         p: [3] in W.
         cells: int32 [n, 3].
+        asked: bool [n] for which of them that is asked; the others come out either way.
     """
     begin = (p - grid.origin_m) / grid.cell_m
     way = cells + 0.5 - begin
@@ -136,6 +188,8 @@ def is_free(seen: Footprint, grid: Grid, p: jax.Array, cells: jax.Array) -> jax.
         at = jnp.floor(begin + share[..., None] * way).astype(jnp.int32)
         entered = jnp.where(forward, plane, plane - 1)
         at = jnp.clip(at.at[..., axis].set(entered), 0, last)
+        # All the others read the same cell, which costs a GPU next to nothing.
+        at = jnp.where(asked[:, None], at, 0)
         rock = grid.occupied[at[..., 0], at[..., 1], at[..., 2]]
         free &= ~jnp.any(rock & ~slow & (share < 1.0), axis=0)
     return free
@@ -155,7 +209,7 @@ def seen_cells(
     Args:
         spec: settings.
         grid: rock.
-        wanted: bool [nx, ny, nz] free cells.
+        wanted: uint32 [nx, ny, w] free cells, packed along z.
         ground: int32 [nx, ny] lowest free cell of each column.
         p: [3] where it is, in W.
         down: [3] its downward axis in W, of length 1.
@@ -165,7 +219,7 @@ def seen_cells(
         Cells int32 [n, 3] of the window about it, and bool [n] which it sees.
     """
     cells, inside = window(spec, grid.occupied.shape, ground, cell_of(grid, p))
-    at = (cells[:, 0], cells[:, 1], cells[:, 2])
-    sees = inside & wanted[at]
+    x, y, z = cells[:, 0], cells[:, 1], cells[:, 2]
+    sees = inside & (wanted[x, y, z // WORD] >> (z % WORD).astype(jnp.uint32) & 1 == 1)
     sees &= in_cone(spec.footprint, p, down, centre_m(grid, cells), spare_m)
-    return cells, sees & is_free(spec.footprint, grid, p, cells)
+    return cells, sees & is_free(spec.footprint, grid, p, cells, sees)

@@ -98,8 +98,8 @@ class SurveyWorld:
     ground: jax.Array
     """int32 [nx, ny] lowest free cell of each column; nz where there is none."""
     of_job: jax.Array
-    """uint32 [M, c, w] which cells of the columns about its viewpoint are a job's, as bits along z:
-    cell k is bit k % 32 of word k // 32; see `sight.columns`."""
+    """uint32 [M, c, w] which cells of the columns about its viewpoint are a job's, packed along z
+    (`angler_kernels.bit_grid`); see `sight.columns`."""
     count: jax.Array
     """int32 [] number of ``cells``."""
 
@@ -155,4 +155,4 @@ class TaskState:
     progress: jax.Array
     """[] share of the task that is done, of a survey the share that was seen."""
     seen: jax.Array | None = None
-    """bool [nx, ny, nz] cells of a survey that some robot has seen."""
+    """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""

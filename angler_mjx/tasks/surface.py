@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_kernels.bit_grid import WORD
+from angler_kernels import bit_grid
 from angler_mjx.tasks import sight
 from angler_mjx.tasks.spec import SurveySpec, SurveyWorld
 from angler_mjx.world.grid import Grid
@@ -86,17 +86,6 @@ def _lattice(shape: tuple[int, ...], stride: int) -> jax.Array:
     return jnp.array(points, jnp.int32)
 
 
-def _bits(spec: SurveySpec, height: jax.Array, mine: jax.Array, nz: int) -> jax.Array:
-    """Words uint32 [M, c, w] along z of cells of windows: heights int32 [M, n], and bool [M, n]."""
-    side = 2 * spec.footprint.wide + 1
-    height, mine = (x.reshape(len(x), side * side, -1, 1) for x in (height, mine))
-    word = jnp.arange(-(-nz // WORD), dtype=jnp.int32)
-    bit = jnp.uint32(1) << (height % WORD).astype(jnp.uint32)
-    # Cells of a column are different ones, so a sum of their bits is their union.
-    found = jnp.where(mine & (height // WORD == word), bit, jnp.uint32(0))
-    return jnp.sum(found, axis=2, dtype=jnp.uint32)
-
-
 def cover(
     spec: SurveySpec,
     jobs: int,
@@ -125,10 +114,10 @@ def cover(
     ground = ground_cells(grid, floor_z_m)
     surface = surface_cells(spec, grid, ground)
     cell, may = candidates(spec, reachable, ground)
-    point, down = sight.centre_m(grid, cell), jnp.array(_DOWN)
+    point, down, packed = sight.centre_m(grid, cell), jnp.array(_DOWN), bit_grid.pack(surface)
 
     def from_one(p: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return sight.seen_cells(spec, grid, surface, ground, p, down, spare_m)
+        return sight.seen_cells(spec, grid, packed, ground, p, down, spare_m)
 
     cells, sees = jax.vmap(from_one)(point)
     sees &= may[:, None]
@@ -151,7 +140,7 @@ def cover(
     world = SurveyWorld(
         cells=wanted.reshape(surface.shape),
         ground=ground,
-        of_job=_bits(spec, cells[chosen, :, 2], mine, nz),
+        of_job=sight.packed(spec, nz, cells[chosen, :, 2], mine),
         count=count,
     )
     return point[chosen], exists, fits & (count > 0), world

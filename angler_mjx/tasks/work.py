@@ -67,7 +67,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
         complete=jnp.zeros((), bool),
         completed_s=jnp.full((), jnp.nan, kind),
         progress=jnp.zeros((), kind),
-        seen=None if task.survey is None else jnp.zeros_like(task.survey.cells),
+        seen=None if task.survey is None else jnp.zeros_like(bit_grid.pack(task.survey.cells)),
     )
 
 
@@ -119,7 +119,7 @@ def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
     progress = jnp.sum(state.done) / jnp.maximum(jnp.sum(task.exists), 1)
     complete = jnp.all(state.done | ~task.exists)
     if seen is not None and survey is not None and world is not None:
-        count, total = jnp.sum(seen), jnp.maximum(world.count, 1)
+        count, total = bit_grid.population(seen), jnp.maximum(world.count, 1)
         progress, complete = count / total, count >= jnp.ceil(survey.coverage * total)
     return _with_progress(state, progress, complete, scene.t)
 
@@ -170,15 +170,16 @@ def _visited(
 
 
 def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
-    """Cells that some robot has seen by now, bool [nx, ny, nz]."""
+    """Cells that some robot has seen by now, uint32 [nx, ny, w]."""
+    shape, wanted = scene.grid.occupied.shape, bit_grid.pack(world.cells) & ~seen
     down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
 
     def one(p: jax.Array, down: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return sight.seen_cells(survey, scene.grid, world.cells, world.ground, p, down)
+        return sight.seen_cells(survey, scene.grid, wanted, world.ground, p, down)
 
     cells, sees = jax.vmap(one)(scene.p, down)
-    sees &= scene.running[:, None]
-    return seen.at[cells[..., 0], cells[..., 1], cells[..., 2]].max(sees)
+    words = sight.packed(survey, shape[2], cells[..., 2], sees & scene.running[:, None])
+    return seen | sight.together(survey, shape, sight.cell_of(scene.grid, scene.p), words)
 
 
 def _over(
@@ -197,11 +198,11 @@ def _over(
     passing are the nearest robot's.
     """
     # A whole column is one word or a few: a look at each cell would cost several times as much.
-    points, packed = task.place_m[: spec.jobs], bit_grid.pack(seen)
+    points, shape = task.place_m[: spec.jobs], scene.grid.occupied.shape
 
     def whole(point: jax.Array, mine: jax.Array) -> jax.Array:
-        at = sight.columns(survey, seen.shape, sight.cell_of(scene.grid, point))
-        return jnp.all(mine & ~packed[at[:, 0], at[:, 1]] == 0)
+        at = sight.columns(survey, shape, sight.cell_of(scene.grid, point))
+        return jnp.all(mine & ~seen[at[:, 0], at[:, 1]] == 0)
 
     apart = jnp.sum((scene.p[:, None] - points) ** 2, axis=-1)
     apart = jnp.where(scene.running[:, None], apart, jnp.inf)
@@ -241,7 +242,7 @@ def _sent(
     robots = jnp.arange(spec.robots)
     carries = state.carrying >= 0
     before = jnp.where(state.target < spec.jobs, state.target, -1)
-    job = jnp.where(news, _jobs(spec, task, state, scene, travel, over), before)
+    job = jnp.where(news, _jobs(spec, task, state, scene, travel, over, news), before)
     target = jnp.where(carries, spec.jobs + state.carrying, job)
     left = ~jnp.all(over, axis=1) | carries
     home = spec.homes + robots
@@ -269,8 +270,12 @@ def _jobs(
     scene: Scene,
     travel: Travel,
     over: jax.Array,
+    news: jax.Array,
 ) -> jax.Array:
-    """Next job of each robot, int32 [R]; -1 for none."""
+    """Next job of each robot that thinks anew, int32 [R]; -1 for none.
+
+    For the others nobody is taken to be able, so that there is little to work out.
+    """
     jobs = jnp.arange(spec.jobs, dtype=jnp.int32)
     length = jnp.zeros(spec.jobs, scene.p.dtype)
     if spec.kind == "deliver":
@@ -299,7 +304,7 @@ def _jobs(
             exists=task.exists,
         )
 
-    able = scene.running & (state.carrying < 0)
+    able = scene.running & (state.carrying < 0) & news
     if not spec.shared:
 
         def alone(p: jax.Array, able: jax.Array, over: jax.Array) -> jax.Array:
@@ -313,7 +318,7 @@ def _jobs(
         return allocate(view(scene.believed_m, scene.running, able, open_, task.share))
 
     def of_one(robot: jax.Array, p: jax.Array, active: jax.Array, over: jax.Array) -> jax.Array:
-        all_able = active.at[robot].set(able[robot])
+        all_able = active.at[robot].set(able[robot]) & news[robot]
         return allocate(view(p, active, all_able, ~over, task.share))[robot]
 
     robots = jnp.arange(spec.robots)

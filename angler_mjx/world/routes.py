@@ -32,7 +32,8 @@ class Routes:
     place_m: jax.Array
     """[P, 3] in W."""
     words: jax.Array
-    """uint16 [P, nx, ny, nz] length and first step of the way from each cell."""
+    """uint16 [nx, ny, nz, P] length and first step of the way from each cell; ways from one cell to
+    all places, which are compared, stand together."""
     clear: jax.Array
     """uint32 [4 nx, 4 ny, words along z] bit k of a word: the centre of cube k, a quarter of a cell
     wide, keeps the clearance from rock, floor, faces of the cube and obstacles that stand."""
@@ -44,7 +45,7 @@ class Routes:
 
 def cell_of(routes: Routes, p: jax.Array) -> jax.Array:
     """Cell int32 [3] that holds p [3] in W; the nearest one outside the grid."""
-    last = jnp.array(routes.words.shape[1:]) - 1
+    last = jnp.array(routes.words.shape[:3]) - 1
     cell = jnp.floor((p - routes.origin_m) / routes.cell_m).astype(jnp.int32)
     return jnp.clip(cell, 0, last)
 
@@ -66,7 +67,7 @@ def step_on(routes: Routes, place: jax.Array, cell: jax.Array) -> tuple[jax.Arra
         The next cell int32 [3], the same where there is none, and the length [] of the way from
         ``cell`` on in m; inf where there is none.
     """
-    word = routes.words[place, cell[0], cell[1], cell[2]].astype(jnp.int32)
+    word = routes.words[cell[0], cell[1], cell[2], place].astype(jnp.int32)
     move = word & (2**MOVE_BITS - 1)
     step = jnp.stack([move // 9, move // 3 % 3, move % 3]) - 1
     length = (word >> MOVE_BITS) * (routes.cell_m / PARTS)
@@ -82,7 +83,9 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     """
     here = cell_of(routes, p)
     after, length = step_on(routes, place, here)
-    _, rest = step_on(routes, place, after)
+    # Told already: a look at the next cell too would be another read from memory.
+    step_m = routes.cell_m * jnp.sqrt(jnp.sum((after - here) ** 2).astype(p.dtype))
+    rest = jnp.maximum(length - step_m, 0.0)
     target = routes.place_m[place]
     last = jnp.all(after == cell_of(routes, target))
     to = jnp.where(last, target, centre_m(routes, after))
@@ -93,7 +96,7 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
 def is_clear(routes: Routes, x: jax.Array, y: jax.Array, z: jax.Array) -> jax.Array:
     """Whether a robot may be at points x, y, z [...] m in W, bool [...]; nowhere off the grid."""
     inside, at = jnp.ones((), bool), []
-    for axis, (value, n) in enumerate(zip((x, y, z), routes.words.shape[1:], strict=True)):
+    for axis, (value, n) in enumerate(zip((x, y, z), routes.words.shape[:3], strict=True)):
         cube = jnp.floor((value - routes.origin_m[axis]) * (FINER / routes.cell_m))
         inside &= (cube >= 0) & (cube < FINER * n)
         at.append(jnp.clip(cube, 0, FINER * n - 1).astype(jnp.int32))

@@ -18,7 +18,6 @@ from jax.experimental.pallas import triton as plt
 MOST_LANES = 2048
 """Two for each thread that a program can have; more would not fit its registers."""
 
-_LANES_A_WARP = 64
 
 
 def on_gpu() -> bool:
@@ -32,16 +31,19 @@ class Program:
 
     Attributes:
         lanes: a power of two on a GPU.
+        lanes_a_warp: two for each thread where lanes wait for memory.
         interpret: run as ordinary JAX, on any device.
     """
 
     lanes: int
+    lanes_a_warp: int = 64
     interpret: bool = False
 
     @classmethod
-    def of(cls, needed: int, *, interpret: bool = False) -> "Program":
+    def of(cls, needed: int, *, lanes_a_warp: int = 64, interpret: bool = False) -> "Program":
         """With at least so many lanes."""
-        return cls(lanes=max(32, 1 << (needed - 1).bit_length()), interpret=interpret)
+        lanes = max(32, 1 << (needed - 1).bit_length())
+        return cls(lanes=lanes, lanes_a_warp=lanes_a_warp, interpret=interpret)
 
     def run(
         self,
@@ -55,7 +57,7 @@ class Program:
             out_shape=list(out),
             grid=(1,),
             compiler_params=plt.CompilerParams(
-                num_warps=max(1, self.lanes // _LANES_A_WARP), num_stages=1
+                num_warps=max(1, self.lanes // self.lanes_a_warp), num_stages=1
             ),
             interpret=self.interpret,
         )(*arrays)

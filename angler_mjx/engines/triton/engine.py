@@ -153,26 +153,38 @@ class TritonEngine:
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         steps = n_sample * steps_per_sample
         period = telling.period(spec, policy) if rows is None and steps > 1 else 1
-        ahead = 1 if watched else min(_together(period), steps)
-        part = Segment(
-            tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
-        )
-        launches = Kernels(self._program, spec, part).launches()
-        if told is not None:
-            asks = (watched, spec.by_task)
-            end = _fly_told(launches, part, partial(_tell, tell, part, *asks), period)
-        elif self._program.interpret:
-            end = _fly_looped(launches, part, None)
+
+        def fly(period: int) -> tuple[WorldState, Sample]:
+            """With phases of worlds that act once a period, where the segment begins with one."""
+            ahead = min(_ahead(period, watched), steps)
+            part = Segment(
+                tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
+            )
+            launches = Kernels(self._program, spec, part).launches()
+            if told is None:
+                fly = _fly_looped if self._program.interpret else _fly
+                return part.result(fly(launches, part))
+            asks = _tell, partial(tell, every=period), part, watched, spec.by_task
+            if period == 1:
+                return part.result(_fly_looped(launches, part, partial(*asks)))
+            return part.result(_fly_told(launches, part, partial(*asks, hold=period), period))
+
+        if period == 1:
+            end = fly(1)
         else:
-            end = _fly(launches, part)
-        after, samples = jax.tree.map(lambda leaf: leaf[:count], part.result(end))
+            end = jax.lax.cond(state.step[0] % period == 0, partial(fly, period), partial(fly, 1))
+        after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
         return after, nearness.all_completed(spec, here, samples)
 
 
-def _together(period: int) -> int:
-    """Control steps that obstacles are moved ahead, where phases of worlds act once a period."""
+def _ahead(period: int, watched: bool) -> int:
+    """Control steps that obstacles are moved ahead of the robots.
+
+    They may be as far ahead as the phases of worlds, which act once a period, are away: those that
+    see them see them now.
+    """
     if period == 1:
-        return AHEAD
+        return 1 if watched else AHEAD
     return max(steps for steps in range(1, AHEAD + 1) if period % steps == 0)
 
 
@@ -232,36 +244,26 @@ def _fly(launches: tuple[Launch, Launch], part: Segment) -> Arrays:
     return _chunks(steps, UNROLLED, part.steps, jnp.zeros(1, jnp.int32), part.start)
 
 
-def _fly_told(
-    launches: tuple[Launch, Launch], part: Segment, tell: Callable[..., Arrays], period: int
-) -> Arrays:
-    """As `_fly`, with ``tell`` before the robots act, once a period where the segment begins so."""
-    begin = jnp.zeros(1, jnp.int32)
-    if period == 1:
-        return _fly_looped(launches, part, tell)
+def _fly_told(launches: tuple[Launch, Launch], part: Segment, tell: Launch, period: int) -> Arrays:
+    """As `_fly`, with ``tell`` before the robots act, once a period."""
+    now = jnp.zeros(1, jnp.int32)
     obstacles, robots = launches
 
     def some(base: jax.Array, count: int, x: Arrays) -> Arrays:
-        def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
-            return robots(base, k[None], x), None
-
-        x = obstacles(base, begin, x)
-        return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
+        x = obstacles(base, now, x)
+        for k in range(count):
+            x = robots(base, jnp.array([k], jnp.int32), x)
+        return x
 
     def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
-        return _chunks(some, part.ahead, count, base, tell(base, begin, x, hold=period))
+        return _chunks(some, part.ahead, count, base, tell(base, now, x))
 
-    def at_its_times() -> Arrays:
-        return _chunks(steps, period, part.steps, begin, part.start)
-
-    def in_every_step() -> Arrays:
-        return _fly_looped(launches, part, tell)
-
-    after: Arrays = jax.lax.cond(part.first[0] % period == 0, at_its_times, in_every_step)
-    return after
+    return _chunks(steps, period, part.steps, now, part.start)
 
 
-def _fly_looped(launches: tuple[Launch, Launch], part: Segment, tell: Launch | None) -> Arrays:
+def _fly_looped(
+    launches: tuple[Launch, Launch], part: Segment, tell: Launch | None = None
+) -> Arrays:
     """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
     obstacles, robots = launches
     now = jnp.zeros(1, jnp.int32)

@@ -73,7 +73,7 @@ def draw(environment: Environment, place_m: jax.Array, clearance_m: jax.Array) -
         words = of_some(cell)
     return Routes(
         place_m=place_m,
-        words=words,
+        words=jnp.moveaxis(words, 0, -1),
         clear=_cubes(environment, clearance_m),
         origin_m=grid.origin_m,
         cell_m=grid.cell_m,

@@ -49,8 +49,8 @@ class AlongRoutes(Policy):
     yaw_rate_radps: float = 0.6
     """How fast the heading follows the course."""
     routes_margin_m: float = field(default=0.1, metadata={"static": True})
-    period: int = field(default=4, metadata={"static": True})
-    looks: int = field(default=4, metadata={"static": True})
+    period: int = field(default=5, metadata={"static": True})
+    looks: int = field(default=5, metadata={"static": True})
     knows: Knows = field(default=Knows(obstacles="observed"), metadata={"static": True})
 
     def reset(self, known: Known, key: jax.Array) -> Memory:

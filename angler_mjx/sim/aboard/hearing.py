@@ -46,6 +46,7 @@ def step(
     p_m: jax.Array,
     told: Any,
     say: Callable[[], dict[str, Any]],
+    every: int = 1,
 ) -> tuple[Radio, jax.Array]:
     """One control step of one world.
 
@@ -58,6 +59,7 @@ def step(
         p_m: [R, 3] where robots are, in W.
         told: their motion as they are told it: a belief, or their true state.
         say: what they put into a packet beside that, worked out where one begins.
+        every: what ``number`` is known to be a multiple of.
 
     Returns:
         The memory, and who understood a packet of whom by now, bool [receiver, sender].
@@ -86,6 +88,7 @@ def step(
         p_m=p_m,
         grid=world.environment.grid,
         says=says,
+        every=every,
         silent=None if world.fails_at_s is None else t >= world.fails_at_s,
     )
     return channel.step(shared, memory, now)

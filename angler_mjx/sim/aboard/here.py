@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from angler_mjx.acoustics.channel import Others
 from angler_mjx.control import stack
+from angler_mjx.counting import once_in
 from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import knowledge
 from angler_mjx.sim.aboard import senses
@@ -48,6 +49,8 @@ class Aboard:
     """int32 [R] of the robots so far; None where there is no task."""
     fleet: Fleet | None = None
     """None where robots carry nothing."""
+    every: int = 1
+    """The number is a multiple of it, as far as is known when the program is made."""
 
     @property
     def t(self) -> jax.Array:
@@ -128,13 +131,10 @@ class Aboard:
 
     def _at_times[T](self, look: Callable[[], T], every: int) -> T:
         """What is seen in every n-th control step, and zeros of its shapes in the others."""
-        if every == 1:
-            return look()
         shapes = jax.eval_shape(look)
 
         def nothing() -> T:
             zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
             return zeros
 
-        seen: T = jax.lax.cond(self.number % every == 0, look, nothing)
-        return seen
+        return once_in(every, self.number, look, nothing, self.every)

@@ -8,8 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-import jax
-
+from angler_mjx.counting import once_in
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.aboard import hearing, senses
 from angler_mjx.sim.aboard.here import Aboard, Sent
@@ -44,7 +43,7 @@ def hear(here: Aboard, now: Slots) -> Done:
     say = partial(hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words)
     told = here.vehicles if belief is None else belief
     after, came = hearing.step(
-        shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say
+        shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say, here.every
     )
 
     def record() -> dict[str, Any]:
@@ -72,10 +71,12 @@ def work(here: Aboard, now: Slots) -> Done:
         others=hearing.at_work(here.spec.acoustics, now["radio"], here.t),
     )
     travel = Travel(place_m=task.place_m, routes=here.world.routes)
-    state: TaskState = jax.lax.cond(
-        here.number % spec.period == 0,
+    state: TaskState = once_in(
+        spec.period,
+        here.number,
         lambda: tasks.look(spec, task, now["task"], scene, travel),
         lambda: now["task"],
+        here.every,
     )
     return Done(
         slots=lambda: {
@@ -111,6 +112,7 @@ def choose(here: Aboard, now: Slots) -> Done:
             now.get("known"), hearing.for_policy(now["radio"]), now.get("sent")
         ),
         here.number,
+        here.every,
     )
     return Done(slots=lambda: {"policy": memory, "command": command})
 

@@ -77,11 +77,18 @@ def period(spec: SimSpec, policy: Policy | None) -> int:
     """
     every = {
         SENSE.name: 1 if spec.instrumented else 0,
-        HEAR.name: 0 if spec.acoustics is None else 1,
+        HEAR.name: _hears(spec),
         WORK.name: 0 if spec.task is None else spec.task.period,
         POLICY.name: 0 if policy is None else policy.period,
     }
     return math.gcd(*(every.get(phase.name, 1) for phase in PHASES)) or 1
+
+
+def _hears(spec: SimSpec) -> int:
+    """As `period`, of what robots hear: in every step where it is recorded how much that is."""
+    if spec.acoustics is None:
+        return 0
+    return 1 if "acoustics" in spec.also else spec.acoustics.access.period
 
 
 def watches(policy: Policy | None) -> bool:
@@ -100,6 +107,7 @@ def tell(
     outcome: jax.Array | None = None,
     *,
     fleet: Fleet | None = None,
+    every: int = 1,
 ) -> tuple[Minds, Told]:
     """The phases of one world.
 
@@ -113,6 +121,7 @@ def tell(
         obstacles: now, [n] leading, where a policy asks (`watches`).
         outcome: int32 [R] of the robots so far, where there is a task.
         fleet: whose robots may carry loads; if left out they do not.
+        every: ``number`` is a multiple of it.
     """
     here = Aboard(
         spec=spec,
@@ -123,6 +132,7 @@ def tell(
         obstacles=obstacles,
         outcome=outcome,
         fleet=fleet,
+        every=every,
     )
     now, record = run(here, PHASES, vars(minds))
     after = Minds(**{name: now[name] for name in vars(minds)})
@@ -147,9 +157,10 @@ def tell_tile(
     outcome: jax.Array | None = None,
     *,
     fleet: Fleet | None = None,
+    every: int = 1,
 ) -> tuple[Minds, Told]:
     """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(tell, spec, policy, fleet=fleet)
+    one = partial(tell, spec, policy, fleet=fleet, every=every)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
     after: tuple[Minds, Told] = jax.vmap(one, axes)(
         worlds, minds, number, vehicles, obstacles, outcome

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_kernels import bit_grid
 from angler_mjx.tasks import sight
 from angler_mjx.tasks.spec import SurveySpec
 from angler_mjx.world.grid import Grid
@@ -51,7 +52,7 @@ def test_lines_of_sight_are_those_of_points_along_them() -> None:
         lambda p: sight.seen_cells(
             spec,
             grid,
-            jnp.array(wanted),
+            bit_grid.pack(jnp.array(wanted)),
             ground,
             p,
             jnp.array([0.0, 0.0, -1.0]),
@@ -81,8 +82,8 @@ def test_the_window_holds_all_cells_in_the_cone(half_deg: float) -> None:
     spec, grid = spec_of(half_deg, 4.0), grid_of(rock)
     random = np.random.default_rng(6)
     down = jnp.array([0.0, 0.0, -1.0])
-    ground = jnp.zeros(SHAPE[:2], jnp.int32)
-    look = jax.jit(lambda p: sight.seen_cells(spec, grid, jnp.ones(SHAPE, bool), ground, p, down))
+    ground, everywhere = jnp.zeros(SHAPE[:2], jnp.int32), bit_grid.everywhere(SHAPE)
+    look = jax.jit(lambda p: sight.seen_cells(spec, grid, everywhere, ground, p, down))
     for _ in range(6):
         p = ORIGIN + random.uniform(0.02, 0.98, 3) * CELL * np.array(SHAPE)
         cells, sees = look(jnp.array(p))

@@ -23,7 +23,7 @@ def water(rock_x=None):
         clear[-6.0 + 0.375 * (np.arange(32) + 0.5) > rock_x] = 0
     return Routes(
         place_m=jnp.zeros((1, 3)),
-        words=jnp.zeros((1, 8, 8, 8), jnp.uint16),
+        words=jnp.zeros((8, 8, 8, 1), jnp.uint16),
         clear=jnp.asarray(clear),
         origin_m=jnp.array([-6.0, -6.0, -12.0]),
         cell_m=jnp.array(1.5),

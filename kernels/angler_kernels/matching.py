@@ -1,0 +1,94 @@
+"""Pairs of rows and columns, shortest first."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels.programs import Program, on_gpu
+
+_MOST_LANES = 2**14
+"""Of a program: one for each pair."""
+
+
+def matched(way: jax.Array) -> jax.Array:
+    """Pairs of rows and columns, each in one pair at most: of all that are left the shortest, again.
+
+    Args:
+        way: [R, M] lengths; inf for what is no pair.
+
+    Returns:
+        The column of each row, int32 [R]; -1 for none. Of equally long pairs that of the lower row
+        comes first, then that of the lower column.
+    """
+    kernel = _Kernel.of(way.shape)
+    if on_gpu() and kernel.program.lanes <= _MOST_LANES:
+        return kernel.run(way)
+    return _in_rounds(way)
+
+
+def _in_rounds(way: jax.Array) -> jax.Array:
+    """As `matched`: who are each other's shortest are taken out together, which is the same."""
+    rows, columns = way.shape
+    row = jnp.arange(rows)
+
+    def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
+        return jnp.any(jnp.isfinite(state[1]))
+
+    def go_on(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        taken, way = state
+        best = jnp.argmin(way, axis=1).astype(jnp.int32)
+        back = jnp.argmin(way, axis=0)
+        pair = (back[best] == row) & jnp.isfinite(jnp.min(way, axis=1))
+        gone = jnp.zeros(columns, bool).at[best].max(pair)
+        way = jnp.where(pair[:, None] | gone, jnp.inf, way)
+        return jnp.where(pair, best, taken), way
+
+    none = jnp.full(rows, -1, jnp.int32)
+    return jax.lax.while_loop(going, go_on, (none, way))[0]
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    rows: int
+    columns: int
+    wide: int
+    """Columns, and as many more as make a power of two."""
+    program: Program
+
+    __name__ = "matched"
+
+    @classmethod
+    def of(cls, shape: tuple[int, ...], *, interpret: bool = False) -> "_Kernel":
+        rows, columns = shape
+        wide = 1 << (columns - 1).bit_length()
+        program = Program.of(rows * wide, lanes_a_warp=1024, interpret=interpret)
+        return cls(rows, columns, wide, program)
+
+    def run(self, way: jax.Array) -> jax.Array:
+        """The column of each row."""
+        (taken,) = self.program.run(
+            self, [way.reshape(-1)], [jax.ShapeDtypeStruct((self.rows,), jnp.int32)]
+        )
+        return taken
+
+    def __call__(self, lengths: Any, taken: Any) -> None:
+        program, inf = self.program, jnp.inf
+        lane = jnp.arange(program.lanes, dtype=jnp.int32)
+        row, column = lane // self.wide, lane % self.wide
+        real = (row < self.rows) & (column < self.columns)
+        at = jnp.where(real, row * self.columns + column, 0)
+        program.store(taken, lane, jnp.full((program.lanes,), -1, jnp.int32), lane < self.rows)
+        program.barrier()
+        way = program.load(lengths, at, real, inf)
+
+        def take(state: tuple[Any, Any]) -> tuple[Any, Any]:
+            way, least = state
+            first = jnp.min(jnp.where(way == least, lane, program.lanes))
+            taken[first // self.wide] = first % self.wide
+            gone = (row == first // self.wide) | (column == first % self.wide)
+            way = jnp.where(gone, inf, way)
+            return way, jnp.min(way)
+
+        jax.lax.while_loop(lambda state: state[1] < inf, take, (way, jnp.min(way)))
