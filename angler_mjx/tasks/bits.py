@@ -8,7 +8,8 @@ WORD = 32
 
 def pack(flags: jax.Array) -> jax.Array:
     """Words uint32 [..., W] of flags bool [..., M]; job j is bit j % 32 of word j // 32."""
-    jobs = flags.shape[-1]
+    # Each flag is worked out by itself, not 32 in a row.
+    jobs, flags = flags.shape[-1], jax.lax.optimization_barrier(flags)
     words = -(-jobs // WORD)
     fill = [(0, 0)] * (flags.ndim - 1) + [(0, words * WORD - jobs)]
     bits = jnp.pad(flags, fill).reshape(*flags.shape[:-1], words, WORD)

@@ -221,7 +221,7 @@ def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> T
         knows = jnp.broadcast_to(bits.pack(over), state.knows.shape)
         return replace(state, knows=knows)
     # Who comes to a place sees that there is nothing left to do.
-    gone = over | deliver.carried(spec, state)
+    gone = over | deliver.carried(spec, state) if spec.kind == "deliver" else over
     there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
     known = bits.pack(mine | (gone & there) | ~task.exists)

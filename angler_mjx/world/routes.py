@@ -81,14 +81,14 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     the place where that is the next cell. Ways of cells are up to 13 % longer than straight ones,
     and lengths are told in eighths of a cell's edge.
     """
-    here = cell_of(routes, p)
+    # Worked out once for all places that a robot's ways are compared to.
+    here = jax.lax.optimization_barrier(cell_of(routes, p))
     after, length = step_on(routes, place, here)
-    # Told already: a look at the next cell too would be another read from memory.
+    # The word says what is left after the step as well: another read would cost more.
     step_m = routes.cell_m * jnp.sqrt(jnp.sum((after - here) ** 2).astype(p.dtype))
-    rest = jnp.maximum(length - step_m, 0.0)
-    target = routes.place_m[place]
-    last = jnp.all(after == cell_of(routes, target))
-    to = jnp.where(last, target, centre_m(routes, after))
+    rest = length - step_m
+    last = rest < 0.5 * routes.cell_m
+    to = jnp.where(last, routes.place_m[place], centre_m(routes, after))
     whole = jnp.sqrt(jnp.sum((to - p) ** 2)) + jnp.where(last, 0.0, rest)
     return jnp.where(jnp.isinf(length), jnp.inf, whole)
 

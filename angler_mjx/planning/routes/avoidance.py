@@ -89,7 +89,8 @@ def choose(
     rock = jnp.sum(jnp.where(reading.is_clear(routes, *ahead), 0.0, share), axis=0)
     aside = (tried[0] * wanted[1] - tried[1] * wanted[0]) / speed_mps**2
     cost = off + CONTACT_S * late + ROCK * rock - RIGHT * jnp.clip(aside, -1.0, 1.0)
-    best = jnp.argmin(cost)
+    # One thread for each velocity, and then the least: threads of a whole robot would be too few.
+    best = jnp.argmin(jax.lax.optimization_barrier(cost))
     return jnp.stack([each[best] for each in tried])
 
 

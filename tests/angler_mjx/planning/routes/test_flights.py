@@ -206,7 +206,7 @@ def test_engines_agree(load):
 
 def test_scenarios_say_how_often_and_what_it_knows(load):
     policy = scenario_policy.policy_of(load(), None)
-    assert (policy.period, policy.looks, policy.routes_margin_m) == (4, 4, 0.1)
+    assert (policy.period, policy.looks, policy.routes_margin_m) == (5, 5, 0.1)
     assert policy.knows == Knows(obstacles="observed")
     told = load(planner={"knows": {"obstacles": "truth"}, "margin_m": 0.2})
     assert scenario_policy.policy_of(told, None).knows == Knows(obstacles="truth")
