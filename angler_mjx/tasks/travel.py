@@ -14,8 +14,8 @@ _UNLED = 4.0
 
 def straight(p: jax.Array, to: jax.Array) -> jax.Array:
     """Lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
-    apart = p[:, None] - to
-    return jnp.sqrt(jnp.sum(apart * apart, axis=-1))
+    square: jax.Array = sum((p[:, None, axis] - to[:, axis]) ** 2 for axis in range(3))
+    return jnp.sqrt(square)
 
 
 @dataclass(frozen=True, kw_only=True)

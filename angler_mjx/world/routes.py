@@ -67,11 +67,19 @@ def step_on(routes: Routes, place: jax.Array, cell: jax.Array) -> tuple[jax.Arra
         The next cell int32 [3], the same where there is none, and the length [] of the way from
         ``cell`` on in m; inf where there is none.
     """
+    step, length = _read(routes, place, cell)
+    return cell + jnp.stack(step), length
+
+
+def _read(
+    routes: Routes, place: jax.Array, cell: jax.Array
+) -> tuple[tuple[jax.Array, ...], jax.Array]:
+    """Step along each axis, -1, 0 or 1, and length, as `step_on` gives them."""
     word = routes.words[cell[0], cell[1], cell[2], place].astype(jnp.int32)
     move = word & (2**MOVE_BITS - 1)
-    step = jnp.stack([move // 9, move // 3 % 3, move % 3]) - 1
+    step = (move // 9 - 1, move // 3 % 3 - 1, move % 3 - 1)
     length = (word >> MOVE_BITS) * (routes.cell_m / PARTS)
-    return cell + step, jnp.where(word == NO_WAY, jnp.inf, length)
+    return step, jnp.where(word == NO_WAY, jnp.inf, length)
 
 
 def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
@@ -83,13 +91,16 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     """
     # Worked out once for all places that a robot's ways are compared to.
     here = jax.lax.optimization_barrier(cell_of(routes, p))
-    after, length = step_on(routes, place, here)
+    step, length = _read(routes, place, here)
     # The word says what is left after the step as well: another read would cost more.
-    step_m = routes.cell_m * jnp.sqrt(jnp.sum((after - here) ** 2).astype(p.dtype))
-    rest = length - step_m
+    axes = sum(abs(along) for along in step)
+    rest = length - routes.cell_m * jnp.sqrt(axes.astype(p.dtype))
     last = rest < 0.5 * routes.cell_m
-    to = jnp.where(last, routes.place_m[place], centre_m(routes, after))
-    whole = jnp.sqrt(jnp.sum((to - p) ** 2)) + jnp.where(last, 0.0, rest)
+    square = jnp.zeros((), p.dtype)
+    for axis, along in enumerate(step):  # number by number: vectors would be written to memory
+        centre = routes.origin_m[axis] + (here[axis] + along + 0.5) * routes.cell_m
+        square += (jnp.where(last, routes.place_m[place, axis], centre) - p[axis]) ** 2
+    whole = jnp.sqrt(square) + jnp.where(last, 0.0, rest)
     return jnp.where(jnp.isinf(length), jnp.inf, whole)
 
 

@@ -19,7 +19,6 @@ MOST_LANES = 2048
 """Two for each thread that a program can have; more would not fit its registers."""
 
 
-
 def on_gpu() -> bool:
     """Whether what JAX computes by default is computed where these programs run."""
     return jax.default_backend() == "gpu"

@@ -154,13 +154,18 @@ class TritonEngine:
         steps = n_sample * steps_per_sample
         period = telling.period(spec, policy) if rows is None and steps > 1 else 1
 
-        def fly(period: int) -> tuple[WorldState, Sample]:
-            """With phases of worlds that act once a period, where the segment begins with one."""
-            ahead = min(_ahead(period, watched), steps)
+        def laid_out(ahead: int) -> tuple[Segment, tuple[Launch, Launch]]:
+            ahead, also = min(ahead, steps), spec.also
             part = Segment(
-                tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=spec.also
+                tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=also
             )
-            launches = Kernels(self._program, spec, part).launches()
+            return part, Kernels(self._program, spec, part).launches()
+
+        usual = laid_out(_ahead(period, watched))
+
+        def fly(period: int, how: tuple[Segment, tuple[Launch, Launch]]) -> Any:
+            """With phases of worlds that act once a period, where the segment begins with one."""
+            part, launches = how
             if told is None:
                 fly = _fly_looped if self._program.interpret else _fly
                 return part.result(fly(launches, part))
@@ -170,9 +175,12 @@ class TritonEngine:
             return part.result(_fly_told(launches, part, partial(*asks, hold=period), period))
 
         if period == 1:
-            end = fly(1)
+            end = fly(1, usual)
         else:
-            end = jax.lax.cond(state.step[0] % period == 0, partial(fly, period), partial(fly, 1))
+            # Between two of their times; who sees obstacles must not see them ahead.
+            otherwise = partial(fly, 1, laid_out(1) if watched else usual)
+            begins = state.step[0] % period == 0
+            end = jax.lax.cond(begins, partial(fly, period, usual), otherwise)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
         return after, nearness.all_completed(spec, here, samples)
 
