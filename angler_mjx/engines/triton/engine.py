@@ -178,7 +178,8 @@ class TritonEngine:
             end = fly(1, usual)
         else:
             # Between two of their times; who sees obstacles must not see them ahead.
-            otherwise = partial(fly, 1, laid_out(1) if watched else usual)
+            seen = watched and tile.some_obstacle
+            otherwise = partial(fly, 1, laid_out(1) if seen else usual)
             begins = state.step[0] % period == 0
             end = jax.lax.cond(begins, partial(fly, period, usual), otherwise)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
