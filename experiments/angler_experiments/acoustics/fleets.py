@@ -1,0 +1,92 @@
+"""What a fleet pays for talking by modem, in one figure of a fleet-size study.
+
+    python -m angler_experiments.acoustics.fleets docs/fleet_size/survey_reef.json
+
+The study must hold two conditions that differ in communication alone. Its file has every number.
+"""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.viewing import style
+
+MEASURES = (
+    ("rate", "met the deadline, %", 100.0),
+    ("median_s", "median time until it is done, s", 1.0),
+    ("lost_per_robot", "robots that touched something, %", 100.0),
+)
+"""Key of a size in a study's file, what stands at its axis, and the factor between the two."""
+
+
+def conditions(study: Path, names: tuple[str, str]) -> list[list[dict[str, Any]]]:
+    """Sizes that were flown, smallest first, of two conditions of a study.
+
+    Raises:
+        ConfigError: the file is none of a study, or has no such condition.
+    """
+    try:
+        made = {one["name"]: one["sizes"] for one in json.loads(study.read_text())["conditions"]}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"{study}: is no study.json of angler study fleet_size: {error}"
+        ) from None
+    for name in names:
+        if name not in made:
+            raise ConfigError(
+                f"{study}: no condition {name!r}; it has {', '.join(map(repr, made))}"
+            )
+    return [sorted(made[name], key=lambda size: size["size"]) for name in names]
+
+
+def draw(both: list[list[dict[str, Any]]], labels: tuple[str, str], out: Path) -> None:
+    """Success, time and losses against the size of the team, of both conditions."""
+    ticks = [1 << k for k in range(7)]
+    with style.styled():
+        chart = style.new_figure(11.0, 3.4)
+        for panel, (key, text, factor) in zip(chart.subplots(1, 3), MEASURES, strict=True):
+            for i, (sizes, label) in enumerate(zip(both, labels, strict=True)):
+                told = [(one["size"], _point(one[key], factor)) for one in sizes]
+                some = [(size, value) for size, value in told if value is not None]
+                panel.plot(*zip(*some, strict=True), "o-", color=style.robot_color(i), label=label)
+            panel.set(
+                xlabel="robots", ylabel=text, xscale="log", xlim=(0.9, 72.0), ylim=(0.0, None)
+            )
+            panel.set_xticks(ticks, [str(tick) for tick in ticks])
+            panel.minorticks_off()
+        chart.axes[0].legend(fontsize=8, loc="lower right")
+        style.save(chart, out, palette=64)
+
+
+def _point(value: Any, factor: float) -> float | None:
+    """A number of a study, with an interval or without; None where it is never reached."""
+    middle = value["value"] if isinstance(value, dict) else value
+    return None if middle is None else factor * float(middle)
+
+
+def main(
+    study: Annotated[Path, tyro.conf.Positional],
+    out: Path = Path("docs/images/acoustic_fleets.png"),
+    perfect: str = "still water",
+    acoustic: str = "acoustic",
+) -> None:
+    """Draw the figure.
+
+    Args:
+        study: Its study.json.
+        out: Picture to write.
+        perfect: Condition in which robots know everything of each other.
+        acoustic: The same with modems.
+    """
+    try:
+        draw(conditions(study, (perfect, acoustic)), ("all know all", "by modem, in turn"), out)
+    except ConfigError as error:
+        raise SystemExit(f"error: {error}") from None
+    print(out)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
