@@ -176,7 +176,8 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
         return replace(spec, jobs=task.count, shared=task.shared, ordered=task.ordered)
     if isinstance(task, DeliverTask):
         return replace(spec, jobs=task.count, dropped=task.dropped)
-    return replace(spec, jobs=task.viewpoints, survey=_survey(task, world))
+    timed = time.record_hz > 0.0
+    return replace(spec, jobs=task.viewpoints, survey=_survey(task, world), timed=timed)
 
 
 def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:

@@ -269,6 +269,8 @@ def _task_arrays(tile: FinishedTile) -> Arrays:
         words = np.asarray(state.seen).astype("<u4").view(np.uint8)
         seen = np.unpackbits(words, axis=-1, count=cells.shape[-1], bitorder="little")
         made["cells"] = cells.astype(np.uint8) + (seen & cells)
+        if state.seen_at_s is not None:
+            made["seen_at_s"] = np.where(cells, state.seen_at_s, np.nan)
     return {f"{TASK}/{name}": partial(_rows, values) for name, values in made.items()}
 
 

@@ -95,6 +95,11 @@ OF_TASK = {
         text="of a survey, cells next to what is surveyed: 1 to be seen, 2 seen, 0 others",
         dtype=np.uint8,
     ),
+    f"{TASK}/seen_at_s": Kind(
+        dims=("x", "y", "z"),
+        unit="s",
+        text="of a survey, when a robot saw each cell first; NaN: never, or not to be seen",
+    ),
 }
 """Of worlds with a task: what it is, and what had been done at the end."""
 

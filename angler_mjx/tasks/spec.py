@@ -71,6 +71,8 @@ class TaskSpec:
     dropped: Dropped = "lost"
     """What becomes of goods whose robot ended: lost, or back where they were taken from."""
     survey: SurveySpec | None = None
+    timed: bool = False
+    """Whether it is kept when each cell of a survey was seen first, for what is recorded."""
 
     @property
     def words(self) -> int:
@@ -156,3 +158,5 @@ class TaskState:
     """[] share of the task that is done, of a survey the share that was seen."""
     seen: jax.Array | None = None
     """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""
+    seen_at_s: jax.Array | None = None
+    """[nx, ny, nz] when some robot saw each cell first; NaN before. None where nobody asks."""

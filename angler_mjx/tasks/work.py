@@ -68,6 +68,9 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
         completed_s=jnp.full((), jnp.nan, kind),
         progress=jnp.zeros((), kind),
         seen=None if task.survey is None else jnp.zeros_like(bit_grid.pack(task.survey.cells)),
+        seen_at_s=jnp.full(task.survey.cells.shape, jnp.nan, kind)
+        if task.survey is not None and spec.timed
+        else None,
     )
 
 
@@ -109,8 +112,9 @@ def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
         return _visited(spec, task, state, scene, by)
     seen, survey, world = state.seen, spec.survey, task.survey
     if seen is not None and survey is not None and world is not None:
-        seen = _seen(survey, world, seen, scene)
-        state, by = replace(state, seen=seen), _over(spec, survey, task, world, seen, scene, by)
+        before, seen = seen, _seen(survey, world, seen, scene)
+        state = _with_seen(state, seen & ~before, seen, scene.t)
+        by = _over(spec, survey, task, world, seen, scene, by)
     new = jnp.any(by, axis=0) & task.exists & ~state.done
     who = jnp.argmax(by, axis=0).astype(jnp.int32)
     state = _with_done(state, new, who, scene.t)
@@ -180,6 +184,14 @@ def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene)
     cells, sees = jax.vmap(one)(scene.p, down)
     words = sight.packed(survey, shape[2], cells[..., 2], sees & scene.running[:, None])
     return seen | sight.together(survey, shape, sight.cell_of(scene.grid, scene.p), words)
+
+
+def _with_seen(state: TaskState, new: jax.Array, seen: jax.Array, t: jax.Array) -> TaskState:
+    """Cells uint32 [nx, ny, w] that were seen, and of them the new ones."""
+    at_s = state.seen_at_s
+    if at_s is not None:
+        at_s = jnp.where(bit_grid.unpack(new, at_s.shape[2]), t, at_s)
+    return replace(state, seen=seen, seen_at_s=at_s)
 
 
 def _over(

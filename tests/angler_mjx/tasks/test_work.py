@@ -170,12 +170,15 @@ def test_goods_of_a_robot_that_ended_are_lost_or_back_where_they_lay(dropped: st
 def test_a_survey_ends_when_enough_was_seen() -> None:
     seen = sight.footprint(math.radians(45.0), 5.0, CELL)
     survey = SurveySpec(of="floor", footprint=seen, altitude_cells=2, coverage=0.9)
-    task, states, _ = flown(spec_of("survey", 20, survey=survey))
+    task, states, _ = flown(spec_of("survey", 20, survey=survey, timed=True))
     last = states[-1]
     cells = np.asarray(task.survey.cells)
     bits = (np.asarray(last.seen)[:, :, :1] >> np.arange(cells.shape[2])) & 1
     share = (bits.astype(bool) & cells).sum() / int(task.survey.count)
     assert share == pytest.approx(float(last.progress))
+    at_s = last.seen_at_s[cells]
+    for look, state in enumerate(states):  # when each cell was seen tells what had been seen when
+        assert np.mean(at_s <= 0.5 * look) == pytest.approx(float(state.progress))
     assert share >= 0.9
     assert last.finished.all()
     before = [state.progress for state in states if not state.complete]
