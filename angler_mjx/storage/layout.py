@@ -15,6 +15,8 @@ from angler_mjx.control.plans import Plan, course, of_robot, points_m
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES, TASK
+from angler_mjx.tasks.history import History
+from angler_mjx.tasks.spec import TaskSpec
 
 END = "end"
 """Group of the one state of each world that comes after its last sample."""
@@ -282,3 +284,48 @@ def read_plan(stored: Mapping[str, Any], world: int, found: Any) -> Plan:
         "commanded": np.ones((len(points), len(VEHICLE_JOINTS)), bool),
     }
     return JointTrajectory(joints=VEHICLE_JOINTS, position=position, **given)
+
+
+def read_task(
+    stored: Mapping[str, Any],
+    world: int,
+    spec: TaskSpec,
+    *,
+    samples: int,
+    ended_s: np.ndarray,
+    completed_s: float | None,
+) -> History:
+    """How far the task of a world was over time.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        spec: settings of the task.
+        samples: how many are wanted, from the first.
+        ended_s: [R] when the episode of each robot was over.
+        completed_s: when the task was complete; None: never.
+    """
+
+    def whole(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world])
+
+    def over_time(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world, :samples], int)
+
+    surveyed = f"{TASK}/cells" in stored
+    return History(
+        spec=spec,
+        time_s=np.asarray(stored[TIME][:samples], float),
+        place_m=whole("place_m"),
+        exists=whole("exists").astype(bool),
+        by=whole("by").astype(int),
+        done_at_s=whole("done_at_s"),
+        share=np.asarray(stored[f"{TASK}/share"][world, :samples], float),
+        did=over_time("done"),
+        target=over_time("target"),
+        carrying=over_time("carrying"),
+        ended_s=ended_s,
+        completed_s=np.nan if completed_s is None else completed_s,
+        cells=whole("cells") > 0 if surveyed else None,
+        seen_at_s=whole("seen_at_s") if surveyed else None,
+    )

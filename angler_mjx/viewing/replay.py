@@ -120,7 +120,7 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
 
 
 def _tab(one: scene.Scene) -> "rrb.Horizontal":
-    """The world in space; beside it the fleet's table, distances to goal, and events."""
+    """The world in space; beside it the fleet's table, distances to goal or progress, events."""
     import rerun.blueprint as rrb
 
     from angler_mjx.viewing.entities import MOST_NAMED
@@ -133,13 +133,18 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
         end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
     )
     columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+    plotted, name = "distance_to_goal_m", "Distance to goal, m"
+    if one.task is not None:
+        plotted, name = "progress", "Progress, %"
+    named = one.task is None and len(one.robots) <= MOST_NAMED
     side = rrb.Vertical(
         rrb.TextDocumentView(origin=f"{root}/fleet", name="Fleet"),
         rrb.TimeSeriesView(
-            origin=f"{root}/distance_to_goal_m",
-            name="Distance to goal, m",
+            origin=f"{root}/{plotted}",
+            name=name,
             axis_x=rrb.TimeAxis(view_range=whole),
-            plot_legend=rrb.PlotLegend(visible=len(one.robots) <= MOST_NAMED),
+            axis_y=rrb.ScalarAxis(range=None if one.task is None else (0.0, 100.0)),
+            plot_legend=rrb.PlotLegend(visible=named),
         ),
         rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
         row_shares=[3, 3, 2],

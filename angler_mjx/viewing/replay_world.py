@@ -1,14 +1,17 @@
 """One world of a run as entities of a Rerun recording; imported only where Rerun is installed.
 
 What `entities` draws, with the whole run on the timeline ``time``, in seconds; beside it the
-fleet's table, distances to goal, and events.
+fleet's table, distances to goal or progress of the task, and events.
 """
 
 import numpy as np
 import rerun as rr
 
+from angler_mjx.tasks.history import Doing, Goods, History
 from angler_mjx.vehicles import library
-from angler_mjx.viewing import entities, style
+from angler_mjx.viewing import entities
+from angler_mjx.viewing.entities import task as of_task
+from angler_mjx.viewing.entities.water import log_flow
 from angler_mjx.viewing.scene import RobotTrack, Scene
 
 _TRAIL_POINTS = 2_000_000
@@ -31,14 +34,19 @@ def log_world(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
         recording.send_columns(f"{root}/space/obstacles/{name}", times, shape.columns(**fields))
     for robot in scene.robots:
         _robot(recording, scene, robot, root)
+    scale_s = log_flow(recording, scene, f"{root}/space/flow")
     origins = np.stack([robot.p_m for robot in scene.robots], axis=1)
     current = np.stack([robot.current_mps for robot in scene.robots], axis=1)
     recording.send_columns(
         f"{root}/space/current",
         times,
-        rr.Arrows3D.columns(origins=origins, vectors=entities.arrows(current)),
+        rr.Arrows3D.columns(origins=origins, vectors=scale_s * current),
     )
-    recording.log(f"{root}/fleet", _fleet_table(scene), static=True)
+    if scene.task is None:
+        recording.log(f"{root}/fleet", _fleet_table(scene), static=True)
+    else:
+        of_task.log_task(recording, scene, scene.task, f"{root}/space/task")
+        _progress(recording, scene, scene.task, root)
     _events(recording, scene, f"{root}/events")
 
 
@@ -91,36 +99,118 @@ def _trail(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
 def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
     """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
     few = len(scene.robots) <= entities.MOST_NAMED
-    ended = f"{robot.index}: {style.OUTCOME_TEXT[robot.outcome]}"
-    colors = [entities.color_of(robot.index), entities.ending(arrived=robot.arrived)]
+    at, words = [0.0], [str(robot.index)]
+    if scene.task is not None:
+        at, words = _phases(scene, scene.task, robot)
+    until = [t for t in at if t < robot.end_time_s]
+    count = len(until)
+    words = [*words[:count], f"{robot.index}: {scene.ended(robot)}"]
+    color, end = entities.color_of(robot.index), entities.ending(arrived=robot.arrived)
     recording.send_columns(
         path,
-        [entities.times(np.array([0.0, robot.end_time_s]))],
+        [entities.times(np.array([*until, robot.end_time_s]))],
         rr.Points3D.columns(
-            labels=[str(robot.index), ended],
-            colors=colors,
-            radii=[entities.DOT, entities.LARGE_DOT],
-            show_labels=[few, few or not robot.arrived],
+            labels=words,
+            colors=[*[color] * count, end],
+            radii=[*[entities.DOT] * count, entities.LARGE_DOT],
+            show_labels=[*[few] * count, few or not robot.arrived],
         ),
     )
 
 
+def _phases(scene: Scene, task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
+    """Times at which a robot begins to do something else, and its label from then on."""
+    words = [
+        str(robot.index)
+        if doing == Doing.GOES
+        else f"{robot.index}: {of_task.does(scene, task, robot, k)}"
+        for k, doing in enumerate(task.doing[:, robot.index])
+    ]
+    at = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
+    return task.time_s[at].tolist(), [words[k] for k in at]
+
+
 def _events(recording: rr.RecordingStream, scene: Scene, path: str) -> None:
-    for robot in sorted(scene.robots, key=lambda robot: robot.end_time_s):
-        recording.set_time("time", duration=robot.end_time_s)
-        text = f"{robot.end_time_s:.1f} s: robot {robot.index} {style.OUTCOME_TEXT[robot.outcome]}"
+    told = [] if scene.task is None else _jobs(scene.task)
+    for robot in scene.robots:
+        text = f"robot {robot.index} {scene.ended(robot)}"
         if robot.failure_pair != "none":
             text += f" ({robot.failure_pair})"
-        level = "INFO" if robot.arrived else "ERROR"
-        recording.log(path, rr.TextLog(text, level=level))
+        told.append((robot.end_time_s, text, "INFO" if robot.arrived else "ERROR"))
+    for at_s, text, level in sorted(told, key=lambda one: one[0]):
+        recording.set_time("time", duration=at_s)
+        recording.log(path, rr.TextLog(f"{at_s:.1f} s: {text}", level=level))
     recording.reset_time()
+
+
+def _jobs(task: History) -> list[tuple[float, str, str]]:
+    """Times, texts and levels of what was done of a task; viewpoints of a survey are too many."""
+    told = []
+    for job in np.flatnonzero(task.exists).tolist():
+        at_s, by = float(task.done_at_s[job]), int(task.by[job])
+        if np.isfinite(at_s) and task.spec.kind == "tour":
+            who = f"by robot {by}" if task.spec.shared else f"by all, robot {by} the last"
+            told.append((at_s, f"place {job} visited {who}", "INFO"))
+        elif np.isfinite(at_s) and task.spec.kind == "deliver":
+            told.append((at_s, f"goods {job} brought by robot {by}", "INFO"))
+        if task.spec.kind == "deliver":
+            told += _handled(task, job)
+    if np.isfinite(task.completed_s):
+        told.append((task.completed_s, "the task is complete", "INFO"))
+    return told
+
+
+def _handled(task: History, job: int) -> list[tuple[float, str, str]]:
+    """When goods were taken up, and lost or back where they were, as far as samples tell."""
+    where, told = task.goods[:, job], []
+    for k in (np.flatnonzero(where[1:] != where[:-1]) + 1).tolist():
+        at_s, robot = float(task.time_s[k]), int(task.carrier[k - 1, job])
+        if where[k] == Goods.TRAVEL:
+            taken = f"goods {job} taken up by robot {task.carrier[k, job]}"
+            told.append((at_s, taken, "INFO"))
+        elif where[k] in (Goods.LOST, Goods.WAIT):
+            fate = "lost" if where[k] == Goods.LOST else "back where they were"
+            told.append((at_s, f"goods {job} {fate}: robot {robot} ended", "ERROR"))
+    return told
+
+
+def _progress(recording: rr.RecordingStream, scene: Scene, task: History, root: str) -> None:
+    """The share of a task over time; and its words with a table of what each robot does."""
+    share = f"{root}/progress/share"
+    line = rr.SeriesLines(colors=[of_task.SEEN], names=["share"], widths=[2])
+    recording.log(share, line, static=True)
+    columns = rr.Scalars.columns(scalars=100.0 * task.share)
+    recording.send_columns(share, [entities.times(task.time_s)], columns)
+    told: list[str] = []
+    at: list[int] = []
+    for sample in range(len(task.time_s)):
+        text = _task_table(scene, task, sample)
+        if not told or text != told[-1]:
+            told.append(text)
+            at.append(sample)
+    recording.send_columns(
+        f"{root}/fleet",
+        [entities.times(task.time_s[at])],
+        rr.TextDocument.columns(text=told, media_type=[rr.MediaType.MARKDOWN] * len(at)),
+    )
+
+
+def _task_table(scene: Scene, task: History, sample: int) -> str:
+    lines = [f"# World {scene.world}", "", f"**{task.words(sample)}**", ""]
+    lines += ["| | vehicle | does | jobs done |", "|---|---|---|---|"]
+    lines += [
+        f"| **{robot.index}** | {robot.vehicle} | {of_task.does(scene, task, robot, sample)} "
+        f"| {task.did[sample, robot.index]} |"
+        for robot in scene.robots
+    ]
+    return "\n".join(lines)
 
 
 def _fleet_table(scene: Scene) -> rr.TextDocument:
     lines = ["| | vehicle | set | end | after |", "|---|---|---|---|---|"]
     lines += [
         f"| **{robot.index}** | {robot.vehicle} | {robot.parameter_set} "
-        f"| {style.OUTCOME_TEXT[robot.outcome]} | {robot.end_time_s:.1f} s |"
+        f"| {scene.ended(robot)} | {robot.end_time_s:.1f} s |"
         for robot in scene.robots
     ]
     if scene.replan_hz:

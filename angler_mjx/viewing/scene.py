@@ -14,6 +14,8 @@ from angler_mjx.storage import layout
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
 from angler_mjx.storage.results import end_time_s
+from angler_mjx.tasks.history import History
+from angler_mjx.viewing import style
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
 
@@ -69,6 +71,8 @@ class Scene:
     """[T, n, 4]."""
     replan_hz: float = 0.0
     """How often plans were made anew in flight; those that are shown are the first ones."""
+    task: History | None = None
+    """What the team does together, and how far it was when; None: each robot has its goal."""
 
     @property
     def bounds_m(self) -> tuple[np.ndarray, np.ndarray]:
@@ -82,6 +86,12 @@ class Scene:
         until_end = self.time_s <= robot.end_time_s + 1e-6
         way: np.ndarray = robot.p_m[until_end & np.isfinite(robot.p_m).all(axis=1)]
         return way
+
+    def ended(self, robot: RobotTrack) -> str:
+        """How a robot ended, in words; with a task it has no goal to reach."""
+        if self.task is not None and robot.arrived:
+            return "finished"
+        return style.OUTCOME_TEXT[robot.outcome]
 
     def current_at(self, points_m: np.ndarray, time_s: float) -> np.ndarray:
         """Water velocity [n, 3] at points [n, 3] and a time, m/s in W."""
@@ -117,7 +127,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
     count = min(time.size, int(np.searchsorted(time, last)) + 1)
     robots = {name: stored[name][world, :count] for name in ("p_m", "q", "current_mps")}
     courses = layout.courses(stored, world)
-    tasked = run.scenario.task_spec() is not None
+    spec = run.scenario.task_spec()
     tracks = tuple(
         RobotTrack(
             index=i,
@@ -130,7 +140,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
             failure_m=np.array([row[f"failure_{axis}_m"] for axis in "xyz"], float),
             plan_m=courses[i][1],
             start_m=np.asarray(environment.start_m[i]),
-            goal_m=np.full(3, np.nan) if tasked else np.asarray(environment.goal_m[i]),
+            goal_m=np.full(3, np.nan) if spec else np.asarray(environment.goal_m[i]),
             **{name: values[:, i] for name, values in robots.items()},
         )
         for i, row in enumerate(rows)
@@ -144,4 +154,14 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
         obstacle_q=stored["obstacle_q"][world, :count] if moving else np.zeros((count, 0, 4)),
         replan_hz=run.scenario.planner.replan_hz,
+        task=None
+        if spec is None
+        else layout.read_task(
+            stored,
+            world,
+            spec,
+            samples=count,
+            ended_s=np.array([end_time_s(row) for row in rows]),
+            completed_s=rows[0]["task_completed_s"],
+        ),
     )

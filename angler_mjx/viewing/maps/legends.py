@@ -21,7 +21,7 @@ def robots(scene: Scene) -> list[Line2D]:
             color=style.robot_color(robot.index),
             linewidth=2.4,
             label=f"{robot.index}  {robot.vehicle}, {robot.parameter_set}: "
-            f"{style.OUTCOME_TEXT[robot.outcome]} after {robot.end_time_s:.0f} s",
+            f"{scene.ended(robot)} after {robot.end_time_s:.0f} s",
         )
         for robot in scene.robots[:LISTED]
     ]

@@ -63,7 +63,8 @@ def describe(scene: Scene) -> str:
         for outcome, text in style.OUTCOME_TEXT.items()
         if outcome != "reached" and outcome in ends
     ]
-    return ", ".join([f"{arrived} of {len(ends)} robots arrived", *causes])
+    well = "arrived" if scene.task is None else "finished"
+    return ", ".join([f"{arrived} of {len(ends)} robots {well}", *causes])
 
 
 def _arrows(axes: Axes, scene: Scene) -> None:

@@ -28,7 +28,7 @@ could be seen."""
 _PLAN, _TRAIL = -0.75, -1.5
 """Radii of lines, in pixels: seen from afar, and hiding nothing from a camera beside them."""
 
-_ARROW_S = 4.0
+ARROW_S = 4.0
 """Length of a current arrow: the way of the water in this time, so that 0.25 m/s shows as 1 m."""
 
 type Rgba = tuple[int, int, int, int]
@@ -61,7 +61,7 @@ def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> 
         rr.Boxes3D(
             centers=[[middle[0], middle[1], floor - 0.1]],
             half_sizes=[[half[0], half[1], 0.1]],
-            colors=[_rgba("#8d8064")],
+            colors=[rgba("#8d8064")],
             fill_mode="solid",
         ),
         static=True,
@@ -71,13 +71,13 @@ def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> 
         rr.Boxes3D(
             centers=[middle],
             half_sizes=[half],
-            colors=[_rgba("#7fa6bd")],
+            colors=[rgba("#7fa6bd")],
             radii=[0.02],
             fill_mode="majorwireframe",
         ),
         static=True,
     )
-    arrow = rr.Arrows3D.from_fields(colors=[_rgba("#9fd3ee")], radii=[0.03])
+    arrow = rr.Arrows3D.from_fields(colors=[rgba("#9fd3ee")], radii=[0.03])
     recording.log(f"{root}/current", arrow, static=True)
 
 
@@ -87,7 +87,7 @@ def log_obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> Non
     for kind, name, rows in _by_shape(scene):
         size = np.asarray(given.size_m)[rows]
         tint = [
-            _rgba(style.OBSTACLE_STATIC if motion == STATIC else "#b39ad6")
+            rgba(style.OBSTACLE_STATIC if motion == STATIC else "#b39ad6")
             for motion in np.asarray(given.motion)[rows]
         ]
         if kind == CAPSULE:
@@ -223,7 +223,7 @@ def log_still(
 
 def arrows(current_mps: np.ndarray) -> np.ndarray:
     """Arrows [..., 3], m, of the water's velocity, m/s in W; they are logged as ``current``."""
-    return _ARROW_S * current_mps
+    return ARROW_S * current_mps
 
 
 def times(seconds: np.ndarray) -> rr.TimeColumn:
@@ -250,15 +250,16 @@ def _z_to(axis: np.ndarray) -> np.ndarray:
 
 def color_of(robot: int) -> Rgba:
     """Of a robot: that of the figures, half-way to white: legible on the viewer's dark ground."""
-    r, g, b, a = _rgba(style.robot_color(robot))
+    r, g, b, a = rgba(style.robot_color(robot))
     return (r + 255) // 2, (g + 255) // 2, (b + 255) // 2, a
 
 
 def ending(*, arrived: bool) -> Rgba:
     """Of the label of a robot whose episode is over."""
-    return _rgba("#4fd6a4" if arrived else "#ff6b57")
+    return rgba("#4fd6a4" if arrived else "#ff6b57")
 
 
-def _rgba(name: str) -> Rgba:
+def rgba(name: str) -> Rgba:
+    """A colour by its name or number, as Rerun takes it."""
     r, g, b, a = (round(255 * share) for share in colors.to_rgba(name))
     return r, g, b, a

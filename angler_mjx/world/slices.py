@@ -1,0 +1,93 @@
+"""The water of a world in level slices at some times, for pictures: a lattice of velocities."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.world import currents
+from angler_mjx.world.environment import Environment
+
+ACROSS, SLICES = 10, 120
+"""Points along the longer side of a slice, and slices of a flight at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slices:
+    """Velocities of the water on the same n places east and north in each of k slices."""
+
+    time_s: np.ndarray
+    """[k]."""
+    point_m: np.ndarray
+    """[k, n, 3] in W."""
+    velocity_mps: np.ndarray
+    """[k, n, 3] in W."""
+    wet: np.ndarray
+    """bool [k, n] points that do not lie in rock or below the sea floor."""
+    spacing_m: float
+    """From one point to the next."""
+
+
+def slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> Slices:
+    """What the water does in slices of a world that moves with time.
+
+    Args:
+        environment: of one world; host arrays.
+        time_s: [k] of each slice.
+        z_m: [k] its height in W.
+    """
+    grid = environment.grid
+    occupied, cell = np.asarray(grid.occupied), float(grid.cell_m)
+    low, size = np.asarray(grid.origin_m, float), cell * np.array(occupied.shape)
+    spacing = float(max(size[:2])) / ACROSS
+    east, north = (
+        low[axis] + 0.5 * size[axis] + spacing * (np.arange(n) - 0.5 * (n - 1))
+        for axis, n in enumerate(max(1, round(size[axis] / spacing)) for axis in (0, 1))
+    )
+    level = np.stack(np.meshgrid(east, north, indexing="ij"), -1).reshape(-1, 2)
+    point = np.concatenate(
+        [
+            np.broadcast_to(level, (len(z_m), *level.shape)),
+            np.broadcast_to(z_m[:, None, None], (len(z_m), len(level), 1)),
+        ],
+        axis=-1,
+    )
+    index = np.floor((point - low) / cell).astype(int)
+    index = np.clip(index, 0, np.array(occupied.shape) - 1)
+    wet = ~occupied[index[..., 0], index[..., 1], index[..., 2]]
+    wet &= point[..., 2] > float(environment.floor_z_m)
+    flow = jax.vmap(currents.velocity, (None, 0, 0))
+    times = np.repeat(time_s, len(level))
+    velocity = flow(
+        environment.current, jnp.asarray(point.reshape(-1, 3), float), jnp.asarray(times, float)
+    )
+    return Slices(
+        time_s=time_s,
+        point_m=point,
+        velocity_mps=np.asarray(velocity).reshape(point.shape),
+        wet=wet,
+        spacing_m=spacing,
+    )
+
+
+def through(
+    environment: Environment, time_s: np.ndarray, p_m: np.ndarray, running: np.ndarray
+) -> Slices:
+    """Slices at the middle height of a fleet, as it flies.
+
+    Args:
+        environment: of one world; host arrays.
+        time_s: [T] of the samples.
+        p_m: [T, R, 3] where the robots are, in W; NaN of those that diverged.
+        running: bool [T, R] whose episode goes on; when none does, the last height stays.
+    """
+    at = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), SLICES)).astype(int))
+    height = np.where(running & np.isfinite(p_m).all(axis=2), p_m[..., 2], np.nan)
+    z = np.empty(len(at))
+    last = float(np.nanmean(p_m[0, :, 2]))
+    for i, k in enumerate(at):
+        there = height[k][np.isfinite(height[k])]
+        last = float(there.mean()) if there.size else last
+        z[i] = last
+    return slices(environment, time_s[at], z)
