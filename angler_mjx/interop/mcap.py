@@ -1,4 +1,4 @@
-"""Some worlds of a run as a bag of ROS 2: plans, motions, frames, obstacles and thruster signals.
+"""Some worlds of a run as a bag of ROS 2: plans, motions, frames, obstacles, tasks and currents.
 
 Times are simulated times from 0, and ``/clock`` tells them. Each world has its own names: topics
 ``/world_3/...`` and frames ``world_3``, ``world_3/robot_0/base_link``; ``/tf_static`` hangs all
@@ -15,6 +15,7 @@ import pyarrow.compute as pc
 
 from angler_mjx.control.plans import Plan, course, message, of_robot
 from angler_mjx.errors import ConfigError
+from angler_mjx.interop import current_markers, task_markers
 from angler_mjx.interop import ros_messages as ros
 from angler_mjx.interop.bag import Bag
 from angler_mjx.storage import environments as store
@@ -23,8 +24,11 @@ from angler_mjx.storage.atomic import replacing, require_free
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
 from angler_mjx.storage.results import end_time_s
+from angler_mjx.tasks.faces import Faces
+from angler_mjx.tasks.history import History
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
+from angler_mjx.world.slices import Slices, through
 
 MAP = "map"
 """Frame of all worlds."""
@@ -63,6 +67,14 @@ class _World:
     """[T, n, 3]."""
     obstacle_q: np.ndarray
     """[T, n, 4]."""
+    outcome: list[str]
+    """[robot]"""
+    task: History | None
+    """None: each robot has its goal."""
+    surface: Faces | None
+    """What a survey sees; None where there is none."""
+    flow: Slices | None
+    """None where the water is still."""
 
     @property
     def name(self) -> str:
@@ -127,14 +139,28 @@ def _read(run: Run, world: int) -> _World:
 def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
     stored: Any = run.trajectories
     time = np.asarray(stored["time_s"])
-    ends = (end_time_s(row) for row in rows)
+    ends = np.array([end_time_s(row) for row in rows])
     count = min(time.size, int(np.searchsorted(time, max(ends))) + 1)
     sampled = {name: stored[name][world, :count] for name in ("p_m", "q", "nu")}
     moving = "obstacle_p_m" in stored
+    environment, spec = store.read(stored["environment"], world), run.scenario.task_spec()
+    task = None
+    if spec is not None:
+        done_s = rows[0]["task_completed_s"]
+        task = layout.read_task(
+            stored, world, spec, samples=count, ended_s=ends, completed_s=done_s
+        )
+    running = time[:count, None] < ends
     return _World(
         index=world,
         time_s=time[:count],
-        environment=store.read(stored["environment"], world),
+        environment=environment,
+        outcome=[row["outcome"] for row in rows],
+        task=task,
+        surface=None if task is None else task_markers.surface(task, environment),
+        flow=through(environment, time[:count], sampled["p_m"], running)
+        if environment.current
+        else None,
         pwm_us=np.rint(stored["pwm_us"][world, :count]).astype(np.uint16),
         plan=layout.read_plan(stored, world, np.array([row["planned"] for row in rows])),
         obstacle_p_m=stored["obstacle_p_m"][world, :count] if moving else np.zeros((count, 0, 3)),
@@ -155,6 +181,10 @@ def _begin(bag: Bag, worlds: Sequence[_World]) -> None:
         bag.topic(f"/{world.name}/scenery", "visualization_msgs/MarkerArray", latched=True)
         bag.topic(f"/{world.name}/obstacles", "visualization_msgs/MarkerArray")
         bag.write(f"/{world.name}/scenery", 0, {"markers": _scenery(world)})
+        if world.task is not None:
+            bag.topic(f"/{world.name}/task", "visualization_msgs/MarkerArray")
+        if world.flow is not None:
+            bag.topic(f"/{world.name}/current", "visualization_msgs/MarkerArray")
         for i, robot in enumerate(world.robots):
             plan = of_robot(world.plan, i)
             bag.topic(f"/{robot}/joint_trajectory", "trajectory_msgs/JointTrajectory", latched=True)
@@ -198,6 +228,17 @@ def _sample(bag: Bag, world: _World, k: int) -> None:
     if rows:
         markers = [one for row in rows for one in _obstacle(world, time, row, p[row], q[row])]
         bag.write(f"/{world.name}/obstacles", now, {"markers": markers})
+    if (task := world.task) is not None:
+        markers = task_markers.markers(
+            task, world.environment, world.surface, world.p_m, world.name, k
+        )
+        for i, robot in enumerate(world.robots):
+            markers += task_markers.doing(task, i, f"{robot}/base_link", world.outcome[i], k)
+        bag.write(f"/{world.name}/task", now, {"markers": markers})
+    if (flow := world.flow) is not None:
+        for row in np.flatnonzero(flow.sample == k).tolist():
+            markers = current_markers.markers(flow, world.name, row)
+            bag.write(f"/{world.name}/current", now, {"markers": markers})
 
 
 def _scenery(world: _World) -> list[ros.Message]:
@@ -215,7 +256,7 @@ def _scenery(world: _World) -> list[ros.Message]:
     p, q = np.asarray(given.p0), np.asarray(given.q0)
     for row in world.obstacles(still=True):
         markers += _obstacle(world, 0.0, row, p[row], q[row])
-    goals = np.asarray(world.environment.goal_m)
+    goals = np.asarray(world.environment.goal_m)[: None if world.task is None else 0]
     markers += [
         ros.marker(head, "goals", i, ros.SPHERE, ros.pose(goal), [0.5] * 3, _GOAL)
         for i, goal in enumerate(goals)

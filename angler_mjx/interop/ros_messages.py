@@ -16,7 +16,7 @@ type Message = dict[str, Any]
 
 NANO = 1_000_000_000
 
-CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST = 1, 2, 3, 6, 7
+CUBE, SPHERE, CYLINDER, LINE_LIST, CUBE_LIST, SPHERE_LIST, TEXT = 1, 2, 3, 5, 6, 7, 9
 """Kinds of ``visualization_msgs/Marker``."""
 
 
@@ -131,6 +131,8 @@ def marker(
     scale_m: Sequence[float],
     rgba: Sequence[float],
     points_m: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+    text: str = "",
 ) -> Message:
     """As ``visualization_msgs/Marker``, there until it is replaced.
 
@@ -138,11 +140,14 @@ def marker(
         head: its header.
         name: its namespace.
         index: its number in that.
-        kind: CUBE, SPHERE, CYLINDER, CUBE_LIST or SPHERE_LIST.
+        kind: one of those above.
         where: its pose.
-        scale_m: [3] size, or that of each point's body.
+        scale_m: [3] size, or that of each point's body; of lines the first is their width, of text
+            the last its height.
         rgba: [4] colour.
         points_m: [n, 3] of a list, in the frame of the pose.
+        colors: [n, 4] of its points, if they differ.
+        text: of TEXT, which turns to who looks at it and goes along with its frame.
     """
     return {
         "header": head,
@@ -152,5 +157,10 @@ def marker(
         "pose": where,
         "scale": dict(zip("xyz", map(float, scale_m), strict=True)),
         "color": dict(zip("rgba", rgba, strict=True)),
+        "frame_locked": kind == TEXT,
         "points": [] if points_m is None else [vector(point) for point in points_m],
+        "colors": []
+        if colors is None
+        else [dict(zip("rgba", row, strict=True)) for row in colors.tolist()],
+        "text": text,
     }

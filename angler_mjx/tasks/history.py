@@ -98,6 +98,12 @@ class History:
         return found
 
     @cached_property
+    def goes(self) -> np.ndarray:
+        """Which robots are on their way to a place, bool [T, R]."""
+        found: np.ndarray = self.doing <= Doing.RETURNS
+        return found
+
+    @cached_property
     def carrier(self) -> np.ndarray:
         """Robot that carries the goods of each job, int [T, M]; -1: none."""
         holds = self.carrying[..., None] == np.arange(self.spec.jobs)
@@ -131,6 +137,18 @@ class History:
         at[brought] = self.place_m[jobs + np.nonzero(brought)[1]]
         at[(self.goods == Goods.LOST) | ~self.exists] = np.nan
         return at
+
+    def does(self, sample: int, robot: int) -> str:
+        """What a robot does at a sample, in words; empty when its episode is over."""
+        target = int(self.target[sample, robot])
+        what = "goods" if self.spec.kind == "deliver" else "place"
+        return {
+            Doing.GOES: f"goes to {what} {target}",
+            Doing.BRINGS: f"brings goods {target - self.spec.jobs}",
+            Doing.RETURNS: "returns",
+            Doing.WAITS: "waits",
+            Doing.ENDED: "",
+        }[Doing(self.doing[sample, robot])]
 
     def words(self, sample: int) -> str:
         """How far the task was at a sample, in a line."""

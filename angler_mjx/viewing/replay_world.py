@@ -101,7 +101,7 @@ def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
     few = len(scene.robots) <= entities.MOST_NAMED
     at, words = [0.0], [str(robot.index)]
     if scene.task is not None:
-        at, words = _phases(scene, scene.task, robot)
+        at, words = _phases(scene.task, robot)
     until = [t for t in at if t < robot.end_time_s]
     count = len(until)
     words = [*words[:count], f"{robot.index}: {scene.ended(robot)}"]
@@ -118,12 +118,10 @@ def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
     )
 
 
-def _phases(scene: Scene, task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
+def _phases(task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
     """Times at which a robot begins to do something else, and its label from then on."""
     words = [
-        str(robot.index)
-        if doing == Doing.GOES
-        else f"{robot.index}: {of_task.does(scene, task, robot, k)}"
+        str(robot.index) if doing == Doing.GOES else f"{robot.index}: {task.does(k, robot.index)}"
         for k, doing in enumerate(task.doing[:, robot.index])
     ]
     at = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
@@ -196,11 +194,13 @@ def _progress(recording: rr.RecordingStream, scene: Scene, task: History, root: 
 
 
 def _task_table(scene: Scene, task: History, sample: int) -> str:
+    def does(robot: RobotTrack) -> str:
+        return task.does(sample, robot.index) or scene.ended(robot)
+
     lines = [f"# World {scene.world}", "", f"**{task.words(sample)}**", ""]
     lines += ["| | vehicle | does | jobs done |", "|---|---|---|---|"]
     lines += [
-        f"| **{robot.index}** | {robot.vehicle} | {of_task.does(scene, task, robot, sample)} "
-        f"| {task.did[sample, robot.index]} |"
+        f"| **{robot.index}** | {robot.vehicle} | {does(robot)} | {task.did[sample, robot.index]} |"
         for robot in scene.robots
     ]
     return "\n".join(lines)

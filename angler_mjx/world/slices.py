@@ -1,6 +1,7 @@
 """The water of a world in level slices at some times, for pictures: a lattice of velocities."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
 
-ACROSS, SLICES = 10, 120
+ACROSS, SLICES = 12, 120
 """Points along the longer side of a slice, and slices of a flight at most."""
 
 
@@ -17,8 +18,10 @@ ACROSS, SLICES = 10, 120
 class Slices:
     """Velocities of the water on the same n places east and north in each of k slices."""
 
+    sample: np.ndarray
+    """int [k] of the flight."""
     time_s: np.ndarray
-    """[k]."""
+    """[k] their times."""
     point_m: np.ndarray
     """[k, n, 3] in W."""
     velocity_mps: np.ndarray
@@ -29,14 +32,8 @@ class Slices:
     """From one point to the next."""
 
 
-def slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> Slices:
-    """What the water does in slices of a world that moves with time.
-
-    Args:
-        environment: of one world; host arrays.
-        time_s: [k] of each slice.
-        z_m: [k] its height in W.
-    """
+def _slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> dict[str, Any]:
+    """Fields of slices at times [k] and heights [k]."""
     grid = environment.grid
     occupied, cell = np.asarray(grid.occupied), float(grid.cell_m)
     low, size = np.asarray(grid.origin_m, float), cell * np.array(occupied.shape)
@@ -62,13 +59,12 @@ def slices(environment: Environment, time_s: np.ndarray, z_m: np.ndarray) -> Sli
     velocity = flow(
         environment.current, jnp.asarray(point.reshape(-1, 3), float), jnp.asarray(times, float)
     )
-    return Slices(
-        time_s=time_s,
-        point_m=point,
-        velocity_mps=np.asarray(velocity).reshape(point.shape),
-        wet=wet,
-        spacing_m=spacing,
-    )
+    return {
+        "point_m": point,
+        "velocity_mps": np.asarray(velocity).reshape(point.shape),
+        "wet": wet,
+        "spacing_m": spacing,
+    }
 
 
 def through(
@@ -80,14 +76,15 @@ def through(
         environment: of one world; host arrays.
         time_s: [T] of the samples.
         p_m: [T, R, 3] where the robots are, in W; NaN of those that diverged.
-        running: bool [T, R] whose episode goes on; when none does, the last height stays.
+        running: bool [T, R] whose episode goes on; when none does, the last height stays, and
+            before any the middle of the cells.
     """
     at = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), SLICES)).astype(int))
     height = np.where(running & np.isfinite(p_m).all(axis=2), p_m[..., 2], np.nan)
-    z = np.empty(len(at))
-    last = float(np.nanmean(p_m[0, :, 2]))
+    z, grid = np.empty(len(at)), environment.grid
+    last = float(grid.origin_m[2] + 0.5 * grid.cell_m * grid.occupied.shape[2])
     for i, k in enumerate(at):
         there = height[k][np.isfinite(height[k])]
         last = float(there.mean()) if there.size else last
         z[i] = last
-    return slices(environment, time_s[at], z)
+    return Slices(sample=at, time_s=time_s[at], **_slices(environment, time_s[at], z))

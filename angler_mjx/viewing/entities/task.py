@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from angler_mjx.tasks.faces import faces
-from angler_mjx.tasks.history import Doing, Goods, History
+from angler_mjx.tasks.history import Goods, History
 from angler_mjx.viewing.entities.scenery import (
     DOT,
     MOST_NAMED,
@@ -50,22 +50,6 @@ def log_task(recording: rr.RecordingStream, scene: Scene, task: History, root: s
         _places(recording, task, f"{root}/places")
     for robot in scene.robots:
         _way(recording, task, robot, f"{root}/to/robot_{robot.index}")
-
-
-def does(scene: Scene, task: History, robot: RobotTrack, sample: int) -> str:
-    """What a robot does at a sample, in words."""
-    match Doing(task.doing[sample, robot.index]):
-        case Doing.GOES:
-            place = "goods" if task.spec.kind == "deliver" else "place"
-            return f"goes to {place} {task.target[sample, robot.index]}"
-        case Doing.BRINGS:
-            return f"brings goods {task.target[sample, robot.index] - task.spec.jobs}"
-        case Doing.RETURNS:
-            return "returns"
-        case Doing.WAITS:
-            return "waits"
-        case Doing.ENDED:
-            return scene.ended(robot)
 
 
 def changes(rows: np.ndarray, most: int | None = None) -> np.ndarray:
@@ -231,8 +215,7 @@ def _way(recording: rr.RecordingStream, task: History, robot: RobotTrack, path: 
     still = rr.LineStrips3D.from_fields(colors=[color_of(robot.index)], radii=[-0.5])
     recording.log(path, still, static=True)
     target = task.target[:, robot.index]
-    goes = task.doing[:, robot.index] < Doing.WAITS
-    goes &= np.isfinite(robot.p_m).all(axis=1)
+    goes = task.goes[:, robot.index] & np.isfinite(robot.p_m).all(axis=1)
     lines = np.stack([robot.p_m, task.place_m[np.maximum(target, 0)]], axis=1)
     recording.send_columns(
         path,

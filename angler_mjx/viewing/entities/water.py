@@ -52,7 +52,7 @@ def log_flow(recording: rr.RecordingStream, scene: Scene, path: str) -> float:
 def _arrows(recording: rr.RecordingStream, found: Slices, scale_s: float, path: str) -> None:
     """Arrows whose middles are the points of the lattice that lie in water."""
     vectors, count = scale_s * found.velocity_mps, found.wet.sum(axis=1)
-    look = rr.Arrows3D.from_fields(colors=[rgba("#7fbfe0")], radii=[0.018 * found.spacing_m])
+    look = rr.Arrows3D.from_fields(colors=[rgba("#dceffa")], radii=[0.028 * found.spacing_m])
     recording.log(path, look, static=True)
     origins = (found.point_m - 0.5 * vectors)[found.wet]
     recording.send_columns(
