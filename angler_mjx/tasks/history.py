@@ -141,7 +141,7 @@ class History:
     def does(self, sample: int, robot: int) -> str:
         """What a robot does at a sample, in words; empty when its episode is over."""
         target = int(self.target[sample, robot])
-        what = "goods" if self.spec.kind == "deliver" else "place"
+        what = {"tour": "place", "survey": "viewpoint", "deliver": "goods"}[self.spec.kind]
         return {
             Doing.GOES: f"goes to {what} {target}",
             Doing.BRINGS: f"brings goods {target - self.spec.jobs}",
