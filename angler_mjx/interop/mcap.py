@@ -24,7 +24,7 @@ from angler_mjx.storage.atomic import replacing, require_free
 from angler_mjx.storage.damage import reading
 from angler_mjx.storage.folder import TRAJECTORIES, Run
 from angler_mjx.storage.results import end_time_s
-from angler_mjx.tasks.faces import Faces
+from angler_mjx.tasks.faces import Faces, surface
 from angler_mjx.tasks.history import History
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
@@ -157,7 +157,7 @@ def _stored(run: Run, world: int, rows: list[dict[str, Any]]) -> _World:
         environment=environment,
         outcome=[row["outcome"] for row in rows],
         task=task,
-        surface=None if task is None else task_markers.surface(task, environment),
+        surface=None if task is None else surface(task, environment),
         flow=through(environment, time[:count], sampled["p_m"], running)
         if environment.current
         else None,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from angler_mjx.interop import ros_messages as ros
-from angler_mjx.tasks.faces import Faces, faces
+from angler_mjx.tasks.faces import Faces
 from angler_mjx.tasks.history import Goods, History
 from angler_mjx.world.environment import Environment
 
@@ -20,21 +20,6 @@ _PLACE_M, _BOX_M, _LINE_M, _TEXT_M = 0.4, 0.44, 0.03, 0.5
 """Sizes of places, goods, lines to targets and letters."""
 
 
-def surface(task: History, environment: Environment) -> Faces | None:
-    """Faces that a survey sees; None where the task is none."""
-    if task.cells is None or task.spec.survey is None:
-        return None
-    grid = environment.grid
-    return faces(
-        task.spec.survey.of,
-        task.cells,
-        np.asarray(grid.occupied),
-        np.asarray(grid.origin_m),
-        float(grid.cell_m),
-        float(environment.floor_z_m),
-    )
-
-
 def markers(
     task: History,
     environment: Environment,
@@ -48,7 +33,7 @@ def markers(
     Args:
         task: of the world.
         environment: of the world.
-        found: its `surface`.
+        found: the surface that it sees, if it is a survey.
         p_m: [T, R, 3] where the robots are, in W.
         frame: of the world.
         sample: number of the sample.

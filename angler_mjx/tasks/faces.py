@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from angler_mjx.tasks.history import History
 from angler_mjx.tasks.spec import Surface
+from angler_mjx.world.environment import Environment
 
 _OUT = 0.48
 """How far from the middle of its cell a square lies, in cells."""
@@ -63,4 +65,19 @@ def faces(
             owners.append(number[mine[:, 0], mine[:, 1], mine[:, 2]])
     return Faces(
         centre_m=np.concatenate(centres), axis=np.concatenate(axes), cell=np.concatenate(owners)
+    )
+
+
+def surface(task: History, environment: Environment) -> Faces | None:
+    """What the survey of a world is to see; None where its task is another."""
+    if task.cells is None or task.spec.survey is None:
+        return None
+    grid = environment.grid
+    return faces(
+        task.spec.survey.of,
+        task.cells,
+        np.asarray(grid.occupied),
+        np.asarray(grid.origin_m),
+        float(grid.cell_m),
+        float(environment.floor_z_m),
     )

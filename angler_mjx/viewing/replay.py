@@ -143,7 +143,7 @@ def _tab(one: scene.Scene) -> "rrb.Horizontal":
             origin=f"{root}/{plotted}",
             name=name,
             axis_x=rrb.TimeAxis(view_range=whole),
-            axis_y=rrb.ScalarAxis(range=None if one.task is None else (0.0, 100.0)),
+            axis_y=None if one.task is None else rrb.ScalarAxis(range=(0.0, 102.0)),
             plot_legend=rrb.PlotLegend(visible=named),
         ),
         rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),

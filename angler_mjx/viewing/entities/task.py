@@ -7,7 +7,7 @@ the fleet. All of it is what `tasks.history` says of the samples.
 import numpy as np
 import rerun as rr
 
-from angler_mjx.tasks.faces import faces
+from angler_mjx.tasks.faces import Faces, surface
 from angler_mjx.tasks.history import Goods, History
 from angler_mjx.viewing.entities.scenery import (
     DOT,
@@ -42,8 +42,10 @@ def log_task(recording: rr.RecordingStream, scene: Scene, task: History, root: s
         root: path of the entities: ``space/task`` of the world.
     """
     _progress(recording, scene, task, f"{root}/progress")
-    if task.cells is not None:
-        _faces(recording, scene, task, task.cells, f"{root}/surface")
+    found = surface(task, scene.environment)
+    if found is not None:
+        cell_m = float(scene.environment.grid.cell_m)
+        _faces(recording, task, found, cell_m, f"{root}/surface")
     if task.spec.kind == "deliver":
         _goods(recording, scene, task, root)
     else:
@@ -84,23 +86,11 @@ def _progress(recording: rr.RecordingStream, scene: Scene, task: History, path: 
 
 
 def _faces(
-    recording: rr.RecordingStream, scene: Scene, task: History, cells: np.ndarray, path: str
+    recording: rr.RecordingStream, task: History, found: Faces, cell_m: float, path: str
 ) -> None:
     """The surface of a survey: seen or not."""
-    grid, survey = scene.environment.grid, task.spec.survey
-    if survey is None:
-        return
-    cell = float(grid.cell_m)
-    found = faces(
-        survey.of,
-        cells,
-        np.asarray(grid.occupied),
-        np.asarray(grid.origin_m),
-        cell,
-        float(scene.environment.floor_z_m),
-    )
-    half = np.full((len(found.axis), 3), _FACE * cell)
-    half[np.arange(len(half)), found.axis] = _THIN * cell
+    half = np.full((len(found.axis), 3), _FACE * cell_m)
+    half[np.arange(len(half)), found.axis] = _THIN * cell_m
     still = rr.Boxes3D.from_fields(centers=found.centre_m, half_sizes=half, fill_mode="solid")
     recording.log(path, still, static=True)
     at = changes(task.seen, _MOST_COLORS // max(len(half), 1))
@@ -119,7 +109,7 @@ def _places(recording: rr.RecordingStream, task: History, path: str) -> None:
     still = rr.Points3D.from_fields(
         positions=task.place_m[there],
         radii=[0.3 if toured else 0.12],
-        labels=[str(job) for job in there],
+        labels=[f"place {job}" for job in there],
         show_labels=toured and len(there) <= MOST_NAMED,
     )
     recording.log(path, still, static=True)
