@@ -49,7 +49,6 @@ OUTCOME_TEXT = {
 }
 """Outcomes in words."""
 
-
 ROCK = colors.LinearSegmentedColormap.from_list(
     "rock", ["#93a3a6", "#b9bba8", "#ddd3b4", "#f1e6c8"]
 )
