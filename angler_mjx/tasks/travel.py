@@ -14,8 +14,8 @@ _UNLED = 4.0
 
 def straight(p: jax.Array, to: jax.Array) -> jax.Array:
     """Lengths [n, m] of straight lines from points [n, 3] to points [m, 3], m."""
-    square: jax.Array = sum((p[:, None, axis] - to[:, axis]) ** 2 for axis in range(3))
-    return jnp.sqrt(square)
+    x, y, z = ((p[:, None, axis] - to[:, axis]) ** 2 for axis in range(3))
+    return jnp.sqrt(x + y + z)
 
 
 @dataclass(frozen=True, kw_only=True)

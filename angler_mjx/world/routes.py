@@ -93,7 +93,7 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     here = jax.lax.optimization_barrier(cell_of(routes, p))
     step, length = _read(routes, place, here)
     # The word says what is left after the step as well: another read would cost more.
-    axes = sum(abs(along) for along in step)
+    axes = abs(step[0]) + abs(step[1]) + abs(step[2])
     rest = length - routes.cell_m * jnp.sqrt(axes.astype(p.dtype))
     last = rest < 0.5 * routes.cell_m
     square = jnp.zeros((), p.dtype)

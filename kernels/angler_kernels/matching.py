@@ -13,7 +13,7 @@ _MOST_LANES = 2**14
 
 
 def matched(way: jax.Array) -> jax.Array:
-    """Pairs of rows and columns, each in one pair at most: of all that are left the shortest, again.
+    """Pairs of rows and columns, each in one at most: the shortest of all, then of those left.
 
     Args:
         way: [R, M] lengths; inf for what is no pair.

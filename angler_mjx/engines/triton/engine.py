@@ -169,10 +169,11 @@ class TritonEngine:
             if told is None:
                 fly = _fly_looped if self._program.interpret else _fly
                 return part.result(fly(launches, part))
-            asks = _tell, partial(tell, every=period), part, watched, spec.by_task
+            asked = partial(tell, every=period)
+            told_now = partial(_tell, asked, part, watched, spec.by_task, hold=period)
             if period == 1:
-                return part.result(_fly_looped(launches, part, partial(*asks)))
-            return part.result(_fly_told(launches, part, partial(*asks, hold=period), period))
+                return part.result(_fly_looped(launches, part, told_now))
+            return part.result(_fly_told(launches, part, told_now, period))
 
         if period == 1:
             end = fly(1, usual)
