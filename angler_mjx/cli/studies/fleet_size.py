@@ -32,7 +32,7 @@ def fleet_size(
 
     Args:
         source: Fleet-size file (.toml).
-        out: Folder to make; runs/NAME if left out.
+        out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
         only: Names of the conditions to look at; all of the file if left out.
         batch: Worlds of one size and condition at a time; the file's if left out.
         most_worlds: Of one size and condition; the file's if left out.
@@ -49,9 +49,9 @@ def fleet_size(
     from angler_mjx.studies.fleet_size import asking, running
 
     study = asking.read(
-        source, only, batch=batch, most_worlds=most_worlds, most_minutes=most_minutes
+        source, only, smoke=smoke, batch=batch, most_worlds=most_worlds, most_minutes=most_minutes
     )
-    place = out or Path("runs") / study.config.name
+    place = out or Path("runs") / (f"{study.config.name}-smoke" if smoke else study.config.name)
     with _Bar(quiet=json) as bar:
         found = running.run(study, source, place, told=bar, resume=resume, devices=devices)
     _report(found, place, as_json=json)

@@ -93,6 +93,11 @@ def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget:
     """
     table = read_toml(path)
     given = {key: value for key, value in budget.items() if value is not None}
+    if given and smoke:
+        flags = ", ".join(f"--{key.replace('_', '-')}" for key in given)
+        raise ConfigError(
+            f"--smoke: has a budget of its own, four worlds a size; leave out {flags}"
+        )
     if given:
         table = merged(table, {"budget": given})
     config = parse(FleetSizeConfig, table, source=str(path))
