@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.benchmark import contestants as compared
-from angler_mjx.benchmark.config import BenchmarkConfig, merged
+from angler_mjx.benchmark.config import BenchmarkConfig
 from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, parse, read_toml
-from angler_mjx.scenario.editing import table_of, without_horizon
+from angler_mjx.files import FOLDER, named, parse, read_toml
+from angler_mjx.scenario.editing import merged, table_of, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.knowledge import Knows
@@ -102,14 +102,9 @@ def read(path: Path, **instead: Any) -> Benchmark:
     """
     table = {**read_toml(path), **instead}
     source = str(path) + (f" with other {', '.join(instead)}" if instead else "")
-    config = parse(BenchmarkConfig, table, source=source)
     folder = path.absolute().parent
-    planners = tuple(
-        one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.planner
-    )
-    config = config.model_copy(update={"planner": planners})
-    there = config.scenario in shipped()
-    scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    config = parse(BenchmarkConfig, table, source=source, context={FOLDER: folder})
+    scenario = load_beside(config.scenario, folder)
     refuse_task(scenario.task, f"{path}: planners are compared by ways to one goal; leave it out")
     return build(config, scenario, str(path))
 
@@ -157,11 +152,6 @@ def _require_able(one: Contestant, setting: Setting, source: str) -> None:
                 "what it is told, by knows"
             ) from error
     setting.flown(one, named(source))
-
-
-def _absolute(name: str, folder: Path) -> str:
-    path, colon, qualname = name.rpartition(":")
-    return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name
 
 
 def _may_be_carried(one: Contestant) -> bool:

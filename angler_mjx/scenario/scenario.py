@@ -19,6 +19,7 @@ from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
+from angler_mjx.scenario.editing import anchored
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
@@ -375,6 +376,15 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
     return read_scenario(name_or_path, overrides)
 
 
+def load_beside(name: str, folder: Path) -> Scenario:
+    """The scenario that another file names: a shipped one, or a path from that file's folder.
+
+    Raises:
+        ConfigError: as of `load_scenario`.
+    """
+    return load_scenario(name if name in shipped() else folder / name)
+
+
 def read_scenario(
     name_or_path: str | Path,
     overrides: Mapping[str, Any],
@@ -383,10 +393,11 @@ def read_scenario(
     """As `load_scenario`; ``blame`` says what a person calls an override, e.g. ``--worlds``."""
     path = find(name_or_path)
     data = read_toml(path)
+    overrides = anchored(overrides, Path.cwd())
     whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
     beside = {FOLDER: path.absolute().parent}
     try:
-        found = check(Scenario, whole, {} if "fleet" in overrides else beside)
+        found = check(Scenario, whole, beside)
     except FaultyError as error:
         own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
         its = [fault.text for fault in error.faults if fault.text in own]

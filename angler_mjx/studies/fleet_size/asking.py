@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark.config import merged
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, parse, read_toml
-from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.files import FOLDER, named, parse, read_toml
+from angler_mjx.scenario.editing import merged, table_of, with_value
 from angler_mjx.scenario.reachable import check_reachable
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
 
@@ -100,11 +99,10 @@ def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget:
         )
     if given:
         table = merged(table, {"budget": given})
-    config = parse(FleetSizeConfig, table, source=str(path))
+    folder = path.absolute().parent
+    config = parse(FleetSizeConfig, table, source=str(path), context={FOLDER: folder})
     config = config.smoke() if smoke else config
-    there = config.scenario in shipped()
-    scenario = load_scenario(config.scenario if there else path.absolute().parent / config.scenario)
-    return build(config, table_of(scenario), str(path), only)
+    return build(config, table_of(load_beside(config.scenario, folder)), str(path), only)
 
 
 def build(
