@@ -14,7 +14,7 @@ from angler_mjx.runs import rollout
 from angler_mjx.runs.progress import Silent
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.storage.folder import Run
-from angler_mjx.studies import compare, sweep, told
+from angler_mjx.studies import chart, compare, sweep, tables, told
 from angler_mjx.studies.settings import axes
 
 SCENARIO = """
@@ -175,6 +175,27 @@ def test_page_and_figure_are_there(made):
     assert f"| {KEY} | robots | planned, % | arrived, % |" in page
     assert f"| {KEY} \\* | 1.5 | 0.5 | - |" in page
     assert (made / sweep.FIGURE).stat().st_size > 10_000
+
+
+def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
+    """Numbers of two cells, one of which is without; rows say which."""
+    found = sweep.read(made)
+    task = {
+        "completed": {"count": 3, "rate": 0.5, "low": 0.2, "high": 0.8},
+        "completed_s": {"count": 3, "mean": 7.0, "low": None, "high": None},
+    }
+    first, second = found["cells"]
+    mixed = {**found, "cells": [{**first, "task": task}, second]}
+    head, rows = tables.cells_table(mixed)
+    at = head.index("tasks completed, %")
+    assert [row[at : at + 2] for row in rows] == [["50.0 (20.0 to 80.0)", "7"], ["-", "-"]]
+    written = tables.table(mixed).to_pylist()
+    assert [row["task_completed_rate"] for row in written] == [0.5, None]
+    assert "tasks completed" not in "".join(tables.cells_table(found)[0])
+    both = {**found, "cells": [{**cell, "task": task} for cell in found["cells"]]}
+    titles = [axes.get_title("left") for axes in chart.draw(both).axes]
+    assert titles[0] == "worlds that completed their task, %"
+    assert chart.draw(mixed).axes[0].get_title("left") == "robots that arrived, %"
 
 
 def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
