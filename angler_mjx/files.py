@@ -289,6 +289,10 @@ def _fault(entry: dict[str, Any]) -> Fault:
         remedy = "unknown key; remove it or correct spelling and unit"
         return Fault(key, f"{path} = {shown(value)}: {remedy}")
     message = str(entry["msg"]).removeprefix("Value error, ").replace("valid tuple", "valid list")
+    if entry["type"] in ("too_short", "too_long"):
+        least = entry["type"] == "too_short"
+        bound = entry["ctx"]["min_length" if least else "max_length"]
+        message = f"has {len(value)} entries; give {'at least' if least else 'at most'} {bound}"
     message = "\n  ".join(_cut(line, _LINE) for line in message.splitlines())
     if entry["type"] == "value_error" and isinstance(value, Mapping):
         # Of a whole table: the message says which of its keys.

@@ -3,7 +3,6 @@
 A `Setting` is a set of problems: worlds of one scenario and seed, with what may be known of them.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -277,15 +276,3 @@ def again(building: Path, table: Mapping[str, Any], files: Mapping[str, str]) ->
 def _copied(name: str, files: Mapping[str, str]) -> str:
     path, colon, qualname = name.rpartition(":")
     return f"{files.get(path, path)}:{qualname}" if colon and path.endswith(".py") else name
-
-
-def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
-    """The first key in which two resolved benchmarks differ; None where they are the same."""
-    for part in ("benchmark", "scenario", "planners", "problems"):
-        a, b = now[part], then.get(part)
-        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
-            if isinstance(a, Mapping) and isinstance(b, Mapping):
-                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
-                return f"{part}.{keys[0]}" if keys else part
-            return part
-    return None

@@ -1,6 +1,7 @@
 """Scenarios with other values than their files say: plain tables, changed key by key."""
 
 import copy
+import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -75,6 +76,24 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
         else:
             made[key] = value
     return made
+
+
+def first_difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
+    """The dotted key of the first value that a table has otherwise than one that was written.
+
+    Args:
+        now: plain values; tuples are lists.
+        then: read from a file; keys that it has at the top alone do not count.
+    """
+    for key, value in now.items():
+        before = then.get(key)
+        if json.dumps(value, sort_keys=True) == json.dumps(before, sort_keys=True):
+            continue
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            every = {name: value.get(name) for name in sorted({*value, *before})}
+            return f"{key}.{first_difference(every, before)}"
+        return key
+    return None
 
 
 def table_of(scenario: "Scenario") -> dict[str, Any]:

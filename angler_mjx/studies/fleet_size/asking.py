@@ -1,7 +1,6 @@
 """What a fleet-size study asks: conditions, and the scenario of each with a team of each size."""
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -198,15 +197,3 @@ def _lists(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _lists(entry) for key, entry in value.items()}
     return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
-
-
-def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
-    """The first key in which two resolved studies differ; None where they are the same."""
-    for part in ("study", "scenario", "conditions", "problems"):
-        a, b = now[part], then.get(part)
-        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
-            if isinstance(a, Mapping) and isinstance(b, Mapping):
-                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
-                return f"{part}.{keys[0]}" if keys else part
-            return part
-    return None

@@ -10,7 +10,7 @@ from scipy import stats
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import rollout
+from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import Silent
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.storage.folder import Run
@@ -113,6 +113,13 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
         main(["sweep", str(file), "--set", f"{KEY}=0.3,-1", "--out", str(made)])
     assert ended.value.code == 2
     assert "max_speed_mps = -1" in capsys.readouterr().err
+
+
+def test_a_sweep_of_other_settings_is_not_gone_on_with(file, asked, tmp_path):
+    several.begin(tmp_path / "out", "sweep", asked.resolved()).release()
+    other = sweep.ask(load_scenario(file), axes([f"{KEY}=1.5,0.4"]), "short")
+    with pytest.raises(ConfigError, match=rf"begun with another set\.{KEY} \(see .*making\.json"):
+        sweep.make(other, tmp_path / "out", told=Broken(None), resume=True)
 
 
 def test_an_interruption_before_anything_was_finished_is_one(file, asked):

@@ -2,6 +2,7 @@ import pytest
 
 from angler_mjx.cli import main as cli
 from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.editing import first_difference
 from angler_mjx.studies.fleet_size import asking, running
 
 FILE = """
@@ -125,8 +126,8 @@ def test_a_task_is_done_or_not(tmp_path):
 
 def test_the_same_study_is_known_again(tmp_path):
     one = read(tmp_path).resolved()
-    assert asking.same(one, read(tmp_path, most_minutes=3.0).resolved()) is None
-    assert asking.same(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
-    assert asking.same(read(tmp_path, batch=8).resolved(), one) == "study.budget"
+    assert first_difference(one, read(tmp_path, most_minutes=3.0).resolved()) is None
+    assert first_difference(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
+    assert first_difference(read(tmp_path, batch=8).resolved(), one) == "study.budget.batch"
     other = read(tmp_path, more="axis.a.b.world.density = 0.1")
-    assert asking.same(other.resolved(), one) == "study.axis"
+    assert first_difference(other.resolved(), one) == "study.axis.a"
