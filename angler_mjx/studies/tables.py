@@ -138,7 +138,8 @@ def cells_table(found: Mapping[str, Any]) -> Table:
             *(row["set"][key] for key in keys),
             str(row["robots"]),
             *(_task(row["task"]) if tasks else ()),
-            percent(row["planned"]),
+            # Tasks ask no planner.
+            "-" if row["task"] is not None else percent(row["planned"]),
             percent(row["outcomes"]["reached"]),
             percent(row["team"]),
             span(row["time_to_goal_s"], 1.0),
@@ -190,6 +191,37 @@ def _task_change(pair: Mapping[str, Any]) -> tuple[str, str, str]:
         return "-", "-", "-"
     points = shift(pair["tasks"], 100.0, 1)
     return points, f"{pair['tasks']['p']:.2g}", shift(pair["task_s"], 1.0, 2)
+
+
+def to_fit(table: Table, width: int) -> list[Table]:
+    """The table where it fits between two margins; else it lies on its side, in parts that do.
+
+    Args:
+        table: rows of text.
+        width: characters of a line.
+    """
+    head, rows = table
+    if not rows or _wide([head, *rows]) <= width:
+        return [table]
+    # What were columns are rows; as many of the old rows stand beside their names as fit.
+    parts: list[Table] = []
+    while rows:
+        count = len(rows)
+        while count > 1 and _wide(_on_its_side(head, rows[:count])) > width:
+            count -= 1
+        top, *rest = _on_its_side(head, rows[:count])
+        parts.append((top, rest))
+        rows = rows[count:]
+    return parts
+
+
+def _on_its_side(head: list[str], rows: list[list[str]]) -> list[list[str]]:
+    return [list(line) for line in zip(head, *rows, strict=True)]
+
+
+def _wide(lines: list[list[str]]) -> int:
+    """Characters of a line with its frame."""
+    return sum(max(map(len, column)) + 3 for column in zip(*lines, strict=True)) + 1
 
 
 def grid(table: Table) -> list[str]:

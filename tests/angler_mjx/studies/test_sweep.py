@@ -205,6 +205,20 @@ def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
     assert chart.draw(mixed).axes[0].get_title("left") == "robots that arrived, %"
 
 
+@pytest.mark.parametrize("width", [20, 60, 80, 120])
+def test_a_table_too_wide_for_the_terminal_lies_on_its_side(width):
+    head = ["fleet.0.count", "arrived, %", "time, s"]
+    rows = [[str(n), f"{n}0.0 (10.0 to 99.9)", f"{n}.1"] for n in range(8)]
+    parts = tables.to_fit((head, rows), width)
+    if width >= 52:
+        assert parts == [(head, rows)]
+        return
+    lines = [[top, *rest] for top, rest in parts]
+    assert all([line[0] for line in part] == head for part in lines)
+    assert [[line[k] for line in part] for part in lines for k in range(1, len(part[0]))] == rows
+    assert all(len(part[0]) == 2 for part in lines)
+
+
 def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
     paths = [str(made / row["run"]) for row in sweep.read(made)["cells"]]
     main(["compare", *paths, "--json", "--figure", str(tmp_path / "c.png")])
