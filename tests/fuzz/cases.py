@@ -331,7 +331,7 @@ def simpler(case: Case) -> list[Case]:
                 dropped = (key, "fault_known") if key == "thruster_health" else (key,)
                 less = {k: v for k, v in entry.items() if k not in dropped}
                 found.append(with_fleet([*fleet[:i], less, *fleet[i + 1 :]]))
-    if "randomise" in scenario:
+    if scenario.get("randomise"):
         found.append(case.but(randomise={}))
     if scenario["controller"]["name"] != "cascade":
         found.append(case.but(controller={"name": "cascade"}))
