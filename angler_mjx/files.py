@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, model_validator
 
 from angler_mjx.errors import ConfigError, escaped, shown
 
@@ -57,6 +57,16 @@ class FileModel(BaseModel):
     def _plain(cls, data: Any) -> Any:
         """Lists are tuples here, for those who build a model in Python too."""
         return _tamed(data, 0) if isinstance(data, Mapping) else data
+
+
+def folder_of(info: ValidationInfo) -> Path:
+    """Where paths begin in the table that is checked: see `FOLDER`."""
+    return Path((info.context or {}).get(FOLDER) or Path.cwd())
+
+
+def absolute(file: str, info: ValidationInfo) -> str:
+    """A path from the folder of the file that names it, made absolute; for validators."""
+    return str((folder_of(info) / file).absolute())
 
 
 @dataclass(frozen=True)
@@ -279,6 +289,10 @@ def _fault(entry: dict[str, Any]) -> Fault:
         remedy = "unknown key; remove it or correct spelling and unit"
         return Fault(key, f"{path} = {shown(value)}: {remedy}")
     message = str(entry["msg"]).removeprefix("Value error, ").replace("valid tuple", "valid list")
+    if entry["type"] in ("too_short", "too_long"):
+        least = entry["type"] == "too_short"
+        bound = entry["ctx"]["min_length" if least else "max_length"]
+        message = f"has {len(value)} entries; give {'at least' if least else 'at most'} {bound}"
     message = "\n  ".join(_cut(line, _LINE) for line in message.splitlines())
     if entry["type"] == "value_error" and isinstance(value, Mapping):
         # Of a whole table: the message says which of its keys.

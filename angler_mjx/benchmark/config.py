@@ -1,6 +1,5 @@
 """What a benchmark file says: planners, and the scenes whose problems all of them are asked."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import Field, field_validator, model_validator
@@ -9,8 +8,9 @@ from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.editing import Changes
 from angler_mjx.scenario.policy_tables import PolicyConfig
-from angler_mjx.scenario.tables import KnowsConfig
+from angler_mjx.scenario.tables import KnowsConfig, PlannerName
 from angler_mjx.world import presets
 
 type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
@@ -23,7 +23,7 @@ POLICIES = get_args(PolicyConfig.model_fields["name"].annotation)
 class PlannerEntry(FileModel):
     """One of those that are compared: a planner, flown as it planned or online, or a policy."""
 
-    name: str = Field(default="", max_length=4096)
+    name: PlannerName = ""
     """One that `angler plan --list` names, or FILE.py:CLASS, from the folder of this file."""
     policy: str | None = None
     """Instead of a planner: a policy by its name in a scenario, such as mppi, which flies without
@@ -96,7 +96,7 @@ class SceneEntry(FileModel):
     """What the world is like in some of the problems."""
 
     name: Label
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise here; tables are merged."""
 
 
@@ -115,7 +115,7 @@ class BenchmarkConfig(FileModel):
     """For people."""
     scenario: str
     """That all problems are made of: a shipped one, or a file, from the folder of this one."""
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise in this benchmark; tables are merged."""
     presets: tuple[str, ...] = ()
     """Of worlds, each with its own horizon unless set.time.horizon_s is given; the scenario's, with
@@ -169,15 +169,3 @@ def _once(key: str, values: Any) -> None:
     twice = [value for i, value in enumerate(values) if value in list(values)[:i]]
     if twice:
         raise ValueError(f"{key}: {shown(twice[0])} is there twice; names tell them apart")
-
-
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with other values; tables within it are merged, all else is replaced."""
-    made = dict(table)
-    for key, value in changes.items():
-        before = made.get(key)
-        if isinstance(value, Mapping) and isinstance(before, Mapping):
-            made[key] = merged(before, value)
-        else:
-            made[key] = value
-    return made

@@ -5,11 +5,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark.config import PlannerEntry, merged
+from angler_mjx.benchmark.config import PlannerEntry
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import parse
 from angler_mjx.planning import register
 from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.scenario.editing import merged
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
 from angler_mjx.sim.knowledge import Knows

@@ -16,6 +16,7 @@ from angler_mjx.benchmark.questions import Benchmark
 from angler_mjx.benchmark.store import FILE, Store
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.scenario.editing import first_difference
 from angler_mjx.storage import atomic, claims, inputs
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.damage import read_table, reading
@@ -73,7 +74,7 @@ def reopen(benchmark: Benchmark, out: Path) -> Claim:
         raise ConfigError(f"--resume: there is no interrupted benchmark {out}")
     try:
         then = read_table(claimed.building / RESOLVED)
-        other = questions.same(benchmark.resolved(), then)
+        other = first_difference(benchmark.resolved(), then)
         if other is not None:
             raise ConfigError(
                 f"--resume: {out} was begun with another {other}; put the old value back (see "

@@ -3,20 +3,19 @@
 A `Setting` is a set of problems: worlds of one scenario and seed, with what may be known of them.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from angler_mjx.benchmark import contestants as compared
-from angler_mjx.benchmark.config import BenchmarkConfig, merged
+from angler_mjx.benchmark.config import BenchmarkConfig
 from angler_mjx.benchmark.contestants import Contestant
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, parse, read_toml
-from angler_mjx.scenario.editing import table_of, without_horizon
+from angler_mjx.files import FOLDER, named, parse, read_toml
+from angler_mjx.scenario.editing import merged, table_of, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.scenario.tables import KnowsConfig
 from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.knowledge import Knows
@@ -102,14 +101,9 @@ def read(path: Path, **instead: Any) -> Benchmark:
     """
     table = {**read_toml(path), **instead}
     source = str(path) + (f" with other {', '.join(instead)}" if instead else "")
-    config = parse(BenchmarkConfig, table, source=source)
     folder = path.absolute().parent
-    planners = tuple(
-        one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.planner
-    )
-    config = config.model_copy(update={"planner": planners})
-    there = config.scenario in shipped()
-    scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    config = parse(BenchmarkConfig, table, source=source, context={FOLDER: folder})
+    scenario = load_beside(config.scenario, folder)
     refuse_task(scenario.task, f"{path}: planners are compared by ways to one goal; leave it out")
     return build(config, scenario, str(path))
 
@@ -157,11 +151,6 @@ def _require_able(one: Contestant, setting: Setting, source: str) -> None:
                 "what it is told, by knows"
             ) from error
     setting.flown(one, named(source))
-
-
-def _absolute(name: str, folder: Path) -> str:
-    path, colon, qualname = name.rpartition(":")
-    return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name
 
 
 def _may_be_carried(one: Contestant) -> bool:
@@ -287,15 +276,3 @@ def again(building: Path, table: Mapping[str, Any], files: Mapping[str, str]) ->
 def _copied(name: str, files: Mapping[str, str]) -> str:
     path, colon, qualname = name.rpartition(":")
     return f"{files.get(path, path)}:{qualname}" if colon and path.endswith(".py") else name
-
-
-def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
-    """The first key in which two resolved benchmarks differ; None where they are the same."""
-    for part in ("benchmark", "scenario", "planners", "problems"):
-        a, b = now[part], then.get(part)
-        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
-            if isinstance(a, Mapping) and isinstance(b, Mapping):
-                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
-                return f"{part}.{keys[0]}" if keys else part
-            return part
-    return None

@@ -1,7 +1,7 @@
 """What a dataset file says: what is flown, by whom, and who learns from what."""
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -9,6 +9,7 @@ from angler_mjx.benchmark.config import PlannerEntry
 from angler_mjx.datasets.sampling import SampleConfig
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.editing import Changes
 
 OURS = ("worlds", "seed", "policy", "execution")
 """Keys of a scenario that a dataset file says by keys of its own."""
@@ -22,7 +23,7 @@ class DatasetScene(FileModel):
     name: Name
     weight: float = Field(default=1.0, gt=0.0, le=1e6)
     """Its share of the episodes, beside the weights of the other scenes."""
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise here; tables are merged."""
     teams: tuple[Annotated[int, Field(ge=1, le=1024)], ...] = ()
     """Numbers of robots, in equal shares; the scenario's fleet if left out."""
@@ -72,7 +73,7 @@ class DatasetConfig(FileModel):
     """That all episodes are made of: a shipped one, or a file, from the folder of this one."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Of the dataset; each part has one of its own, made of it."""
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise in this dataset; tables are merged."""
     split: SplitConfig = SplitConfig()
     sample: SampleConfig = SampleConfig()

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark.config import merged
 from angler_mjx.benchmark.questions import with_team
 from angler_mjx.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.errors import ConfigError
-from angler_mjx.files import named, parse, read_toml
+from angler_mjx.files import FOLDER, named, parse, read_toml
 from angler_mjx.runs.several import RUNS
-from angler_mjx.scenario.editing import table_of, without_horizon
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.editing import merged, table_of, without_horizon
+from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.scenario.task_table import refuse_task
 
 
@@ -40,15 +39,11 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
     Raises:
         ConfigError: naming every fault of the file.
     """
-    config = parse(DatasetConfig, read_toml(path), source=str(path))
     folder = path.absolute().parent
-    experts = tuple(
-        one.model_copy(update={"name": _absolute(one.name, folder)}) for one in config.expert
-    )
-    there = config.scenario in shipped()
-    scenario = load_scenario(config.scenario if there else folder / config.scenario)
+    config = parse(DatasetConfig, read_toml(path), source=str(path), context={FOLDER: folder})
+    scenario = load_beside(config.scenario, folder)
     refuse_task(scenario.task, f"{path}: experts plan ways to one goal; leave it out")
-    return config.model_copy(update={"expert": experts}), table_of(scenario)
+    return config, table_of(scenario)
 
 
 def parts(
@@ -186,8 +181,3 @@ def _least(shares: list[float]) -> int:
     """Fewest episodes of which every part gets one."""
     most = round(1.0 / min(shares)) + len(shares)
     return next((n for n in range(len(shares), most) if min(_shares(shares, n)) >= 1), most)
-
-
-def _absolute(name: str, folder: Path) -> str:
-    path, colon, qualname = name.rpartition(":")
-    return f"{folder / path}:{qualname}" if colon and path.endswith(".py") else name

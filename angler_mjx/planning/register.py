@@ -105,6 +105,17 @@ def names() -> list[str]:
     return [*DEVICE, *sorted(_installed())]
 
 
+def beside(name: str, folder: Path) -> str:
+    """The same name; a class of a file with the file's path from a folder, made absolute."""
+    path, _, qualname = name.rpartition(":")
+    return f"{(folder / path).absolute()}:{qualname}" if _is_file(path) else name
+
+
+def _is_file(path: str) -> bool:
+    """Whether what stands before a colon is the file of a class."""
+    return path.endswith(".py")
+
+
 def find(name: str) -> Reference:
     """Where a planner is.
 
@@ -114,8 +125,8 @@ def find(name: str) -> Reference:
     Raises:
         ConfigError: there is no planner of that name, or no such file.
     """
-    path, colon, qualname = name.rpartition(":")
-    if colon and path.endswith(".py"):
+    path, _, qualname = name.rpartition(":")
+    if _is_file(path):
         file = Path(path)
         data = _bytes(file, name)
         return Reference(

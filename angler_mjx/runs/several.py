@@ -15,6 +15,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import OneOfMany, Processes
 from angler_mjx.runs.progress import Progress
+from angler_mjx.scenario.editing import first_difference
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.storage import claims, folder
 from angler_mjx.storage.claims import Claim
@@ -72,13 +73,12 @@ def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> Cla
     if not (building / MAKING).is_file():
         raise ConfigError(f"--resume {out}: there is no interrupted {what} of that name")
     before = read_table(building / MAKING)
-    for key, now in asked.items():
-        if before.get(key) != now:
-            was = f" ({before.get(key)}, now {now})" if isinstance(now, int) else ""
-            raise ConfigError(
-                f"--resume {out}: was begun with other {key}{was}; give what it was begun with, or "
-                "begin a new one"
-            )
+    other = first_difference(asked, before)
+    if other is not None:
+        raise ConfigError(
+            f"--resume {out}: was begun with another {other} (see {building / MAKING}); give what "
+            "it was begun with, or begin a new one"
+        )
     claimed = claims.reclaim(out, what=what)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted {what} of that name")

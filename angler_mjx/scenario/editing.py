@@ -1,14 +1,102 @@
 """Scenarios with other values than their files say: plain tables, changed key by key."""
 
 import copy
-from typing import Any
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import AfterValidator, ValidationInfo
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.files import folder_of
+from angler_mjx.planning import register
 from angler_mjx.scenario.tables import PlannerConfig
 
+if TYPE_CHECKING:
+    from angler_mjx.scenario.scenario import Scenario
 
-def table_of(scenario: Scenario) -> dict[str, Any]:
+
+def _file(path: str, folder: Path) -> str:
+    return str((folder / path).absolute()) if path else path
+
+
+def _vehicle(name: str, folder: Path) -> str:
+    return _file(name, folder) if name.endswith(".toml") else name
+
+
+PATHS: Mapping[tuple[str, ...], Callable[..., str]] = {
+    ("fleet", "*", "vehicle"): _vehicle,
+    ("planner", "name"): register.beside,
+    ("world", "currents", "*", "file"): _file,
+    ("world", "bathymetry", "file"): _file,
+}
+"""Keys that may hold paths, and what makes them absolute."""
+
+
+def anchored(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Keys of a scenario with the paths in them made absolute.
+
+    Args:
+        table: whole, or some of its keys; faults of it are left to who checks it.
+        folder: in which paths begin.
+    """
+    made: Any = table
+    for key, absolute in PATHS.items():
+        made = _anchored(made, key, partial(absolute, folder=folder))
+    return dict(made)
+
+
+def _anchored(at: Any, key: tuple[str, ...], absolute: Callable[[str], str]) -> Any:
+    if not key:
+        return absolute(at) if isinstance(at, str) else at
+    if key[0] == "*" and isinstance(at, list | tuple):
+        return [_anchored(one, key[1:], absolute) for one in at]
+    if isinstance(at, Mapping) and key[0] in at:
+        return {**at, key[0]: _anchored(at[key[0]], key[1:], absolute)}
+    return at
+
+
+def _from_its_file(table: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    return anchored(table, folder_of(info))
+
+
+type Changes = Annotated[dict[str, Any], AfterValidator(_from_its_file)]
+"""Keys of a scenario in another file; paths in them begin at that file's folder."""
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with other values; tables within it are merged, all else is replaced."""
+    made = dict(table)
+    for key, value in changes.items():
+        before = made.get(key)
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            made[key] = merged(before, value)
+        else:
+            made[key] = value
+    return made
+
+
+def first_difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
+    """The dotted key of the first value that a table has otherwise than one that was written.
+
+    Args:
+        now: plain values; tuples are lists.
+        then: read from a file; keys that it has at the top alone do not count.
+    """
+    for key, value in now.items():
+        before = then.get(key)
+        if json.dumps(value, sort_keys=True) == json.dumps(before, sort_keys=True):
+            continue
+        if isinstance(value, Mapping) and isinstance(before, Mapping):
+            every = {name: value.get(name) for name in sorted({*value, *before})}
+            return f"{key}.{first_difference(every, before)}"
+        return key
+    return None
+
+
+def table_of(scenario: "Scenario") -> dict[str, Any]:
     """What a scenario's file said, in plain values; paths in it are absolute."""
     table = scenario.model_dump(mode="json", exclude_unset=True)
     table["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]

@@ -1,14 +1,13 @@
 """What a scenario file says about the robots of its fleet."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FOLDER, FileModel
+from angler_mjx.files import FileModel, absolute
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.sensing.config import SensorsConfig
@@ -55,8 +54,7 @@ class FleetEntry(FileModel):
     def _found(cls, name: str, info: ValidationInfo) -> str:
         """A path from the scenario's folder, made absolute; of a file without faults."""
         if name.endswith(".toml"):
-            folder = (info.context or {}).get(FOLDER) or Path.cwd()
-            name = str(Path(folder, name).absolute())
+            name = absolute(name, info)
         library.load_thruster(library.load(name).rotor.model)
         return name
 

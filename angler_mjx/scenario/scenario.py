@@ -7,22 +7,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from angler_mjx.acoustics.channel import Channel
 from angler_mjx.acoustics.config import AcousticsConfig
-from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
-from angler_mjx.scenario import instrumented
+from angler_mjx.scenario import fits, instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
+from angler_mjx.scenario.editing import anchored
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
-from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
+from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
     ControllerConfig,
@@ -39,7 +38,6 @@ from angler_mjx.scenario.task_table import (
     check_flown,
     spec_of,
 )
-from angler_mjx.sensing import params as instruments
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.tasks.spec import TaskSpec
@@ -47,11 +45,7 @@ from angler_mjx.vehicles import library
 from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
 from angler_mjx.world.config import WorldConfig, resolve
-from angler_mjx.world.currents import GaussMarkovConfig, GridConfig
-from angler_mjx.world.generate import check_fleet
-
-KNOTS = 100_000
-"""Most knots of a current over a run; each world holds them in memory."""
+from angler_mjx.world.currents import GridConfig
 
 
 class Scenario(FileModel):
@@ -112,61 +106,13 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _instruments_can_be(self) -> Self:
-        for i, entry in enumerate(self.fleet):
-            try:
-                instruments.check(entry.told()[1], self.time.control_dt_s)
-            except ConfigError as error:
-                raise ValueError(f"fleet.{i}.{error}") from error
-        return self
-
-    @model_validator(mode="after")
-    def _currents_fit(self) -> Self:
-        for i, current in enumerate(self.world.currents):
-            if isinstance(current, GridConfig):
-                try:
-                    current.starts_s(self.time.horizon_s)
-                except ValueError as error:
-                    raise ValueError(f"world.currents[{i}].{error}") from error
-            if not isinstance(current, GaussMarkovConfig):
-                continue
-            knots = self.time.horizon_s / current.knot_dt_s
-            if knots > KNOTS:
-                raise ValueError(
-                    f"world.currents[{i}].knot_dt_s = {current.knot_dt_s:g}: {knots:.0f} knots in "
-                    f"{self.time.horizon_s:g} s; {KNOTS} are the most: take a longer knot_dt_s"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _fleet_fits(self) -> Self:
-        wide = [library.reach_m(library.load(entry.vehicle)) for entry in self.fleet]
-        counts = [entry.count for entry in self.fleet]
-        try:
-            check_fleet(resolve(self.world), np.repeat(wide, counts))
-        except ConfigError as error:
-            raise ValueError(f"world, for the fleet: {error}") from error
-        return self
-
-    @model_validator(mode="after")
-    def _randomised_can_be(self) -> Self:
-        if self.randomise.sensor_noise != AS_SAID and not self.senses:
-            raise ValueError(
-                "randomise.sensor_noise: all robots are told the truth; give one of [[fleet]] "
-                'estimate = "noisy" or "ekf"'
-            )
-        if self.randomise.current != AS_SAID and not self.world.currents:
-            raise ValueError("randomise.current: there is no current; add [[world.currents]]")
-        for i, entry in enumerate(self.fleet if self.randomise.of_vehicles else ()):
-            try:
-                self.randomise.check(
-                    library.load(entry.vehicle),
-                    entry.sets(),
-                    entry.battery_v,
-                    self.water.density_kgpm3,
-                )
-            except ConfigError as error:
-                raise ValueError(f"fleet[{i}]: {error}") from error
+    def _tables_fit(self) -> Self:
+        fits.check_instruments(self.fleet, self.time)
+        fits.check_currents(self.world, self.time)
+        fits.check_room(self.world, self.fleet)
+        fits.check_randomised(self.randomise, self.fleet, self.world, self.water)
+        fits.check_rotors(self.fleet)
+        fits.check_steering(self.controller, self.fleet)
         return self
 
     @model_validator(mode="after")
@@ -175,45 +121,10 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _rotors_alike(self) -> Self:
-        """Rotors of first and of third order have states of different shapes."""
-        first = None
-        for i, entry in enumerate(self.fleet):
-            config = library.load(entry.vehicle)
-            third = config.find_response(entry.rotor_response) == "third_order"
-            response = config.rotor.third_order if third else None
-            numbers = response and (response.numerator, response.denominator)
-            first = first or (numbers,)
-            if numbers != first[0]:
-                raise ValueError(
-                    f"fleet[{i}]: the rotors of {config.name!r} answer otherwise than those of "
-                    "fleet[0]; give all robots of a fleet the same rotor_response"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _stack_can_steer(self) -> Self:
-        sideways = [stage.name for stage in self.controller.stack()[0] if stage.wants_sway]
-        for i, entry in enumerate(self.fleet if sideways else ()):
-            if any("sway" in able.missing for able in entry.drives()):
-                raise ValueError(
-                    f"controller: stage {sideways[0]!r} pushes to the side, and fleet[{i}], "
-                    f"vehicle {library.load(entry.vehicle).name!r}, has no sway; take another "
-                    "controller, such as cascade or los"
-                )
-        return self
-
-    @model_validator(mode="after")
     def _flies_online(self) -> Self:
         check_online(self.planner, self.time)
-        if self.online and not any(PoseTarget in x.takes for x in self.controller.stack()[0]):
-            key = f"planner.replan_hz = {self.planner.replan_hz:g}"
-            if self.execution.order == "kept":
-                key = 'execution.order = "kept"'
-            raise ValueError(
-                f"{key}: guides robots by poses, and no stage of controller "
-                f"{self.controller.title!r} takes one; take another, such as cascade"
-            )
+        if self.online:
+            fits.check_guided(self.planner, self.execution, self.controller)
         return self
 
     @model_validator(mode="after")
@@ -222,18 +133,7 @@ class Scenario(FileModel):
             self.channel()
         except ValueError as error:
             raise ValueError(f"acoustics.{error}") from error
-        if "acoustics" in self.store.also and self.acoustics.model == "perfect":
-            raise ValueError(
-                'store.also: "acoustics" is of packets, and acoustics.model = "perfect" has none; '
-                "leave it out, or take another model"
-            )
-        if self.acoustics.model != "perfect" and self.planner.replan_hz:
-            raise ValueError(
-                f"planner.replan_hz = {self.planner.replan_hz:g}: plans are made anew from where "
-                "all robots are, which acoustics tell nobody; leave it out, or take "
-                'acoustics.model = "perfect", or order = "kept" or a policy, which go by what each '
-                "robot has heard"
-            )
+        fits.check_heard(self.acoustics, self.store, self.planner)
         return self
 
     @model_validator(mode="after")
@@ -375,6 +275,15 @@ def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
     return read_scenario(name_or_path, overrides)
 
 
+def load_beside(name: str, folder: Path) -> Scenario:
+    """The scenario that another file names: a shipped one, or a path from that file's folder.
+
+    Raises:
+        ConfigError: as of `load_scenario`.
+    """
+    return load_scenario(name if name in shipped() else folder / name)
+
+
 def read_scenario(
     name_or_path: str | Path,
     overrides: Mapping[str, Any],
@@ -383,10 +292,11 @@ def read_scenario(
     """As `load_scenario`; ``blame`` says what a person calls an override, e.g. ``--worlds``."""
     path = find(name_or_path)
     data = read_toml(path)
+    overrides = anchored(overrides, Path.cwd())
     whole = {**data, **{key: _merged(data.get(key), x) for key, x in overrides.items()}}
     beside = {FOLDER: path.absolute().parent}
     try:
-        found = check(Scenario, whole, {} if "fleet" in overrides else beside)
+        found = check(Scenario, whole, beside)
     except FaultyError as error:
         own = _faults(data, beside) if overrides else {fault.text for fault in error.faults}
         its = [fault.text for fault in error.faults if fault.text in own]
@@ -424,13 +334,14 @@ def _blamed(fault: Fault, overrides: Mapping[str, Any], blame: Callable[[str], s
     exact = [key for key in given if fault.key[: len(key)] == key]
     if exact:
         return fault.text.replace(".".join(exact[0]), blame(".".join(exact[0])), 1)
+    text = fault.text
     if not fault.key:  # Of a whole file: the message says which keys.
-        said = [key for key in given if key[1:] and f"{'.'.join(key)} = " in fault.text]
         text = fault.text.removeprefix("(whole file): ")
+        said = [key for key in given if key[1:] and f"{'.'.join(key)} = " in text]
         if said:
             return text.replace(".".join(said[0]), blame(".".join(said[0])), 1)
     near = [key for key in given if key[: len(fault.key)] == fault.key] or given
-    return f"{', '.join(blame('.'.join(key)) for key in near)}: {fault.text}"
+    return f"{', '.join(blame('.'.join(key)) for key in near)}: {text}"
 
 
 def find(name_or_path: str | Path) -> Path:

@@ -3,23 +3,22 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields
-from pathlib import Path
-from typing import Any, Literal, Self, get_type_hints
+from typing import Annotated, Any, Literal, Self, get_type_hints
 
 from pydantic import (
+    AfterValidator,
     ConfigDict,
     Field,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
-    field_validator,
     model_validator,
 )
 
 from angler_mjx.control import stack, stages
 from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import FOLDER, FileModel
+from angler_mjx.files import FileModel, folder_of
 from angler_mjx.planning import register
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.planning.register import PlannerSpec
@@ -170,10 +169,18 @@ class KnowsConfig(FileModel):
         return Knows(obstacles=self.obstacles, current=self.current)
 
 
+def _from_its_file(name: str, info: ValidationInfo) -> str:
+    return register.beside(name, folder_of(info))
+
+
+type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_from_its_file)]
+"""Of a planner; the path of FILE.py:CLASS begins at the folder of the file that names it."""
+
+
 class PlannerConfig(FileModel):
     """The planner that gives each robot its path; its own settings stand in [planner.NAME]."""
 
-    name: str = Field(default="grid", max_length=4096)
+    name: PlannerName = "grid"
     """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours."""
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""
@@ -204,16 +211,6 @@ class PlannerConfig(FileModel):
             before = own.get("settings", {})
             own["settings"] = {**(before if isinstance(before, Mapping) else {}), **tables}
         return {**own, **rest}
-
-    @field_validator("name")
-    @classmethod
-    def _absolute(cls, name: str, info: ValidationInfo) -> str:
-        """A file's path from the scenario's folder, made absolute."""
-        path, colon, qualname = name.rpartition(":")
-        if not (colon and path.endswith(".py")):
-            return name
-        folder = (info.context or {}).get(FOLDER) or Path.cwd()
-        return f"{Path(folder, path).absolute()}:{qualname}"
 
     @property
     def table(self) -> str:

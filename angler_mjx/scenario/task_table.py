@@ -236,9 +236,9 @@ def _survey(task: SurveyTask, world: WorldRecipe) -> SurveySpec:
             f"task.of = {task.of!r}: the sea floor lies {world.origin_m[2] - world.floor_z_m:g} m "
             "below the world's cells; give world.floor_depth_m of their lower face"
         )
-    _check_footprint(task, spec, cell_m)
     if spec.altitude_cells >= world.shape[2]:
         raise ValueError(f"task.altitude_m = {task.altitude_m:g}: higher than the world's cells")
+    _check_footprint(task, spec, cell_m)
     cells = sight.window_size(spec)
     if cells > MOST_CELLS:
         raise ValueError(

@@ -318,7 +318,7 @@ def _of_task(worlds: pa.Table) -> dict[str, Any]:
         mean = float(taken[done].mean())
     if count > 1:
         half = intervals.student(count - 1) * float(taken[done].std(ddof=1)) / count**0.5
-        spread = [mean - half, mean + half]
+        spread = [max(mean - half, 0.0), mean + half]
     return {
         "task": {
             "completed": {"count": count, "rate": count / total, "low": low, "high": high},

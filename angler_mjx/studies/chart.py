@@ -16,13 +16,22 @@ WIDE = 16.0
 """Ratio of the largest to the smallest value from which they are drawn by their logarithms."""
 _MARKS = "osD^vPX*"
 
-PANELS = (
-    ("robots that arrived, %", "arrived", 100.0),
-    ("worlds whose whole team arrived, %", "team", 100.0),
-    ("mean time to goal, s", "time_to_goal_s", 1.0),
-    ("mean energy of arrivals, kJ", "energy_j", 1e-3),
+type Panels = tuple[tuple[str, tuple[str, ...], float], ...]
+
+PANELS: Panels = (
+    ("robots that arrived, %", ("outcomes", "reached"), 100.0),
+    ("worlds whose whole team arrived, %", ("team",), 100.0),
+    ("mean time to goal, s", ("time_to_goal_s",), 1.0),
+    ("mean energy of arrivals, kJ", ("energy_j",), 1e-3),
 )
-"""Title, what, and its scale."""
+"""Title, keys of what is shown, and its scale."""
+OF_TASKS: Panels = (
+    ("worlds that completed their task, %", ("task", "completed"), 100.0),
+    ("robots that did their part, %", ("outcomes", "reached"), 100.0),
+    ("mean time to completion, s", ("task", "completed_s"), 1.0),
+    ("mean energy of robots that did their part, kJ", ("energy_j",), 1e-3),
+)
+"""The same where all cells have a task."""
 
 
 def draw(found: Mapping[str, Any]) -> Figure:
@@ -38,6 +47,7 @@ def draw(found: Mapping[str, Any]) -> Figure:
         name = ", ".join(f"{_short(x['key'])} {row['set'][x['key']]}" for x in others)
         lines.setdefault(name, []).append(row)
     places = _places(along)
+    panels = OF_TASKS if all(row["task"] is not None for row in found["cells"]) else PANELS
     with style.styled():
         figure = style.new_figure(9.6, 7.6, headline_in=0.65)
         left_out = len(lines) - LINES
@@ -48,7 +58,7 @@ def draw(found: Mapping[str, Any]) -> Figure:
             f"{found['worlds']:,} worlds a point, the same ones for all; "
             f"bars are 95 % intervals clustered by world{more}",
         )
-        for axes, (title, what, scale) in zip(figure.subplots(2, 2).flat, PANELS, strict=True):
+        for axes, (title, what, scale) in zip(figure.subplots(2, 2).flat, panels, strict=True):
             axes.set_title(title)
             for i, (name, rows) in enumerate(list(lines.items())[:LINES]):
                 aside = (i - 0.5 * (min(len(lines), LINES) - 1)) * _aside(places)
@@ -96,14 +106,16 @@ def _line(
     rows: Sequence[Mapping[str, Any]],
     key: str,
     places: Mapping[str, float],
-    what: str,
+    what: Sequence[str],
     scale: float,
     aside: float,
 ) -> None:
     """One line with its bars; a value without an interval stands without one."""
     points = []
     for row in rows:
-        held = row["outcomes"]["reached"] if what == "arrived" else row[what]
+        held: Mapping[str, Any] = row
+        for part in what:
+            held = held[part]
         value = held.get("rate", held.get("mean"))
         if value is None:
             continue

@@ -26,13 +26,13 @@ def of_run(run: Run) -> dict[str, Any]:
     Returns:
         ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
         that have a path, ``outcomes`` (`storage.results.rates`), ``team``: worlds in which all
-        robots arrived, with Wilson's interval; by cost its mean; and what it took.
+        robots arrived, with Wilson's interval; ``task``: of runs with a task, the worlds that
+        completed it (``completed``) and when (``completed_s``), else None; by cost its mean; and
+        what it took.
     """
     episodes = run.episodes
     world, arrived = worlds_of(episodes), arrived_of(episodes)
     each = by_world(arrived, world)
-    whole = int(np.sum(each == 1.0))
-    low, high = wilson(whole, len(each))
     timing = run.summary["timing"]
     return {
         "worlds": len(each),
@@ -40,12 +40,36 @@ def of_run(run: Run) -> dict[str, Any]:
         "problems": run.scenario.digest(),
         "planned": _share(np.asarray(episodes["planned"].to_numpy(zero_copy_only=False)), world),
         "outcomes": rates(episodes),
-        "team": {"count": whole, "rate": whole / len(each), "low": low, "high": high},
+        "team": _of_worlds(each == 1.0),
+        "task": _task(episodes),
         **{name: plain(cost(episodes, name)) for name in COSTS},
         "vehicle_steps_per_s": timing["vehicle_steps_per_s"],
         "simulate_s": timing["simulate_s"],
         "compile_s": timing["compile_s"],
     }
+
+
+def _of_worlds(hit: np.ndarray) -> dict[str, Any]:
+    """Share of worlds, with Wilson's interval."""
+    count = int(np.sum(hit))
+    low, high = wilson(count, len(hit))
+    return {"count": count, "rate": count / len(hit), "low": low, "high": high}
+
+
+def _task(episodes: pa.Table) -> dict[str, Any] | None:
+    when = task_times(episodes)
+    if when is None:
+        return None
+    mean = clustered_mean(when, np.arange(len(when)))
+    return {"completed": _of_worlds(np.isfinite(when)), "completed_s": plain(mean)}
+
+
+def task_times(episodes: pa.Table) -> np.ndarray | None:
+    """When each world completed its task, s [w], NaN where it did not; None without a task."""
+    rows = episodes.take(np.unique(worlds_of(episodes), return_index=True)[1])
+    if not np.isfinite(numbers(rows, "task_progress")).any():
+        return None
+    return numbers(rows, "task_completed_s")
 
 
 def _share(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:

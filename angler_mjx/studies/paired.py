@@ -1,11 +1,12 @@
 """Two runs of the same worlds: what the second changed, world by world.
 
 Worlds are independent, robots of a world are not. So tests and intervals are of worlds. Whole teams
-have the exact test of McNemar and Newcombe's interval (`angler_mjx.benchmark.report.paired`). The
-share of a world's robots that arrive has Student's interval of the mean difference over worlds, and
-the exact sign test on the worlds that it differs in (Dixon and Mood, JASA 41, 1946: the same
-binomial as McNemar's). Costs are differences of robots that both runs have a value of, their mean
-with the interval of `angler_mjx.storage.intervals.clustered_mean`.
+and completed tasks have the exact test of McNemar and Newcombe's interval
+(`angler_mjx.benchmark.report.paired`). The share of a world's robots that arrive has Student's
+interval of the mean difference over worlds, and the exact sign test on the worlds that it differs
+in (Dixon and Mood, JASA 41, 1946: the same binomial as McNemar's). Costs are differences of robots
+that both runs have a value of, their mean with the interval of
+`angler_mjx.storage.intervals.clustered_mean`.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,14 @@ import pyarrow as pa
 
 from angler_mjx.benchmark.report.paired import mcnemar, newcombe
 from angler_mjx.storage.intervals import Mean, clustered_mean, wilson
-from angler_mjx.studies.measures import COSTS, arrived_of, by_world, numbers, worlds_of
+from angler_mjx.studies.measures import (
+    COSTS,
+    arrived_of,
+    by_world,
+    numbers,
+    task_times,
+    worlds_of,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +64,10 @@ class Pairing:
     """That both hold."""
     teams: Change
     """Worlds in which all robots arrived."""
+    tasks: Change | None
+    """Worlds that completed their task; None where a run has none."""
+    task_s: Shift | None
+    """When, of worlds that did in both."""
     robots: Change | None
     """Robots that arrived; counts are of robots, difference and p of worlds. None where the fleets
     have different sizes."""
@@ -90,7 +102,8 @@ def pair(first: pa.Table, second: pa.Table) -> Pairing:
         )
     return Pairing(
         worlds=len(common),
-        teams=_teams(*(one == 1.0 for one in shares)),
+        teams=_of_worlds(*(one == 1.0 for one in shares)),
+        **_tasks(*(task_times(one) for one in tables)),
         robots=robots,
         share=share,
         share_p=share_p,
@@ -112,7 +125,20 @@ def _counts(first: np.ndarray, second: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _teams(first: np.ndarray, second: np.ndarray) -> Change:
+def _tasks(first: np.ndarray | None, second: np.ndarray | None) -> dict[str, Any]:
+    """What became of the tasks, from the times at which worlds completed them."""
+    if first is None or second is None:
+        return {"tasks": None, "task_s": None}
+    done = np.isfinite(first), np.isfinite(second)
+    first, second = (times[done[0] & done[1]] for times in (first, second))
+    found = clustered_mean(second - first, np.arange(len(first)))
+    return {
+        "tasks": _of_worlds(*done),
+        "task_s": _shift(found, first, second, found.low, found.high),
+    }
+
+
+def _of_worlds(first: np.ndarray, second: np.ndarray) -> Change:
     counts = _counts(first, second)
     lost, won = counts["only_first"], counts["only_second"]
     low, high = newcombe(counts["both"], won, lost, counts["neither"])
@@ -135,7 +161,7 @@ def _mean_shift(first: np.ndarray, second: np.ndarray) -> Shift:
         other = wilson(0, len(change))[1]
         low = found.mean - other * (1.0 + found.mean)
         high = found.mean + other * (1.0 - found.mean)
-    return _shift(found, first, second, low, high)
+    return _shift(found, first, second, max(low, -1.0), min(high, 1.0))
 
 
 def _cost(name: str, tables: list[pa.Table], arrived: list[np.ndarray]) -> Shift:

@@ -24,6 +24,12 @@ HOW_TO_READ = (
     "holds 0 shows no change; with many rows, one in twenty leaves 0 out by chance."
 )
 
+OF_TASKS = (
+    "*Tasks* is the change of the share of worlds that complete their task, with Newcombe's "
+    "interval and McNemar's exact test; *completed after* that of the mean time, over worlds that "
+    "did in both."
+)
+
 OTHER_PROBLEMS = (
     "The setting belongs to what problems are made of: world, fleet, horizon or what is drawn of "
     "them. Pairs share the seed and the index of the world; its rock, current, starts and goals "
@@ -63,9 +69,23 @@ def table(found: Mapping[str, Any]) -> pa.Table:
     for name in COSTS:
         for part in ("mean", "low", "high", "count"):
             columns[f"{name}_{part}"] = [row[name][part] for row in cells]
+    if has_tasks(found):
+        for what, parts in (
+            ("completed", ("rate", "low", "high")),
+            ("completed_s", ("mean", "low", "high", "count")),
+        ):
+            for part in parts:
+                columns[f"task_{what}_{part}"] = [
+                    None if row["task"] is None else row["task"][what][part] for row in cells
+                ]
     for key in ("vehicle_steps_per_s", "simulate_s", "compile_s"):
         columns[key] = [row[key] for row in cells]
     return pa.table(columns)
+
+
+def has_tasks(found: Mapping[str, Any]) -> bool:
+    """Whether any cell is of a scenario with a task."""
+    return any(row["task"] is not None for row in found["cells"])
 
 
 def write_page(found: Mapping[str, Any], path: Path) -> None:
@@ -92,6 +112,7 @@ def page(found: Mapping[str, Any]) -> str:
     lines += [*grid(cells_table(found)), ""]
     if found["pairs"]:
         lines += ["## What each setting changes, paired", "", HOW_TO_READ, ""]
+        lines += [OF_TASKS, ""] if has_tasks(found) else []
         lines += [*grid(pairs_table(found)), ""]
         if not all(pair["same_problems"] for pair in found["pairs"]):
             lines += [f"\\* {OTHER_PROBLEMS}", ""]
@@ -101,9 +122,11 @@ def page(found: Mapping[str, Any]) -> str:
 def cells_table(found: Mapping[str, Any]) -> Table:
     """A row for each cell."""
     keys = [axis["key"] for axis in found["axes"]]
+    tasks = has_tasks(found)
     head = [
         *keys,
         "robots",
+        *(("tasks completed, %", "completed after, s") if tasks else ()),
         "planned, %",
         "arrived, %",
         "whole teams, %",
@@ -114,7 +137,9 @@ def cells_table(found: Mapping[str, Any]) -> Table:
         [
             *(row["set"][key] for key in keys),
             str(row["robots"]),
-            percent(row["planned"]),
+            *(_task(row["task"]) if tasks else ()),
+            # Tasks ask no planner.
+            "-" if row["task"] is not None else percent(row["planned"]),
             percent(row["outcomes"]["reached"]),
             percent(row["team"]),
             span(row["time_to_goal_s"], 1.0),
@@ -126,10 +151,19 @@ def cells_table(found: Mapping[str, Any]) -> Table:
     return [*head, "clearance, m"], rows
 
 
+def _task(found: Mapping[str, Any] | None) -> tuple[str, str]:
+    if found is None:
+        return "-", "-"
+    return percent(found["completed"]), span(found["completed_s"], 1.0)
+
+
 def pairs_table(found: Mapping[str, Any]) -> Table:
     """A row for each pair of cells."""
     cells = {row["cell"]: row for row in found["cells"]}
-    head = ["key", "from", "to", "others", "arrived, points", "p", "won", "lost", "time, s"]
+    tasks = has_tasks(found)
+    head = ["key", "from", "to", "others"]
+    head += ["tasks, points", "p of tasks", "completed after, s"] if tasks else []
+    head += ["arrived, points", "p", "won", "lost", "time, s"]
     rows = []
     for pair in found["pairs"]:
         first, second = cells[pair["first"]]["set"], cells[pair["second"]]["set"]
@@ -140,6 +174,7 @@ def pairs_table(found: Mapping[str, Any]) -> Table:
                 first[pair["key"]],
                 second[pair["key"]],
                 " ".join(others) or "-",
+                *(_task_change(pair) if tasks else ()),
                 shift(pair["share"], 100.0, 1),
                 f"{pair['share_p']:.2g}",
                 str(pair["teams"]["only_second"]),
@@ -149,6 +184,44 @@ def pairs_table(found: Mapping[str, Any]) -> Table:
             ]
         )
     return [*head, "energy, kJ"], rows
+
+
+def _task_change(pair: Mapping[str, Any]) -> tuple[str, str, str]:
+    if pair["tasks"] is None:
+        return "-", "-", "-"
+    points = shift(pair["tasks"], 100.0, 1)
+    return points, f"{pair['tasks']['p']:.2g}", shift(pair["task_s"], 1.0, 2)
+
+
+def to_fit(table: Table, width: int) -> list[Table]:
+    """The table where it fits between two margins; else it lies on its side, in parts that do.
+
+    Args:
+        table: rows of text.
+        width: characters of a line.
+    """
+    head, rows = table
+    if not rows or _wide([head, *rows]) <= width:
+        return [table]
+    # What were columns are rows; as many of the old rows stand beside their names as fit.
+    parts: list[Table] = []
+    while rows:
+        count = len(rows)
+        while count > 1 and _wide(_on_its_side(head, rows[:count])) > width:
+            count -= 1
+        top, *rest = _on_its_side(head, rows[:count])
+        parts.append((top, rest))
+        rows = rows[count:]
+    return parts
+
+
+def _on_its_side(head: list[str], rows: list[list[str]]) -> list[list[str]]:
+    return [list(line) for line in zip(head, *rows, strict=True)]
+
+
+def _wide(lines: list[list[str]]) -> int:
+    """Characters of a line with its frame."""
+    return sum(max(map(len, column)) + 3 for column in zip(*lines, strict=True)) + 1
 
 
 def grid(table: Table) -> list[str]:

@@ -12,6 +12,13 @@ from angler_mjx.viewing import style
 MOST = 10
 """Worlds, and pairs of outcomes, that are listed."""
 
+RATES = {
+    "tasks": "tasks completed",
+    "robots": "robots that arrived",
+    "teams": "whole teams",
+}
+"""Words of each rate; of runs without a task there are no tasks."""
+
 COSTS = {
     "time_to_goal_s": ("time to goal", "s", 1.0),
     "energy_j": ("energy", "kJ", 1e-3),
@@ -52,8 +59,10 @@ def _rates(found: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{found['worlds']:,} worlds{held}; changes are B minus A, with 95 % intervals by world:"
     ]
-    for name, what in (("robots", "robots that arrived"), ("teams", "whole teams")):
+    for name, what in RATES.items():
         one = found[name]
+        if one is None:
+            continue
         total = sum(one[key] for key in ("both", "only_first", "only_second", "neither"))
         was, now = one["both"] + one["only_first"], one["both"] + one["only_second"]
         lines.append(
@@ -72,10 +81,11 @@ def _points(one: Mapping[str, Any]) -> str:
 
 def _costs(found: Mapping[str, Any]) -> list[str]:
     lines = []
-    for name, (word, unit, scale) in COSTS.items():
-        one = found["costs"][name]
+    tasks = [("time to completion", "s", 1.0, found["task_s"], "world")]
+    robots = [(*said, found["costs"][name], "robot") for name, said in COSTS.items()]
+    for word, unit, scale, one, whose in [*(tasks if found["task_s"] else []), *robots]:
         if one["difference"] is None:
-            lines.append(f"  {word}: no robot has one in both")
+            lines.append(f"  {word}: no {whose} has one in both")
             continue
         first, second, change = (scale * one[key] for key in ("first", "second", "difference"))
         interval = (
@@ -85,7 +95,7 @@ def _costs(found: Mapping[str, Any]) -> list[str]:
         )
         lines.append(
             f"  {word}: {first:.4g} -> {second:.4g} {unit}, change {change:+.3g} ({interval}), of "
-            f"{one['pairs']:,} robots"
+            f"{one['pairs']:,} {whose}s"
         )
     return lines
 
@@ -112,7 +122,8 @@ def draw(found: Mapping[str, Any]) -> Figure:
     """
     rates = [
         (word, 100 * x["difference"], [None if x[e] is None else 100 * x[e] for e in _ENDS])
-        for word, x in (("robots", found["robots"]), ("whole teams", found["teams"]))
+        for word, x in ((word, found[name]) for name, word in RATES.items())
+        if x is not None
     ]
     costs = []
     for name, (word, _, _) in COSTS.items():
@@ -131,7 +142,7 @@ def draw(found: Mapping[str, Any]) -> Figure:
             f"{found['worlds']:,} worlds; bars are 95 % intervals by world. "
             f"A: {found['first']}, B: {found['second']}",
         )
-        _forest(left, "arrivals, change in points", rates)
+        _forest(left, "rates, change in points", rates)
         _forest(right, "means, change in % of A", costs)
     return figure
 

@@ -33,6 +33,8 @@ DRIVERS = (
 """In turn: random signals of thrusters, or a controller on planned paths."""
 assert {name for _, name in DRIVERS} == set(CONTROLLERS)
 
+CURRENTS = ("uniform", "gauss_markov", "vortices", "depth_profile", "tide")
+
 PLACES = ("deep", "surface", "corner", "floor", "rock")
 """In turn."""
 
@@ -235,7 +237,7 @@ def _world(rng: random.Random, place: str, robots: int) -> dict[str, Any]:
 
 def _currents(rng: random.Random) -> list[dict[str, Any]]:
     """None to three, of which each may have 3 m/s."""
-    kinds = rng.sample(["uniform", "gauss_markov", "vortices"], rng.choice([0, 1, 1, 2, 3]))
+    kinds = rng.sample(CURRENTS, rng.choice([0, 1, 1, 2, 3]))
     found: list[dict[str, Any]] = []
     for kind in kinds:
         speed = round(rng.uniform(0.3, 3.0), 2)
@@ -247,6 +249,32 @@ def _currents(rng: random.Random) -> list[dict[str, Any]]:
             memory, knot = rng.choice([(60.0, 5.0), (5.0, 1.0), (1.0, 0.5)])
             found.append(
                 {"type": kind, "max_speed_mps": speed, "time_constant_s": memory, "knot_dt_s": knot}
+            )
+        elif kind == "depth_profile":
+            knots = sorted(rng.sample(range(101), rng.choice([2, 3, 5])))
+            found.append(
+                {
+                    "type": kind,
+                    "depth_m": [float(one) for one in knots],
+                    "speed_mps": [0.1, speed],
+                    "turn_deg": rng.choice([0.0, 90.0, 180.0]),
+                }
+            )
+        elif kind == "tide":
+            found.append(
+                {
+                    "type": kind,
+                    "constituents": [
+                        {
+                            "name": name,
+                            "major_mps": round(0.5 * speed, 2),
+                            "minor_mps": round(rng.uniform(-0.5, 0.5) * speed, 2),
+                            "inclination_deg": round(rng.uniform(0, 180), 1),
+                            "phase_deg": round(rng.uniform(0, 360), 1),
+                        }
+                        for name in rng.sample(["M2", "S2", "K1", "M8"], rng.choice([1, 2]))
+                    ],
+                }
             )
         else:
             # Many narrow ones: seen from above the region is 400 m wide.
@@ -303,7 +331,7 @@ def simpler(case: Case) -> list[Case]:
                 dropped = (key, "fault_known") if key == "thruster_health" else (key,)
                 less = {k: v for k, v in entry.items() if k not in dropped}
                 found.append(with_fleet([*fleet[:i], less, *fleet[i + 1 :]]))
-    if "randomise" in scenario:
+    if scenario.get("randomise"):
         found.append(case.but(randomise={}))
     if scenario["controller"]["name"] != "cascade":
         found.append(case.but(controller={"name": "cascade"}))

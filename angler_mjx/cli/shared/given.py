@@ -1,7 +1,6 @@
 """A scenario as a command line gives it: a file, and flags that replace keys of it."""
 
 from dataclasses import fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from angler_mjx.errors import ConfigError, shown
@@ -85,7 +84,7 @@ def unseen(scenario: "Scenario") -> str | None:
 
 
 def planner_given(name: str | None, **keys: Any) -> dict[str, Any] | None:
-    """The scenario's table of a planner that flags give; a file's path from the working folder.
+    """The scenario's table of a planner that flags give.
 
     Settings of the scenario's own planner stay with it.
 
@@ -96,9 +95,6 @@ def planner_given(name: str | None, **keys: Any) -> dict[str, Any] | None:
     given: dict[str, Any] = {key: value for key, value in keys.items() if value is not None}
     if name is None:
         return given or None
-    path, colon, qualname = name.rpartition(":")
-    if colon and path.endswith(".py"):
-        name = f"{Path(path).absolute()}:{qualname}"
     return {"name": name, **given}
 
 

@@ -1,1 +1,1 @@
-"""`angler sweep` and `angler compare`."""
+"""`angler sweep`, `angler compare` and `angler study`."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
 
-from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
+from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
 from angler_mjx.cli.shared.progress import Shown
 
 
@@ -23,6 +23,10 @@ def fleet_size(
     resume: bool = False,
     device: Device | None = None,
     devices: int | None = None,
+    distributed: bool = False,
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
     json: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> None:
     """Find the smallest team that does a task by a deadline, with the interval of that answer.
@@ -32,7 +36,7 @@ def fleet_size(
 
     Args:
         source: Fleet-size file (.toml).
-        out: Folder to make; runs/NAME if left out.
+        out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
         only: Names of the conditions to look at; all of the file if left out.
         batch: Worlds of one size and condition at a time; the file's if left out.
         most_worlds: Of one size and condition; the file's if left out.
@@ -42,19 +46,42 @@ def fleet_size(
         device: Where to compute; JAX's choice if left out.
         devices: Number of devices to spread the worlds over; all there are if left out. Changes no
             byte of the results.
+        distributed: Share every batch with other processes, here or on other hosts; each is started
+            with the same arguments and sees the same folder.
+        coordinator: Where process 0 can be reached, HOST:PORT; Slurm and Open MPI tell it.
+        processes: How many processes there are; Slurm and Open MPI tell it.
+        process: Index of this one, from 0; Slurm and Open MPI tell it.
         json: Print one JSON object instead of the tables.
     """
-    choose(device)
+    choose(device, distributed=distributed)
     keep_all_programs()
+    shared = join(
+        device,
+        distributed=distributed,
+        coordinator=coordinator,
+        processes=processes,
+        process=process,
+    )
+    from angler_mjx.runs.processes import telling
     from angler_mjx.studies.fleet_size import asking, running
 
-    study = asking.read(
-        source, only, batch=batch, most_worlds=most_worlds, most_minutes=most_minutes
-    )
-    place = out or Path("runs") / study.config.name
-    with _Bar(quiet=json) as bar:
-        found = running.run(study, source, place, told=bar, resume=resume, devices=devices)
-    _report(found, place, as_json=json)
+    with telling(shared):
+        study = asking.read(
+            source,
+            only,
+            smoke=smoke,
+            batch=batch,
+            most_worlds=most_worlds,
+            most_minutes=most_minutes,
+        )
+    place = out or Path("runs") / (f"{study.config.name}-smoke" if smoke else study.config.name)
+    with _Bar(quiet=json or shared.index > 0) as bar:
+        found = running.run(
+            study, source, place, told=bar, resume=resume, devices=devices, processes=shared
+        )
+    shared.leave()
+    if shared.index == 0:
+        _report(found, place, as_json=json)
     if found["ended"] == running.STOPPED:
         print(f"interrupted: go on with --resume --out {place}", file=sys.stderr)
         sys.exit(130)
@@ -98,6 +125,10 @@ class _Bar(Shown):
         )
         self._task = self._bar.add_task("setting up", total=None)
         self._said: dict[str, str] = {}
+
+    def tell(self, text: str) -> None:
+        """See `angler_mjx.studies.fleet_size.running.Told`."""
+        self._bar.console.print(text, highlight=False, markup=False)
 
     def begin(self, condition: str, size: int) -> None:
         """See `angler_mjx.studies.fleet_size.running.Told`."""

@@ -115,13 +115,12 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
 
     console = Console()
     titles = (f"{found['scenario']}: {found['worlds']:,} worlds a cell", "what changes, paired")
-    for title, (head, rows) in zip(
+    for title, table in zip(
         titles, (tables.cells_table(found), tables.pairs_table(found)), strict=True
     ):
-        shown = Table(title=title)
-        for name in head:
-            shown.add_column(name, overflow="fold")
-        for row in rows:
-            shown.add_row(*row)
-        console.print(shown)
+        for i, (head, rows) in enumerate(tables.to_fit(table, console.width)):
+            shown = Table(*head, title=title if i == 0 else None, title_justify="left")
+            for row in rows:
+                shown.add_row(*row)
+            console.print(shown)
     print(place / "sweep.md")

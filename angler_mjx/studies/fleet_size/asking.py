@@ -1,18 +1,16 @@
 """What a fleet-size study asks: conditions, and the scenario of each with a team of each size."""
 
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark.config import merged
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.files import named, parse, read_toml
-from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.files import FOLDER, named, parse, read_toml
+from angler_mjx.scenario.editing import merged, table_of, with_value
 from angler_mjx.scenario.reachable import check_reachable
-from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
 
@@ -93,13 +91,17 @@ def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget:
     """
     table = read_toml(path)
     given = {key: value for key, value in budget.items() if value is not None}
+    if given and smoke:
+        flags = ", ".join(f"--{key.replace('_', '-')}" for key in given)
+        raise ConfigError(
+            f"--smoke: has a budget of its own, four worlds a size; leave out {flags}"
+        )
     if given:
         table = merged(table, {"budget": given})
-    config = parse(FleetSizeConfig, table, source=str(path))
+    folder = path.absolute().parent
+    config = parse(FleetSizeConfig, table, source=str(path), context={FOLDER: folder})
     config = config.smoke() if smoke else config
-    there = config.scenario in shipped()
-    scenario = load_scenario(config.scenario if there else path.absolute().parent / config.scenario)
-    return build(config, table_of(scenario), str(path), only)
+    return build(config, table_of(load_beside(config.scenario, folder)), str(path), only)
 
 
 def build(
@@ -195,15 +197,3 @@ def _lists(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _lists(entry) for key, entry in value.items()}
     return [_lists(entry) for entry in value] if isinstance(value, list | tuple) else value
-
-
-def same(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | None:
-    """The first key in which two resolved studies differ; None where they are the same."""
-    for part in ("study", "scenario", "conditions", "problems"):
-        a, b = now[part], then.get(part)
-        if json.dumps(a, sort_keys=True) != json.dumps(b, sort_keys=True):
-            if isinstance(a, Mapping) and isinstance(b, Mapping):
-                keys = [key for key in sorted({*a, *b}) if a.get(key) != b.get(key)]
-                return f"{part}.{keys[0]}" if keys else part
-            return part
-    return None

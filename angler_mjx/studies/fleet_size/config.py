@@ -2,13 +2,14 @@
 
 import itertools
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import SchemaVersion
+from angler_mjx.scenario.editing import Changes
 
 MOST_CONDITIONS = 64
 MOST_WORLDS = 1_000_000
@@ -73,7 +74,7 @@ class ConditionConfig(FileModel):
 
     name: Name
     """As tables and figures call it."""
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise here; tables are merged."""
 
 
@@ -88,7 +89,7 @@ class FleetSizeConfig(FileModel):
     """For people."""
     scenario: str
     """That is flown: a shipped one, or a file, from the folder of this one."""
-    set: dict[str, Any] = Field(default_factory=dict)
+    set: Changes = Field(default_factory=dict)
     """Keys of the scenario that are otherwise in this study; tables are merged."""
     sizes: tuple[Size, ...] | SpanConfig
     """Of teams: a list, all of which are flown; or { from = 1, to = 64 }, of which those are flown
@@ -110,7 +111,7 @@ class FleetSizeConfig(FileModel):
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Of the worlds: world i is the same for all sizes and conditions, as far as they allow."""
     budget: BudgetConfig = BudgetConfig()
-    axis: dict[Name, dict[Name, dict[str, Any]]] = Field(default_factory=dict)
+    axis: dict[Name, dict[Name, Changes]] = Field(default_factory=dict)
     """Things that differ, each with its values by name; a value holds keys of the scenario, as set
     does. Conditions are all combinations."""
     condition: tuple[ConditionConfig, ...] = ()

@@ -1,7 +1,10 @@
 """Flying a batch of worlds, and what became of each."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +21,20 @@ DIGITS = 4
 """Of a time in seconds: those of a sum of control steps in single precision."""
 
 
-def fly(study: Study, simulators: Simulators, condition: Condition, size: int, first: int) -> Batch:
-    """Fly the worlds of one batch.
+type Part = Mapping[str, Any]
+"""Some tiles of a batch: ``first`` of each, and by name the values of the worlds of each, plain."""
+
+
+def fly(
+    study: Study,
+    simulators: Simulators,
+    condition: Condition,
+    size: int,
+    first: int,
+    *,
+    share: tuple[int, int] = (0, 1),
+) -> Part:
+    """Fly the worlds of one batch, or a share of its tiles.
 
     Args:
         study: that asks.
@@ -27,16 +42,18 @@ def fly(study: Study, simulators: Simulators, condition: Condition, size: int, f
         condition: in which they are flown.
         size: of the team.
         first: index of the first world.
+        share: which share of the tiles, of how many.
 
     Raises:
         RunError: device memory is used up.
     """
     simulator = simulators.of(condition, size)
-    count = study.config.budget.batch
-    parts = []
+    at, of = share
+    tiles = range(first, first + study.config.budget.batch, simulator.tile)[at::of]
+    parts: list[dict[str, list[Any]]] = []
     for wave in waves.simulate(
         simulator,
-        range(first, first + count, simulator.tile),
+        tiles,
         recorded=False,
         progress=Silent(),
         seed=study.config.seed,
@@ -44,23 +61,34 @@ def fly(study: Study, simulators: Simulators, condition: Condition, size: int, f
         changed=partial(simulators.change, condition, size, simulator),
     ):
         parts += [_of_tile(study, tile) for tile in wave]
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    completed = whole["completed_s"]
-    return Batch(
-        condition=condition.name,
-        size=size,
-        first=first,
-        completed_s=[round(float(t), DIGITS) if math.isfinite(t) else None for t in completed],
-        arrived=whole["arrived"].tolist(),
-        lost=whole["lost"].tolist(),
-        energy_j=whole["energy_j"].tolist(),
-        path_m=whole["path_m"].tolist(),
-        no_room=whole["no_room"].tolist(),
-    )
+    return {"first": list(tiles), "tiles": parts}
 
 
-def _of_tile(study: Study, tile: FinishedTile) -> dict[str, np.ndarray]:
-    """Of each world of a tile, [w]."""
+def batch(condition: Condition, size: int, first: int, parts: Sequence[Part]) -> Batch:
+    """A batch from all its tiles, in the order of its worlds.
+
+    Args:
+        condition: in which it was flown.
+        size: of the team.
+        first: index of the first world.
+        parts: whose tiles are all of the batch.
+    """
+    tiles = [
+        tile
+        for _, tile in sorted(
+            (pair for part in parts for pair in zip(part["first"], part["tiles"], strict=True)),
+            key=lambda pair: pair[0],
+        )
+    ]
+    values = {name: [x for tile in tiles for x in tile[name]] for name in _VALUES}
+    return Batch(condition=condition.name, size=size, first=first, **values)
+
+
+_VALUES = tuple(one.name for one in fields(Batch) if one.name not in ("condition", "size", "first"))
+
+
+def _of_tile(study: Study, tile: FinishedTile) -> dict[str, list[Any]]:
+    """Of each world of a tile."""
     result = harvest.tile_result(tile)
     fits = np.asarray(tile.constants.valid)
     if tile.constants.task is not None:
@@ -71,13 +99,14 @@ def _of_tile(study: Study, tile: FinishedTile) -> dict[str, np.ndarray]:
         completed = arrival(reached, result.end_time_s, study.config.needed(reached.shape[1]))
     else:
         completed = np.nan_to_num(result.task.completed_s.astype(float), nan=np.inf)
+    completed = np.where(no_room, np.inf, completed)
     return {
-        "completed_s": np.where(no_room, np.inf, completed),
-        "arrived": np.sum(reached, axis=1),
-        "lost": np.sum(~reached & (result.outcome != Outcome.TIMEOUT), axis=1),
-        "energy_j": np.sum(result.energy_j, axis=1, dtype=float).round(3),
-        "path_m": np.sum(result.path_length_m, axis=1, dtype=float).round(3),
-        "no_room": no_room,
+        "completed_s": [round(float(t), DIGITS) if math.isfinite(t) else None for t in completed],
+        "arrived": np.sum(reached, axis=1).tolist(),
+        "lost": np.sum(~reached & (result.outcome != Outcome.TIMEOUT), axis=1).tolist(),
+        "energy_j": np.sum(result.energy_j, axis=1, dtype=float).round(3).tolist(),
+        "path_m": np.sum(result.path_length_m, axis=1, dtype=float).round(3).tolist(),
+        "no_room": no_room.tolist(),
     }
 
 

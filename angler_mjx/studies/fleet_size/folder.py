@@ -12,11 +12,12 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.scenario.editing import first_difference
 from angler_mjx.storage import claims
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.damage import read_table, reading
 from angler_mjx.storage.folder import ENVIRONMENT, write_json
-from angler_mjx.studies.fleet_size import asking, figures, report
+from angler_mjx.studies.fleet_size import figures, report
 from angler_mjx.studies.fleet_size.asking import Study
 from angler_mjx.studies.fleet_size.store import FILE, Batch
 
@@ -66,7 +67,7 @@ def reopen(study: Study, out: Path) -> tuple[Claim, int]:
     try:
         then = read_table(place)
         with reading(place):
-            other, tile = asking.same(study.resolved(), then), int(then["tile"])
+            other, tile = first_difference(study.resolved(), then), int(then["tile"])
         if other is not None:
             raise ConfigError(
                 f"--resume: {out} was begun with another {other}; put the old value back (see "

@@ -2,21 +2,27 @@
 
 What is flown next hangs on nothing but what was flown before, so a study that was interrupted and
 resumed comes to the same batches in the same order: those in the file are taken from it, and the
-rest is flown.
+rest is flown. Of several processes each flies its share of the tiles of every batch and tells the
+others what became of them, so all know the same and come to the same next batch; the first one
+keeps the folder.
 """
 
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import jax
+
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.simulator.simulator import default_tile
+from angler_mjx.storage import claims
 from angler_mjx.storage.claims import Claim
-from angler_mjx.studies.fleet_size import folder, report
+from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.asking import Condition, Study
-from angler_mjx.studies.fleet_size.flying import fly
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import FILE, Batch, Store
@@ -25,8 +31,15 @@ GOOD, SPENT, LATE, STOPPED = "answered", "most_worlds", "most_minutes", "interru
 """How a study ends."""
 
 
+class _StoppedError(Exception):
+    """One of the processes was interrupted, and all know it."""
+
+
 class Told(Protocol):
     """What a study tells while it goes on."""
+
+    def tell(self, text: str) -> None:
+        """Something that a person may want to do otherwise."""
 
     def begin(self, condition: str, size: int) -> None:
         """A batch is to be flown; its program may have to be compiled first."""
@@ -47,6 +60,9 @@ class _Work:
     taken: dict[str, dict[int, tuple[int, int]]]
     """Of each condition the counts of the batches that were asked for."""
     ends_at: float | None
+    together: Processes
+    flown: int = 0
+    """Batches that were flown in this run."""
 
 
 def rule_of(study: Study) -> Rule:
@@ -90,6 +106,7 @@ def run(
     resume: bool = False,
     devices: int | None = None,
     simulators: Simulators | None = None,
+    processes: Processes | None = None,
 ) -> dict[str, Any]:
     """Make a study, or go on with one.
 
@@ -101,37 +118,65 @@ def run(
         resume: go on with an interrupted one.
         devices: to fly on; all if left out. Changes no byte of the results.
         simulators: of the same study, to use what they have compiled; they are left open.
+        processes: that share every batch; each calls this with the same arguments, and they leave
+            each other afterwards.
 
     Returns:
         What ``study.json`` holds; its ``complete`` is false where a resumption would fly more.
 
     Raises:
         ConfigError: the folder is taken, or is of another study.
-        RunError: the disk or the device gave out, or no batch had time.
+        RunError: the disk or the device gave out, or another process did, or no batch had time.
         KeyboardInterrupt: before the first batch was whole.
     """
-    if resume:
-        claimed, tile = folder.reopen(study, out)
-    else:
-        tile = tile_of(study) if simulators is None else simulators.tile
-        claimed = folder.begin(study, source, out, tile)
-    try:
-        made = simulators or Simulators(study, tile=tile, devices=devices)
-        try:
-            return _run(study, claimed, tile, made, told)
-        finally:
-            if simulators is None:
-                made.close()
-    finally:
-        claimed.release()
+    together = processes or OneProcess()
+    with telling(together), ExitStack() as stack:
+        claimed = tile = None
+        if together.index == 0:
+            if resume:
+                claimed, tile = folder.reopen(study, out)
+            else:
+                tile = tile_of(study) if simulators is None else simulators.tile
+                claimed = folder.begin(study, source, out, tile)
+            stack.callback(claimed.release)
+        tile = int(together.meet("study", tile)[0])
+        if simulators is None:
+            simulators = Simulators(study, tile=tile, devices=devices)
+            stack.callback(simulators.close)
+        if not resume:
+            _tell_of_idle(study, tile, devices, together, told)
+        place = claims.partial_path(out)
+        found = _run(study, claimed, place, simulators, told, together)
+        together.meet("closed")
+    return folder.read(out) if found is None else found
+
+
+def _tell_of_idle(
+    study: Study, tile: int, devices: int | None, together: Processes, told: Told
+) -> None:
+    """Say so where a batch has too few tiles for all devices."""
+    here = len(jax.local_devices()) if devices is None else devices
+    batch, of = study.config.budget.batch, here * together.count
+    if batch // tile < of:
+        told.tell(
+            f"budget.batch = {batch}: {batch // tile} of {of} devices have work, each takes whole "
+            f"tiles of {tile} worlds; give a larger --batch, or in the file set = {{ tile = "
+            f"{max(batch // of, 1)} }}"
+        )
 
 
 def _run(
-    study: Study, claimed: Claim, tile: int, simulators: Simulators, told: Told
-) -> dict[str, Any]:
+    study: Study,
+    claimed: Claim | None,
+    place: Path,
+    simulators: Simulators,
+    told: Told,
+    together: Processes,
+) -> dict[str, Any] | None:
+    """What ``study.json`` holds; None of a process that does not keep the folder."""
     minutes = study.config.budget.most_minutes
     begun = time.monotonic()
-    store = Store(claimed.building / FILE)
+    store = Store(place / FILE, writes=claimed is not None)
     work = _Work(
         study=study,
         rule=rule_of(study),
@@ -140,12 +185,15 @@ def _run(
         known={(one.condition, one.size, one.first): one for one in store.batches},
         taken={one.name: {} for one in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
+        together=together,
     )
+    together.meet("known", len(store.batches))  # nobody writes before all have read
     try:
         ended = _rounds(work, simulators)
-    except KeyboardInterrupt:
-        if not store.batches:
-            raise
+    except (KeyboardInterrupt, _StoppedError) as error:
+        agreed = together.count == 1 or isinstance(error, _StoppedError)
+        if not (store.batches and agreed):
+            raise KeyboardInterrupt from error
         ended = STOPPED
     finally:
         store.close()
@@ -154,9 +202,11 @@ def _run(
             f"{study.source}: budget.most_minutes = {minutes:g}: was over before the first batch; "
             "give more"
         )
+    if claimed is None:
+        return None
     took = {"total_s": time.monotonic() - begun, "compiled": simulators.compiled}
     found = report.gather(study, work.rule, store.batches, ended)
-    found |= {"timing": took, "tile": tile, "environment": describe_environment()}
+    found |= {"timing": took, "tile": simulators.tile, "environment": describe_environment()}
     folder.close(claimed, study, found, store.batches)
     return found
 
@@ -186,12 +236,13 @@ def _fly(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]
         batch = _known(work, at, condition)
         size = work.rule.sizes[at]
         if batch is None:
-            if work.ends_at is not None and time.monotonic() > work.ends_at:
+            over = work.ends_at is not None and time.monotonic() > work.ends_at
+            if work.together.meet(f"over/{work.flown}", over)[0]:  # by the clock of the first one
                 return False
             simulators.begin((other, work.rule.sizes[ahead]) for ahead, other in left)
             left = left[1:]
             work.told.begin(condition.name, size)
-            batch = fly(work.study, simulators, condition, size, _first(work, at, condition))
+            batch = _flown(work, simulators, condition, size, _first(work, at, condition))
             work.store.add(batch)
         counts = work.taken[condition.name]
         hits, total = counts.get(at, (0, 0))
@@ -199,6 +250,24 @@ def _fly(work: _Work, simulators: Simulators, cells: list[tuple[int, Condition]]
         so_far = answer(work.rule, counts).text(work.rule.confidence)
         work.told.flown(condition.name, batch.worlds, so_far)
     return True
+
+
+def _flown(
+    work: _Work, simulators: Simulators, condition: Condition, size: int, first: int
+) -> Batch:
+    """A batch, of which each process flies a share."""
+    together = work.together
+    part = None
+    try:
+        share = (together.index, together.count)
+        part = flying.fly(work.study, simulators, condition, size, first, share=share)
+    except KeyboardInterrupt:
+        together.stop()
+    parts = together.meet(f"batch/{work.flown}", part)
+    work.flown += 1
+    if None in parts:
+        raise _StoppedError
+    return flying.batch(condition, size, first, parts)
 
 
 def _first(work: _Work, at: int, condition: Condition) -> int:

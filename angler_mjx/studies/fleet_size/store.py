@@ -8,7 +8,7 @@ import json
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from angler_mjx.errors import RunError
 from angler_mjx.storage.damage import reading
@@ -51,8 +51,12 @@ class Batch:
 class Store:
     """The batches of a study."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, writes: bool = True) -> None:
         """Open the file, made if it is not there.
+
+        Args:
+            path: of the file.
+            writes: whether batches are kept in it; of several processes, one does.
 
         Raises:
             ConfigError: it is damaged.
@@ -60,16 +64,27 @@ class Store:
         """
         self._path = path
         self.batches: list[Batch] = []
+        self._file: BinaryIO | None = None
+        if not writes:
+            if path.is_file():
+                with reading(path, ADVICE):
+                    self._take(path.read_bytes())
+            return
         try:
             self._file = path.open("a+b")
         except OSError as error:
             raise RunError(f"{path}: cannot be written ({error.strerror})") from error
         self._file.seek(0)
         with reading(path, ADVICE):
-            whole, _, torn = self._file.read().rpartition(b"\n")
-            self.batches = [_batch(json.loads(line)) for line in whole.splitlines()]
+            torn = self._take(self._file.read())
         if torn:
-            self._file.truncate(self._file.tell() - len(torn))
+            self._file.truncate(self._file.tell() - torn)
+
+    def _take(self, data: bytes) -> int:
+        """The batches of a file; how many bytes at its end are no whole line."""
+        whole, _, torn = data.rpartition(b"\n")
+        self.batches = [_batch(json.loads(line)) for line in whole.splitlines()]
+        return len(torn)
 
     def add(self, batch: Batch) -> None:
         """Keep a batch.
@@ -77,21 +92,26 @@ class Store:
         Raises:
             RunError: the disk gave out; what was kept before is still there.
         """
+        if self._file is not None:
+            self._write(self._file, batch)
+        self.batches.append(batch)
+
+    def _write(self, file: BinaryIO, batch: Batch) -> None:
         line = json.dumps(asdict(batch), separators=(",", ":")).encode() + b"\n"
         try:
-            self._file.write(line)
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            file.write(line)
+            file.flush()
+            os.fsync(file.fileno())
         except OSError as error:
             raise RunError(
                 f"{self._path}: cannot be written ({error.strerror or error}); all batches before "
                 "are in it: make room and go on with --resume"
             ) from error
-        self.batches.append(batch)
 
     def close(self) -> None:
         """Part from the file."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
 
 def _batch(table: dict[str, Any]) -> Batch:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal, Self
 
 import jax
@@ -15,7 +14,7 @@ from pydantic import ValidationInfo, field_validator, model_validator
 from angler_kernels.gridded_field import gridded
 from angler_mjx.draws import children
 from angler_mjx.errors import shown
-from angler_mjx.files import FOLDER, FileModel
+from angler_mjx.files import FileModel, absolute, named
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
 from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
@@ -78,12 +77,6 @@ def looked_up(current: Current, where: Callable[[ocean.Field], Sequence[Any]]) -
     )
 
 
-def absolute(file: str, info: ValidationInfo) -> str:
-    """A path from the folder of the file that names it, made absolute."""
-    folder = (info.context or {}).get(FOLDER) or Path.cwd()
-    return str(Path(folder, file).absolute())
-
-
 class ScaleConfig(FileModel):
     """For tanks and rivers: a field made smaller or larger, slower or faster."""
 
@@ -138,8 +131,12 @@ class GridConfig(FileModel):
 
     @model_validator(mode="after")
     def _lies_in_the_file(self) -> Self:
-        self._places()
-        self.starts_s(0.0)
+        _ = self.field  # its own faults name the file
+        try:
+            self._places()
+            self.starts_s(0.0)
+        except ValueError as error:
+            raise ValueError(f"{error} ({named(self.file)})") from error
         return self
 
     @property

@@ -10,10 +10,10 @@ from pydantic import Field as Key
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from angler_kernels.table import take
-from angler_mjx.files import FileModel
+from angler_mjx.files import FileModel, absolute, named
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current
-from angler_mjx.world.currents.gridded import GridConfig, Gridded, absolute
+from angler_mjx.world.currents.gridded import GridConfig, Gridded
 from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
 from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
 
@@ -46,7 +46,11 @@ class BathymetryConfig(FileModel):
 
     @model_validator(mode="after")
     def _lies_in_the_file(self) -> Self:
-        self._places()
+        _ = self.floor  # its own faults name the file
+        try:
+            self._places()
+        except ValueError as error:
+            raise ValueError(f"{error} ({named(self.file)})") from error
         return self
 
     @property

@@ -125,9 +125,12 @@ def places(
     inside = (long_y[:, None] >= 0) & (long_x[None, :] >= 0) & (deepest > 0)
     iy, ix = np.nonzero(inside)
     if not len(iy):
+        spans = {"latitude": y, "longitude": x}
+        there = ", ".join(f"{key} = {list(span)}" for key, span in spans.items() if span)
         raise ValueError(
-            f"latitude = {y and list(y)}, longitude = {x and list(x)}: there is no water in the "
-            "file there; choose another place"
+            f"{there}: there is no water in the file there; choose another place"
+            if there
+            else "there is no water between four of its knots; take a larger part of the model"
         )
     order = np.argsort(-deepest[iy, ix], kind="stable")
     iy, ix = iy[order], ix[order]

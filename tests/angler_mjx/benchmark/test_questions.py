@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from angler_mjx.benchmark import questions
-from angler_mjx.benchmark.config import merged
 from angler_mjx.errors import ConfigError
+from angler_mjx.scenario.editing import merged
+from angler_mjx.scenario.scenario import shipped
 from angler_mjx.sim.knowledge import Knows
 
 FILE = """
@@ -204,7 +205,7 @@ def test_who_flies_otherwise_flies_the_same_problems_by_another_scenario(tmp_pat
 
 def test_the_policy_of_the_scenario_flies_nobody_else(tmp_path):
     table = (tmp_path / "own.toml").absolute()
-    text = questions.shipped()["reef_fleet"].read_text()
+    text = shipped()["reef_fleet"].read_text()
     table.write_text(f'{text}\n[policy]\nname = "mppi"\nmppi = {{ samples = 32 }}\n')
     file = tmp_path / "x.toml"
     file.write_text(FILE.format(more="").replace('"reef_fleet"', '"own.toml"') + ONLINE)

@@ -1,14 +1,12 @@
 """Processes that share the making of a dataset: in threads by a run that was flown before, and in
 earnest at night."""
 
-import json
 import os
 import shutil
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -21,73 +19,12 @@ from angler_mjx.runs.progress import Silent
 from angler_mjx.storage import claims, folder
 from angler_mjx.storage.folder import Run
 
+from ..threads import together
+
 
 class Told(Silent):
     def part(self, number, of, name):
         pass
-
-
-class Board:
-    """What the threads of a test leave for each other; a name is met for once."""
-
-    def __init__(self, count):
-        self.count, self.said, self.failed = count, {}, []
-        self.changed = threading.Condition()
-
-
-class OneThread:
-    """One of several threads that stand for processes."""
-
-    stopping = False
-
-    def __init__(self, board, index):
-        self.board, self.index, self.count, self.left = board, index, board.count, 0
-
-    def check(self):
-        if self.board.failed:
-            raise RunError(self.board.failed[0])
-
-    def meet(self, name, value=None):
-        with self.board.changed:
-            there = self.board.said.setdefault(name, {})
-            assert self.index not in there, f"met for {name} twice"
-            there[self.index] = json.dumps(value)
-            self.board.changed.notify_all()
-            while len(there) < self.count:
-                self.check()
-                assert self.board.changed.wait(timeout=60)
-            return [json.loads(there[i]) for i in range(self.count)]
-
-    def stop(self):
-        raise AssertionError("nobody was interrupted")
-
-    def fail(self, reason):
-        with self.board.changed:
-            self.board.failed.append(reason)
-            self.board.changed.notify_all()
-
-    def leave(self):
-        self.left += 1
-
-
-def together(count, act):
-    """What each of so many threads gave or raised."""
-    board = Board(count)
-    ours = [OneThread(board, i) for i in range(count)]
-    ends = [None] * count
-
-    def run(i):
-        try:
-            ends[i] = act(ours[i])
-        except Exception as error:
-            ends[i] = error
-
-    threads = [threading.Thread(target=run, args=(i,)) for i in range(count)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(timeout=120)
-    return ends, ours
 
 
 @pytest.fixture

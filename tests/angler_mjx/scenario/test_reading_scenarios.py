@@ -37,6 +37,20 @@ def write(tmp_path):
     return writing
 
 
+def test_what_an_override_brings_is_said_of_it_alone():
+    """Of a check of several tables: by the keys, without what the table is called inside."""
+    with pytest.raises(ConfigError) as caught:
+        load_scenario("reef_survey", task={"altitude_m": 100.0})
+    said = str(caught.value)
+    assert said.startswith("task.altitude_m (given with the scenario) = 100: higher than")
+    with pytest.raises(ConfigError) as caught:
+        load_scenario("reef_fleet", controller={"name": "los"}, planner={"replan_hz": 1.0})
+    assert "(whole file)" not in str(caught.value)
+    tide = {"type": "tide", "constituents": []}
+    with pytest.raises(ConfigError, match=r"constituents = .*: has 0 entries; give at least 1"):
+        load_scenario("reef_fleet", world={"currents": [tide]})
+
+
 def refused(path, **overrides):
     with pytest.raises(ConfigError) as caught:
         load_scenario(path, **overrides)

@@ -10,8 +10,8 @@ from angler_mjx.studies.measures import COSTS
 from angler_mjx.studies.paired import pair, sign_test
 
 
-def episodes(arrived, values, first_world=0):
-    """Rows of [w, r] robots."""
+def episodes(arrived, values, first_world=0, completed_s=None):
+    """Rows of [w, r] robots; with a task where the times of worlds are given, None: not done."""
     worlds, robots = arrived.shape
     flat = arrived.reshape(-1)
     costs = {
@@ -26,6 +26,12 @@ def episodes(arrived, values, first_world=0):
             "world": np.repeat(np.arange(first_world, first_world + worlds), robots),
             "outcome": ["reached" if one else "timeout" for one in flat],
             **costs,
+            "task_progress": pa.array(
+                [None if completed_s is None else 0.5] * flat.size, pa.float32()
+            ),
+            "task_completed_s": pa.array(
+                np.repeat(np.array(completed_s or [None] * worlds, object), robots), pa.float32()
+            ),
         }
     )
 
@@ -108,6 +114,32 @@ def test_costs_are_of_robots_that_arrived_both_times_and_clearance_of_all():
     assert time.difference == pytest.approx(3.0)
     assert clearance.pairs == 6
     assert clearance.difference == pytest.approx((1 + 77 + 2 + 88 + 3 + 6) / 6)
+
+
+def test_tasks_are_paired_by_world_whoever_arrived():
+    """Robots of a survey can all have done their part without its being completed."""
+    both = np.ones((5, 3), bool)
+    first, second = [10.0, 20.0, None, None, 50.0], [13.0, 21.0, 30.0, None, None]
+    a, b = (episodes(both, both * 1.0, completed_s=times) for times in (first, second))
+    found = pair(a, b)
+    assert (found.teams.both, found.teams.only_first) == (5, 0)
+    tasks = found.tasks
+    assert (tasks.both, tasks.only_first, tasks.only_second, tasks.neither) == (2, 1, 1, 1)
+    assert tasks.p == stats.binomtest(1, 2).pvalue
+    assert (found.task_s.pairs, found.task_s.difference) == (2, pytest.approx(2.0))
+    low, high = stats.t.interval(0.95, 1, loc=2.0, scale=stats.sem([3.0, 1.0]))
+    assert (found.task_s.low, found.task_s.high) == pytest.approx((low, high), rel=2e-3)
+    for one, other in ((a, episodes(both, both * 1.0)), (episodes(both, both * 1.0), a)):
+        assert (pair(one, other).tasks, pair(one, other).task_s) == (None, None)
+
+
+def test_the_change_of_a_share_is_a_change_of_a_share():
+    """Student's interval of 4 worlds of which 3 changed by all would end beyond 1."""
+    first = np.zeros((4, 1), bool)
+    second = np.array([[True], [True], [True], [False]])
+    found = pair(episodes(first, first * 1.0), episodes(second, first * 1.0))
+    assert found.share.high == 1.0
+    assert found.share.low == pytest.approx(stats.t.interval(0.95, 3, 0.75, 0.25)[0], abs=2e-3)
 
 
 def test_the_order_of_the_runs_is_a_sign(random):

@@ -10,11 +10,11 @@ from scipy import stats
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs import rollout
+from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import Silent
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.storage.folder import Run
-from angler_mjx.studies import compare, sweep, told
+from angler_mjx.studies import chart, compare, sweep, tables, told
 from angler_mjx.studies.settings import axes
 
 SCENARIO = """
@@ -115,6 +115,13 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
     assert "max_speed_mps = -1" in capsys.readouterr().err
 
 
+def test_a_sweep_of_other_settings_is_not_gone_on_with(file, asked, tmp_path):
+    several.begin(tmp_path / "out", "sweep", asked.resolved()).release()
+    other = sweep.ask(load_scenario(file), axes([f"{KEY}=1.5,0.4"]), "short")
+    with pytest.raises(ConfigError, match=rf"begun with another set\.{KEY} \(see .*making\.json"):
+        sweep.make(other, tmp_path / "out", told=Broken(None), resume=True)
+
+
 def test_an_interruption_before_anything_was_finished_is_one(file, asked):
     with pytest.raises(KeyboardInterrupt):
         sweep.make(asked, file.parent / "nothing", told=Broken(0))
@@ -175,6 +182,41 @@ def test_page_and_figure_are_there(made):
     assert f"| {KEY} | robots | planned, % | arrived, % |" in page
     assert f"| {KEY} \\* | 1.5 | 0.5 | - |" in page
     assert (made / sweep.FIGURE).stat().st_size > 10_000
+
+
+def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
+    """Numbers of two cells, one of which is without; rows say which."""
+    found = sweep.read(made)
+    task = {
+        "completed": {"count": 3, "rate": 0.5, "low": 0.2, "high": 0.8},
+        "completed_s": {"count": 3, "mean": 7.0, "low": None, "high": None},
+    }
+    first, second = found["cells"]
+    mixed = {**found, "cells": [{**first, "task": task}, second]}
+    head, rows = tables.cells_table(mixed)
+    at = head.index("tasks completed, %")
+    assert [row[at : at + 2] for row in rows] == [["50.0 (20.0 to 80.0)", "7"], ["-", "-"]]
+    written = tables.table(mixed).to_pylist()
+    assert [row["task_completed_rate"] for row in written] == [0.5, None]
+    assert "tasks completed" not in "".join(tables.cells_table(found)[0])
+    both = {**found, "cells": [{**cell, "task": task} for cell in found["cells"]]}
+    titles = [axes.get_title("left") for axes in chart.draw(both).axes]
+    assert titles[0] == "worlds that completed their task, %"
+    assert chart.draw(mixed).axes[0].get_title("left") == "robots that arrived, %"
+
+
+@pytest.mark.parametrize("width", [20, 60, 80, 120])
+def test_a_table_too_wide_for_the_terminal_lies_on_its_side(width):
+    head = ["fleet.0.count", "arrived, %", "time, s"]
+    rows = [[str(n), f"{n}0.0 (10.0 to 99.9)", f"{n}.1"] for n in range(8)]
+    parts = tables.to_fit((head, rows), width)
+    if width >= 52:
+        assert parts == [(head, rows)]
+        return
+    lines = [[top, *rest] for top, rest in parts]
+    assert all([line[0] for line in part] == head for part in lines)
+    assert [[line[k] for line in part] for part in lines for k in range(1, len(part[0]))] == rows
+    assert all(len(part[0]) == 2 for part in lines)
 
 
 def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):

@@ -1,7 +1,9 @@
 import pytest
 
+from angler_mjx.cli import main as cli
 from angler_mjx.errors import ConfigError
-from angler_mjx.studies.fleet_size import asking
+from angler_mjx.scenario.editing import first_difference
+from angler_mjx.studies.fleet_size import asking, running
 
 FILE = """
 name = "crossing"
@@ -44,6 +46,38 @@ def test_a_span_begins_with_powers_of_two(tmp_path):
     study = read(tmp_path, sizes="{ from = 3, to = 20 }")
     assert study.sizes == tuple(range(3, 21))
     assert study.config.first_sizes() == (3, 4, 8, 16, 20)
+
+
+def test_a_smoke_run_is_of_four_worlds_and_two_sizes(tmp_path):
+    study = read(tmp_path, sizes="{ from = 3, to = 20 }", smoke=True)
+    assert study.sizes == (3, 4)
+    assert (study.config.budget.batch, study.config.budget.most_worlds) == (4, 4)
+    with pytest.raises(ConfigError, match=r"--smoke: .*leave out --batch, --most-worlds"):
+        read(tmp_path, smoke=True, batch=8, most_worlds=16, most_minutes=None)
+
+
+def test_the_command_asks_what_it_was_told(tmp_path, monkeypatch):
+    """Each flag of the command reaches the study; a smoke run has a folder of its own."""
+    asked = []
+
+    def run(study, source, out, **how):
+        asked.append((study, out, how))
+        raise ConfigError("far enough")
+
+    monkeypatch.setattr(running, "run", run)
+    read(tmp_path, more="condition = [{ name = 'a' }, { name = 'b' }]")
+    line = ["study", "fleet_size", str(tmp_path / "study.toml")]
+    for more in (["--smoke"], ["--batch", "8", "--only", "b", "--devices", "1", "--resume"]):
+        with pytest.raises(SystemExit):
+            cli.main([*line, *more])
+    (smoke, its_place, _), (plain, place, how) = asked
+    assert (smoke.sizes, smoke.config.budget.batch) == ((1, 2), 4)
+    assert plain.sizes == (1, 2, 4)
+    assert plain.config.budget.batch == 8
+    assert [one.name for one in plain.conditions] == ["b"]
+    assert (how["devices"], how["resume"]) == (1, True)
+    assert str(place) == "runs/crossing"
+    assert its_place != place
 
 
 def test_only_some_conditions(tmp_path):
@@ -92,8 +126,8 @@ def test_a_task_is_done_or_not(tmp_path):
 
 def test_the_same_study_is_known_again(tmp_path):
     one = read(tmp_path).resolved()
-    assert asking.same(one, read(tmp_path, most_minutes=3.0).resolved()) is None
-    assert asking.same(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
-    assert asking.same(read(tmp_path, batch=8).resolved(), one) == "study.budget"
+    assert first_difference(one, read(tmp_path, most_minutes=3.0).resolved()) is None
+    assert first_difference(read(tmp_path, sizes="[1, 2]").resolved(), one) == "study.sizes"
+    assert first_difference(read(tmp_path, batch=8).resolved(), one) == "study.budget.batch"
     other = read(tmp_path, more="axis.a.b.world.density = 0.1")
-    assert asking.same(other.resolved(), one) == "study.axis"
+    assert first_difference(other.resolved(), one) == "study.axis.a"

@@ -2,7 +2,11 @@
 
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -12,10 +16,12 @@ import pytest
 from angler_mjx.cli import main as cli
 from angler_mjx.cli.studies import fleet_size as command
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.fleet_size import asking, folder, report, running
+from angler_mjx.studies.fleet_size import asking, flying, folder, report, running
 from angler_mjx.studies.fleet_size.flying import arrival
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch, Store
+
+from ...threads import together
 
 PLANNER = '''
 import jax.numpy as jnp
@@ -44,6 +50,7 @@ seed = 3
 
 [set]
 engine = "fused"
+tile = 2
 kernels = "xla"
 planner = { name = "FOLDER/straight.py:Straight", points = 2 }
 time = { horizon_s = 24.0 }
@@ -79,6 +86,9 @@ class Told:
     def __init__(self, batches=None):
         self.left, self.said = batches, []
 
+    def tell(self, text):
+        self.said.append(text)
+
     def begin(self, condition, size):
         pass
 
@@ -105,7 +115,7 @@ def study(source):
 
 @pytest.fixture(scope="module")
 def simulators(study):
-    made = Simulators(study, tile=4, devices=1)
+    made = Simulators(study, tile=2, devices=1)
     yield made
     made.close()
 
@@ -180,6 +190,85 @@ def test_an_interrupted_study_goes_on_to_the_same_bytes(whole, study, source, si
     assert {key: found[key] for key in same} == {key: whole[1][key] for key in same}
     with pytest.raises(ConfigError, match="is complete"):
         running.run(study, source, out, told=Told(), resume=True, simulators=simulators)
+
+
+@pytest.fixture
+def flights(monkeypatch):
+    """What each process flew: its index, and how many tiles; at ``stop`` the second is
+    interrupted."""
+    found, fly = SimpleNamespace(flown=[], stop=math.inf), flying.fly
+
+    def watched(*args, share):
+        if len(found.flown) >= found.stop and share[0] == 1:
+            raise KeyboardInterrupt
+        part = fly(*args, share=share)
+        found.flown.append((share[0], len(part["first"])))
+        return part
+
+    monkeypatch.setattr(flying, "fly", watched)
+    return found
+
+
+def test_processes_that_share_batches_come_to_the_same_bytes(
+    whole, study, source, simulators, flights, tmp_path
+):
+    """Also where one is interrupted: all stop after the same batch, and go on together."""
+    out = tmp_path / "shared"
+
+    def run(one, resume=False):
+        return running.run(
+            study, source, out, told=Told(), simulators=simulators, processes=one, resume=resume
+        )
+
+    flights.stop = 6
+    ends, ours = together(3, run)
+    assert [end["ended"] for end in ends] == ["interrupted"] * 3
+    assert [one.stops for one in ours] == [0, 1, 0]
+    held = Store(out / "batches.jsonl", writes=False).batches
+    assert 0 < len(held) < len(Store(whole[0] / "batches.jsonl", writes=False).batches)
+    flights.stop = math.inf
+    ends, ours = together(3, lambda one: run(one, resume=True))
+    assert [one.left for one in ours] == [0, 0, 0]  # who leaves first ends the wait of others
+    for name in ("batches.jsonl", folder.RESULTS):
+        assert (out / name).read_bytes() == (whole[0] / name).read_bytes()
+    assert [end["worlds"] for end in ends] == [whole[1]["worlds"]] * 3
+    # Two tiles a batch: the third process has none, and is there all the same.
+    assert {i: {n for j, n in flights.flown if j == i} for i in range(3)} == {
+        0: {1},
+        1: {1},
+        2: {0},
+    }
+
+
+def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
+    """By the command: the first batch of one size and condition."""
+    file, out = tmp_path / "one.toml", tmp_path / "one"
+    file.write_text(source.read_text().replace("sizes = [1, 2]", "sizes = [1]"))
+    line = ["study", "fleet_size", str(file), "--only", "moving", "--most-worlds", "4", "--json"]
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
+    ended = subprocess.run(
+        [sys.executable, "-m", "angler_mjx.cli.main", *line, "--devices", "2", "--out", str(out)],
+        capture_output=True,
+        text=True,
+        timeout=500,
+        env=os.environ | {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags},
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["worlds"] == 4
+    lines = (whole[0] / "batches.jsonl").read_text().splitlines()
+    first = [one for one in lines if '"moving","size":1,"first":0,' in one]
+    assert len(first) == 1
+    assert (out / "batches.jsonl").read_text().splitlines() == first
+
+
+def test_a_batch_of_fewer_tiles_than_devices_is_told_of(study, source, simulators, tmp_path):
+    told = Told(1)
+    running.run(study, source, tmp_path / "a", told=told, simulators=simulators, devices=1)
+    assert not [text for text in map(str, told.said) if "devices have work" in text]
+    told = Told(1)
+    running.run(study, source, tmp_path / "b", told=told, simulators=simulators, devices=3)
+    assert "2 of 3 devices have work" in told.said[0]
+    assert "tile = 1" in told.said[0]
 
 
 def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
