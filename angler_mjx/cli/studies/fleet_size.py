@@ -41,7 +41,8 @@ def fleet_size(
         batch: Worlds of one size and condition at a time; the file's if left out.
         most_worlds: Of one size and condition; the file's if left out.
         most_minutes: No batch begins later than this; the file's if left out.
-        smoke: Fly four worlds of the first two sizes in each condition, to see that it runs.
+        smoke: Fly four worlds of two sizes in each condition, to see that it runs: of the smallest
+            and of the one in the middle of those that are flown first.
         resume: Go on with an interrupted study in the same folder; nothing is flown twice.
         device: Where to compute; JAX's choice if left out.
         devices: Number of devices to spread the worlds over; all there are if left out. Changes no

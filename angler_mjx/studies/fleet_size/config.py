@@ -184,9 +184,14 @@ class FleetSizeConfig(FileModel):
         return max(1, math.ceil(self.share * robots - 1e-9))
 
     def smoke(self) -> "FleetSizeConfig":
-        """The same with two sizes and a few worlds, to see that it runs."""
+        """The same with two sizes and a few worlds, to see that it runs.
+
+        The smallest size, which is likely to be too few, and the one in the middle of
+        `first_sizes`, which may be enough.
+        """
+        first = self.first_sizes()
+        sizes = tuple(sorted({first[0], first[len(first) // 2]}))
         budget = BudgetConfig(batch=4, most_worlds=4)
-        sizes = self.first_sizes()[:2]
         return self.model_copy(update={"sizes": sizes, "budget": budget})
 
     def first_sizes(self) -> tuple[int, ...]:

@@ -36,4 +36,4 @@ def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
         assert made["acoustic"].acoustics.model == "budget"
         assert study.sizes == tuple(range(1, 65))
         smoke = asking.read(Path(study.source), smoke=True)
-        assert (smoke.sizes, smoke.config.budget.most_worlds) == ((1, 2), 4)
+        assert (smoke.sizes, smoke.config.budget.most_worlds) == ((1, 8), 4)
