@@ -36,7 +36,7 @@ test mutants fuzz-sim: export XLA_FLAGS ?= --xla_backend_extra_options=xla_cpu_d
 	--xla_backend_optimization_level=1
 test: $(STAMP)  ## run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
-	  --deviations .cache/deviations.json $(PYTEST_ARGS)
+	  --deviations=.cache/deviations.json $(PYTEST_ARGS)
 
 fuzz: COUNT ?= 100000
 fuzz: SEED ?= 0
