@@ -1,6 +1,7 @@
 """A task of the worlds, on lanes and in kernels: the same looks, records and ends."""
 
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +21,18 @@ ENGINES = {
     "lanes": by_name("fused", "xla"),
     "kernels": TritonEngine(lanes=2, interpret=True),
 }
+KERNELS = pytest.param(
+    "kernels",
+    marks=pytest.mark.nightly(
+        by="lanes, whose looks are the same code; engines/test_in_flight.py: a control step of the "
+        "kernels; engines/test_hearing.py: their segment"
+    ),
+)
 
 
 @pytest.fixture(scope="module")
 def flown(scenes):
-    """States at the end and samples, by the engines' names.
+    """A function name of an engine -> state at the end and samples.
 
     Two worlds of two robots that hold their starts. In the first the places are the starts; in the
     second one of them is far from everybody.
@@ -43,21 +51,24 @@ def flown(scenes):
     )
     spec = TaskSpec(kind="tour", jobs=2, robots=2, tolerance_m=0.2, period=PERIOD)
     worlds, spec = replace(built.worlds, task=task), replace(built.spec, task=spec)
-    found = {}
-    for name, engine in ENGINES.items():
-        state = quickly(lambda w, e=engine: e.reset(spec, built.fleet, w))(worlds)
+
+    @cache
+    def of(name):
+        engine = ENGINES[name]
+        state = quickly(lambda w: engine.reset(spec, built.fleet, w))(worlds)
         fly = quickly(
-            lambda w, s, e=engine: e.segment(
+            lambda w, s: engine.segment(
                 spec, built.fleet, w, s, n_sample=STEPS // EVERY, steps_per_sample=EVERY
             )
         )
-        found[name] = jax.tree.map(np.asarray, fly(worlds, state))
-    return found
+        return jax.tree.map(np.asarray, fly(worlds, state))
+
+    return of
 
 
-@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("name", ["lanes", KERNELS])
 def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, name):
-    state, samples = flown[name]
+    state, samples = flown(name)
     assert state.task.done.tolist() == [[True, True], [True, False]]
     assert state.task.complete.tolist() == [True, False]
     assert state.task.completed_s[0] == 0.0
@@ -72,9 +83,10 @@ def test_a_world_that_is_done_at_the_first_look_ends_and_another_waits(flown, na
     assert samples.task.done[0, -1].tolist() == [1, 1]
 
 
-def test_kernels_and_lanes_agree_on_the_task(flown):
-    ours, seen = flown["lanes"]
-    state, samples = flown["kernels"]
+@pytest.mark.parametrize("name", [KERNELS])
+def test_engines_agree_on_the_task(flown, name):
+    ours, seen = flown("lanes")
+    state, samples = flown(name)
     for field in ("done", "by", "knows", "target", "finished", "did"):
         assert np.array_equal(getattr(state.task, field), getattr(ours.task, field)), field
     assert np.allclose(state.task.goal_m, ours.task.goal_m)
