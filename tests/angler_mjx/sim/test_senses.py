@@ -188,6 +188,10 @@ def in_single(exact):
     return fly(FusedEngine(), exact, begin(exact))[1]
 
 
+@pytest.mark.nightly(
+    by="control/test_navigation.py::test_without_noise_the_filter_stays_on_the_truth, the filter; "
+    "test_each_robot_is_told_what_it_is_to_be_told, what controllers get"
+)
 def test_without_noise_the_filter_is_near_the_truth(in_single):
     p, believed = in_single.p, in_single.belief.p
     assert p.dtype == np.float32
