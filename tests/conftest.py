@@ -17,7 +17,8 @@ LONG = (
     "storage/",
     "speed/",
     "benchmark/test_results.py",
-    "datasets/test_exports.py",
+    "datasets/",
+    "experiments/studies/test_smoke.py",
     "tests/test_readme.py",
 )
 """Files that take long come first, so that no worker is left alone with one at the end.
@@ -25,11 +26,28 @@ LONG = (
 So does the one that makes what a file beside it asks for too, lest a worker wait for the other.
 """
 
+TOGETHER = ("angler_mjx/datasets/", "experiments/learned_planner/")
+"""Folders whose files share what is made or compiled once in a process: one worker takes them."""
+
 deviation = deviations.deviation
 pytest_addoption = deviations.pytest_addoption
 pytest_configure = deviations.pytest_configure
 pytest_testnodedown = deviations.pytest_testnodedown
 pytest_sessionfinish = deviations.pytest_sessionfinish
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """File by file, as ``--dist loadfile``, but for the folders that stay together."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByWhatIsShared(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return next((one for one in TOGETHER if one in nodeid), super()._split_scope(nodeid))
+
+    return ByWhatIsShared(config, log)
 
 
 def pytest_collection_modifyitems(config, items):
