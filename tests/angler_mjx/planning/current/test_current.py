@@ -130,7 +130,9 @@ def through(water, start, goal):
     return np.sum(length / (along + np.sqrt(CRUISE**2 - (np.sum(c * c, axis=1) - along**2))))
 
 
-@pytest.mark.parametrize("name", WATERS)
+@pytest.mark.parametrize(
+    "name", ["vortex", pytest.param("gyres", marks=pytest.mark.nightly(by="vortex"))]
+)
 def test_a_robot_bends_its_way_to_the_least_time(planned, name):
     """Both ways across; straight lines take longer by more than the way may miss the least."""
     water, strengths = WATERS[name]
