@@ -50,7 +50,7 @@ def test_a_span_begins_with_powers_of_two(tmp_path):
 
 def test_a_smoke_run_is_of_four_worlds_and_two_sizes(tmp_path):
     study = read(tmp_path, sizes="{ from = 3, to = 20 }", smoke=True)
-    assert study.sizes == (3, 4)
+    assert study.sizes == (3, 8)
     assert (study.config.budget.batch, study.config.budget.most_worlds) == (4, 4)
     with pytest.raises(ConfigError, match=r"--smoke: .*leave out --batch, --most-worlds"):
         read(tmp_path, smoke=True, batch=8, most_worlds=16, most_minutes=None)

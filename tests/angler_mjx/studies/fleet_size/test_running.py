@@ -243,7 +243,7 @@ def test_processes_that_share_batches_come_to_the_same_bytes(
 def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
     """By the command: the first batch of one size and condition."""
     file, out = tmp_path / "one.toml", tmp_path / "one"
-    file.write_text(source.read_text().replace("sizes = [1, 2]", "sizes = [1]"))
+    file.write_text(source.read_text())
     line = ["study", "fleet_size", str(file), "--only", "moving", "--most-worlds", "4", "--json"]
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
     ended = subprocess.run(
@@ -256,7 +256,7 @@ def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["worlds"] == 4
     lines = (whole[0] / "batches.jsonl").read_text().splitlines()
-    first = [one for one in lines if '"moving","size":1,"first":0,' in one]
+    first = [one for one in lines if '"moving","size":2,"first":0,' in one]
     assert len(first) == 1
     assert (out / "batches.jsonl").read_text().splitlines() == first
 
