@@ -105,16 +105,19 @@ def together(
     Returns:
         Packed grid uint32 [nx, ny, w].
     """
-    # Each column of the grid reads what is its own: writing from each window would be slower.
+    # Each column of the grid takes what is its own, along x and then along y: to write from each
+    # window, or to look up where in it a column is, costs several times as much.
     wide, (nx, ny, _) = spec.footprint.wide, shape
-    side = 2 * wide + 1
-    x = jnp.arange(nx)[:, None] - cell[:, 0, None, None] + wide
-    y = jnp.arange(ny) - cell[:, 1, None, None] + wide
-    within = (x >= 0) & (x < side) & (y >= 0) & (y < side)
-    column = jnp.where(within, x * side + y, 0)
-    read = jax.vmap(lambda words, column: words[column])(words, column)
-    read = jnp.where(within[..., None], read, jnp.uint32(0))
-    found: jax.Array = jax.lax.reduce(read, jnp.uint32(0), jax.lax.bitwise_or, (0,))
+    k, side, step = cell.shape[0], 2 * wide + 1, jnp.arange(-wide, wide + 1)
+    words = words.reshape(k, side, side, 1, -1)
+    at = jnp.arange(nx) == (cell[:, 0, None] + step)[..., None]  # [k, side, nx]
+    rows = _union(jnp.where(at[:, :, None, :, None], words, jnp.uint32(0)), (1,))
+    at = jnp.arange(ny) == (cell[:, 1, None] + step)[..., None]
+    return _union(jnp.where(at[:, :, None, :, None], rows[..., None, :], jnp.uint32(0)), (0, 1))
+
+
+def _union(words: jax.Array, axes: tuple[int, ...]) -> jax.Array:
+    found: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, axes)
     return found
 
 

@@ -25,28 +25,28 @@ def matched(way: jax.Array) -> jax.Array:
     kernel = _Kernel.of(way.shape)
     if on_gpu() and kernel.program.lanes <= _MOST_LANES:
         return kernel.run(way)
-    return _in_rounds(way)
+    return _one_by_one(way)
 
 
-def _in_rounds(way: jax.Array) -> jax.Array:
-    """As `matched`: who are each other's shortest are taken out together, which is the same."""
+def _one_by_one(way: jax.Array) -> jax.Array:
+    """As `matched`."""
     rows, columns = way.shape
-    row = jnp.arange(rows)
+    row, column = jnp.arange(rows), jnp.arange(columns, dtype=jnp.int32)
 
-    def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
-        return jnp.any(jnp.isfinite(state[1]))
+    def going(state: tuple[jax.Array, ...]) -> jax.Array:
+        return jnp.any(state[1] < jnp.inf)
 
-    def go_on(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        taken, way = state
-        best = jnp.argmin(way, axis=1).astype(jnp.int32)
-        back = jnp.argmin(way, axis=0)
-        pair = (back[best] == row) & jnp.isfinite(jnp.min(way, axis=1))
-        gone = jnp.zeros(columns, bool).at[best].max(pair)
-        way = jnp.where(pair[:, None] | gone, jnp.inf, way)
-        return jnp.where(pair, best, taken), way
+    def take(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+        taken, least, way = state
+        first = jnp.argmin(least)
+        # By the least number of a column: the place of a minimum is dearer than the minimum.
+        mine = jnp.min(jnp.where(way[first] == least[first], column, columns))
+        found = (row == first) & (least[first] < jnp.inf)
+        way = jnp.where(found[:, None] | (column == mine), jnp.inf, way)
+        return jnp.where(found, mine, taken), jnp.min(way, axis=1), way
 
-    none = jnp.full(rows, -1, jnp.int32)
-    return jax.lax.while_loop(going, go_on, (none, way))[0]
+    begin = jnp.full(rows, -1, jnp.int32), jnp.min(way, axis=1), way
+    return jax.lax.while_loop(going, take, begin)[0]
 
 
 @dataclass(frozen=True)

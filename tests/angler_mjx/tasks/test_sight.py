@@ -111,3 +111,19 @@ def test_what_is_seen_with_something_to_spare_is_seen_from_beside_too(half_deg: 
         beside *= 0.699 / np.linalg.norm(beside)
         there = np.asarray(from_there(jnp.array(beside)))
         assert there[sure].all()
+
+
+def test_what_lies_in_several_windows_is_put_together() -> None:
+    spec, random = spec_of(60.0, 4.0), np.random.default_rng(9)
+    shape, wide = (6, 8, 40), spec.footprint.wide
+    side, robots = 2 * wide + 1, 3
+    cell = random.integers(0, shape, (robots, 3))
+    cell[0] = (0, 7, 3)  # its window reaches out of the grid
+    words = random.integers(0, 2**32, (robots, side * side, 2), dtype=np.uint64).astype(np.uint32)
+    found = sight.together(spec, shape, jnp.array(cell), jnp.array(words))
+    expected = np.zeros((*shape[:2], 2), np.uint32)
+    for robot, i, j in np.ndindex(robots, side, side):
+        x, y = cell[robot, :2] + (i - wide, j - wide)
+        if 0 <= x < shape[0] and 0 <= y < shape[1]:
+            expected[x, y] |= words[robot, i * side + j]
+    np.testing.assert_array_equal(found, expected)
