@@ -33,10 +33,12 @@ def _one_by_one(way: jax.Array) -> jax.Array:
     rows, columns = way.shape
     row, column = jnp.arange(rows), jnp.arange(columns, dtype=jnp.int32)
 
-    def going(state: tuple[jax.Array, ...]) -> jax.Array:
+    def going(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
         return jnp.any(state[1] < jnp.inf)
 
-    def take(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+    def take(
+        state: tuple[jax.Array, jax.Array, jax.Array],
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         taken, least, way = state
         first = jnp.argmin(least)
         # By the least number of a column: the place of a minimum is dearer than the minimum.
