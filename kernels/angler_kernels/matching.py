@@ -16,10 +16,10 @@ def matched(way: jax.Array) -> jax.Array:
     """Pairs of rows and columns, each in one at most: the shortest of all, then of those left.
 
     Args:
-        way: [R, M] lengths; inf for what is no pair.
+        way: [r, m] lengths; inf for what is no pair.
 
     Returns:
-        The column of each row, int32 [R]; -1 for none. Of equally long pairs that of the lower row
+        The column of each row, int32 [r]; -1 for none. Of equally long pairs that of the lower row
         comes first, then that of the lower column.
     """
     kernel = _Kernel.of(way.shape)

@@ -7,7 +7,7 @@ import pytest
 
 from angler_kernels import clearance
 
-from ...angler_mjx.compiling import quickly
+from ..angler_mjx.compiling import quickly
 
 SHAPE, CELL, ORIGIN = (9, 8, 7), 1.5, np.array([-3.0, 1.0, -12.0])
 N = 2000

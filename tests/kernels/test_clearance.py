@@ -8,7 +8,7 @@ import pytest
 
 from angler_kernels import clearance
 
-from ...angler_mjx.compiling import quickly
+from ..angler_mjx.compiling import quickly
 
 N = 2500
 

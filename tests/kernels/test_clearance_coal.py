@@ -8,7 +8,7 @@ import pytest
 
 from angler_kernels import clearance
 
-from ...angler_mjx.compiling import quickly
+from ..angler_mjx.compiling import quickly
 
 # coal stops GJK at the tolerance it is given (1e-10 of squared length, so 1e-5 of length).
 DOUBLE = 1e-5
