@@ -43,7 +43,7 @@ class Aloha:
 
     @property
     def period(self) -> int:
-        """As in `Tdma`."""
+        """As in `Tdma`: a chance is a whole number of looks."""
         return self.look
 
 

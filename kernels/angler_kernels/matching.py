@@ -8,7 +8,9 @@ import jax.numpy as jnp
 
 from angler_kernels.programs import Program, on_gpu
 
-_MOST_LANES = 2**14
+_LANES_A_WARP = 1024
+"""32 for each thread: nothing is read in the loop, so that registers are all that counts."""
+_MOST_LANES = 16 * _LANES_A_WARP
 """Of a program: one for each pair."""
 
 
@@ -65,7 +67,7 @@ class _Kernel:
     def of(cls, shape: tuple[int, ...], *, interpret: bool = False) -> "_Kernel":
         rows, columns = shape
         wide = 1 << (columns - 1).bit_length()
-        program = Program.of(rows * wide, lanes_a_warp=1024, interpret=interpret)
+        program = Program.of(rows * wide, lanes_a_warp=_LANES_A_WARP, interpret=interpret)
         return cls(rows, columns, wide, program)
 
     def run(self, way: jax.Array) -> jax.Array:

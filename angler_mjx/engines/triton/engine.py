@@ -167,8 +167,8 @@ class TritonEngine:
             """With phases of worlds that act once a period, where the segment begins with one."""
             part, launches = how
             if told is None:
-                fly = _fly_looped if self._program.interpret else _fly
-                return part.result(fly(launches, part))
+                alone = _fly_looped if self._program.interpret else _fly
+                return part.result(alone(launches, part))
             asked = partial(tell, every=period)
             told_now = partial(_tell, asked, part, watched, spec.by_task, hold=period)
             if period == 1:

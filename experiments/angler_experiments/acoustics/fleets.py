@@ -17,7 +17,7 @@ from angler_mjx.viewing import style
 MEASURES = (
     ("rate", "met the deadline, %", 100.0),
     ("median_s", "median time until it is done, s", 1.0),
-    ("lost_per_robot", "robots that touched something, %", 100.0),
+    ("lost_per_robot", "robots lost, %", 100.0),
 )
 """Key of a size in a study's file, what stands at its axis, and the factor between the two."""
 
