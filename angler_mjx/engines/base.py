@@ -83,10 +83,12 @@ class Engine(Protocol):
         steps_per_sample: int,
         command: Command | None = None,
         policy: Policy | None = None,
+        begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """``n_sample * steps_per_sample`` control steps, all with one command, or with a policy's.
 
-        Samples are [tile, n_sample, ...].
+        Samples are [tile, n_sample, ...]. The number of the first step is a multiple of ``begins``:
+        an engine may leave out of its program what other steps would need.
         """
         ...
 

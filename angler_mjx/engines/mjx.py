@@ -303,8 +303,10 @@ class MjxEngine:
         steps_per_sample: int,
         command: Command | None = None,
         policy: Policy | None = None,
+        begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
+        del begins
         count: dict[str, Any] = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
         told: dict[str, Any] = {"number": _number(spec, state, policy), "fleet": fleet}
         fly: Any = partial(segment, spec, policy=policy, **told, **count)

@@ -68,8 +68,9 @@ SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
 NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
-"""For drawing and planning: XLA's search for a faster form of one of its kernels takes minutes on a
-GPU (8 robots, 1,024 worlds on an H200: 291 s instead of 14 s), and what it finds is no faster."""
+"""For all programs: XLA's search for a faster form of its kernels takes a GPU long, and what it
+finds is no faster. Drawing and planning (8 robots, 1,024 worlds on an H200) took 291 s instead of
+14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
 
 type Segment = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and how many robots of each world still run."""
@@ -165,9 +166,7 @@ class Simulator:
         driver = (SAME,) * len(self._driver)
         self._memory: Memory | None = None
         self._compiled = False
-        self._prepare: Callable[..., World] = self._spread(
-            self._prepare_tile, SAME, SAME, EACH, compiler_options=NO_AUTOTUNING
-        )
+        self._prepare: Callable[..., World] = self._spread(self._prepare_tile, SAME, SAME, EACH)
         self._asking: dict[Knows, Callable[..., Problem]] = {}
         self._reset: Callable[..., WorldState] = self._spread(
             partial(self._engine.reset, self.spec), SAME, EACH, *driver
@@ -182,8 +181,14 @@ class Simulator:
             take=partial(take, self._fleet),
             pack=pack if scenario.engine == "fused" else None,
         )
-        self._segment: Callable[..., Segment] = self._spread(
-            self._run_segment, SAME, EACH, EACH, *driver, donate_argnums=2
+        # Of runs, whose segments begin where the one before ended; and of any.
+        self._segment, self._from_anywhere = (
+            self._spread(
+                partial(self._run_segment, begins),
+                *(SAME, EACH, EACH, *driver),
+                donate_argnums=2,
+            )
+            for begins in (self.segment_steps, 1)
         )
         self._commanded: Callable[..., Segment] = self._spread(
             self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2
@@ -226,6 +231,7 @@ class Simulator:
         return jax.jit(
             on_devices.on_each(self._mesh, function, *specs),
             out_shardings=NamedSharding(self._mesh, EACH),
+            compiler_options=NO_AUTOTUNING,
             **options,
         )
 
@@ -561,7 +567,7 @@ class Simulator:
 
         Args:
             worlds: from ``worlds``.
-            state: from ``reset`` or the segment before.
+            state: from ``reset``, or from the segment or step before.
             command: as for `step`; the same in all steps.
             policy: as for `step`.
 
@@ -572,7 +578,11 @@ class Simulator:
             ConfigError: as `step`.
         """
         if command is None:
-            after, sample, _ = self.advance(worlds, state, policy=policy)
+            if int(state.step[0]) % self.segment_steps == 0:
+                after, sample, _ = self.advance(worlds, state, policy=policy)
+                return after, sample
+            admitted, driver = self._gate.admit(worlds), self._driven(policy)
+            after, sample, _ = self._from_anywhere(self.fleet, admitted, state, *driver)
             return after, sample
         self._check(command, worlds, state)
         admitted = self._gate.admit(worlds)
@@ -582,6 +592,7 @@ class Simulator:
     def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
         """As `segment`, and int32 [world]: how many robots of each are still on their way.
 
+        The state is of `reset` or of the segment before: of whole segments.
         The count is an array of its own: it can be read after the state was used up.
         """
         return self._segment(self.fleet, self._gate.admit(worlds), state, *self._driven(policy))
@@ -661,6 +672,7 @@ class Simulator:
 
     def _run_segment(
         self,
+        begins: int,
         kinds: Fleet,
         worlds: World,
         state: WorldState,
@@ -676,6 +688,7 @@ class Simulator:
             steps_per_sample=self.steps_per_sample,
             command=command,
             policy=policy,
+            begins=begins,
         )
         running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
         return after, sample, running
@@ -683,7 +696,7 @@ class Simulator:
     def _run_commanded(
         self, kinds: Fleet, worlds: World, state: WorldState, command: Command
     ) -> Segment:
-        return self._run_segment(kinds, worlds, state, None, command)
+        return self._run_segment(1, kinds, worlds, state, None, command)
 
 
 def _divisor(total: int, most: int) -> int:

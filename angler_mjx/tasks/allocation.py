@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.matching import matched
 from angler_mjx.errors import ConfigError, shown
+from angler_mjx.tasks import pairs
+from angler_mjx.tasks.travel import Travel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +27,10 @@ class View:
     """bool [R] robots that can take one."""
     active: jax.Array
     """bool [R] robots that have not ended; those that carry something take no other job."""
-    reach_m: jax.Array
-    """[R, M] way of each robot to the beginning of each job."""
+    p: jax.Array
+    """[R, 3] where robots are, m in W."""
+    travel: Travel
+    """Ways; the first M places are where jobs begin."""
     length_m: jax.Array
     """[M] way from the beginning of each job to its end."""
     between_m: Callable[[jax.Array], jax.Array]
@@ -39,6 +42,11 @@ class View:
     exists: jax.Array
     """bool [M] jobs of this world, open or not."""
 
+    @property
+    def reach_m(self) -> jax.Array:
+        """[R, M] way of each robot to the beginning of each job."""
+        return self.travel.ways(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
+
 
 type Allocator = Callable[[View], jax.Array]
 """Next job of each robot, int32 [R]; -1 for none. No job is given to two."""
@@ -49,8 +57,7 @@ def nearest(view: View) -> jax.Array:
 
     The shortest way of all is taken, again and again.
     """
-    way = jnp.where(view.open & view.able[:, None], view.reach_m, jnp.inf)
-    return matched(way)
+    return pairs.shortest_first(view.travel, view.p, view.able, view.open)
 
 
 def auction(view: View) -> jax.Array:
@@ -89,7 +96,7 @@ def sweep(view: View) -> jax.Array:
     Each robot does its part in order. Parts of robots that are lost are cut again among those that
     have nothing left to do.
     """
-    robots = view.reach_m.shape[0]
+    robots = view.able.shape[0]
     count = jnp.sum(view.exists, dtype=jnp.int32)
     part = part_of(view.rank, count, robots)
     mine = view.open & view.exists & (part == view.share[:, None])

@@ -18,6 +18,9 @@ from angler_mjx.world.grid import Grid
 _PARALLEL = 1e-6
 """Cells along an axis that a line does not cross any plane of."""
 
+_UNROLLED = 8
+"""Windows that a GPU unites in one kernel."""
+
 
 def footprint(half_angle_rad: float, range_m: float, cell_m: float) -> Footprint:
     """A footprint, with the cells that it can reach from anywhere in a cell of ``cell_m``."""
@@ -105,20 +108,21 @@ def together(
     Returns:
         Packed grid uint32 [nx, ny, w].
     """
-    # Each column of the grid takes what is its own, along x and then along y: to write from each
-    # window, or to look up where in it a column is, costs several times as much.
     wide, (nx, ny, _) = spec.footprint.wide, shape
-    k, side, step = cell.shape[0], 2 * wide + 1, jnp.arange(-wide, wide + 1)
-    words = words.reshape(k, side, side, 1, -1)
-    at = jnp.arange(nx) == (cell[:, 0, None] + step)[..., None]  # [k, side, nx]
-    rows = _union(jnp.where(at[:, :, None, :, None], words, jnp.uint32(0)), (1,))
-    at = jnp.arange(ny) == (cell[:, 1, None] + step)[..., None]
-    return _union(jnp.where(at[:, :, None, :, None], rows[..., None, :], jnp.uint32(0)), (0, 1))
+    side = 2 * wide + 1
 
+    # Each column of the grid looks up what is its own, window after window: to write from each
+    # window, or to compare all its columns with those of the grid, costs several times as much.
+    def add(grid: jax.Array, window: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
+        middle, words = window
+        x = jnp.arange(nx)[:, None] - middle[0] + wide
+        y = jnp.arange(ny) - middle[1] + wide
+        inside = (x >= 0) & (x < side) & (y >= 0) & (y < side)
+        found = words[jnp.where(inside, x * side + y, 0)]
+        return grid | jnp.where(inside[..., None], found, jnp.uint32(0)), None
 
-def _union(words: jax.Array, axes: tuple[int, ...]) -> jax.Array:
-    found: jax.Array = jax.lax.reduce(words, jnp.uint32(0), jax.lax.bitwise_or, axes)
-    return found
+    nothing = jnp.zeros((nx, ny, words.shape[-1]), jnp.uint32)
+    return jax.lax.scan(add, nothing, (cell, words), unroll=min(_UNROLLED, len(cell)))[0]
 
 
 def window_size(spec: SurveySpec) -> int:

@@ -97,6 +97,8 @@ class SurveyWorld:
 
     cells: jax.Array
     """bool [nx, ny, nz] free cells next to a surface that can be seen from some viewpoint."""
+    words: jax.Array
+    """uint32 [nx, ny, w] the same, packed along z, as each look wants them."""
     ground: jax.Array
     """int32 [nx, ny] lowest free cell of each column; nz where there is none."""
     of_job: jax.Array

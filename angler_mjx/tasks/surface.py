@@ -137,8 +137,10 @@ def cover(
 
     left, (chosen, exists, mine) = jax.lax.scan(choose, wanted, length=jobs)
     fits = count - jnp.sum(left, dtype=jnp.int32) >= jnp.ceil(spec.coverage * count)
+    wanted = wanted.reshape(surface.shape)
     world = SurveyWorld(
-        cells=wanted.reshape(surface.shape),
+        cells=wanted,
+        words=bit_grid.pack(wanted),
         ground=ground,
         of_job=sight.packed(spec, nz, cells[chosen, :, 2], mine),
         count=count,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
 
-_UNLED = 4.0
+UNLED = 4.0
 """Times the straight way that is taken where no way is known: from where no robot should be."""
 
 
@@ -34,4 +34,4 @@ class Travel:
             return line
         of_place = jax.vmap(routes.distance, (None, 0, None))
         way = jax.vmap(of_place, (None, None, 0))(self.routes, place, p)
-        return jnp.where(jnp.isfinite(way), way, _UNLED * line)
+        return jnp.where(jnp.isfinite(way), way, UNLED * line)

@@ -67,7 +67,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
         complete=jnp.zeros((), bool),
         completed_s=jnp.full((), jnp.nan, kind),
         progress=jnp.zeros((), kind),
-        seen=None if task.survey is None else jnp.zeros_like(bit_grid.pack(task.survey.cells)),
+        seen=None if task.survey is None else jnp.zeros_like(task.survey.words),
         seen_at_s=jnp.full(task.survey.cells.shape, jnp.nan, kind)
         if task.survey is not None and spec.timed
         else None,
@@ -175,7 +175,7 @@ def _visited(
 
 def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
     """Cells that some robot has seen by now, uint32 [nx, ny, w]."""
-    shape, wanted = scene.grid.occupied.shape, bit_grid.pack(world.cells) & ~seen
+    shape, wanted = scene.grid.occupied.shape, world.words & ~seen
     down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
 
     def one(p: jax.Array, down: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -308,7 +308,8 @@ def _jobs(
             open=open_,
             able=able & active,
             active=active,
-            reach_m=travel.ways(p, jobs),
+            p=p,
+            travel=travel,
             length_m=length,
             between_m=between,
             rank=task.rank,

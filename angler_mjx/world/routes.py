@@ -6,6 +6,7 @@ steps. Both stand in one word of 16 bits. A field has no local minimum but its p
 goes down it arrives. `angler_mjx.planning.routes.fields` works fields out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -75,10 +76,15 @@ def _read(
     routes: Routes, place: jax.Array, cell: jax.Array
 ) -> tuple[tuple[jax.Array, ...], jax.Array]:
     """Step along each axis, -1, 0 or 1, and length, as `step_on` gives them."""
-    word = routes.words[cell[0], cell[1], cell[2], place].astype(jnp.int32)
+    return _told(routes.words[cell[0], cell[1], cell[2], place], routes.cell_m)
+
+
+def _told(word: jax.Array, cell_m: jax.Array) -> tuple[tuple[jax.Array, ...], jax.Array]:
+    """Step along each axis, -1, 0 or 1, and length that words [...] tell."""
+    word = word.astype(jnp.int32)
     move = word & (2**MOVE_BITS - 1)
     step = (move // 9 - 1, move // 3 % 3 - 1, move % 3 - 1)
-    length = (word >> MOVE_BITS) * (routes.cell_m / PARTS)
+    length = (word >> MOVE_BITS) * (cell_m / PARTS)
     return step, jnp.where(word == NO_WAY, jnp.inf, length)
 
 
@@ -91,15 +97,39 @@ def distance(routes: Routes, place: jax.Array, p: jax.Array) -> jax.Array:
     """
     # Worked out once for all places that a robot's ways are compared to.
     here = jax.lax.optimization_barrier(cell_of(routes, p))
-    step, length = _read(routes, place, here)
+    word = routes.words[here[0], here[1], here[2], place]
+    to, origin = (
+        tuple(x[axis] for axis in range(3)) for x in (routes.place_m[place], routes.origin_m)
+    )
+    return length_m(word, tuple(here), tuple(p), to, origin, routes.cell_m)
+
+
+type _Axes = Sequence[jax.Array]
+"""A number [...] for each axis: vectors would be written to memory."""
+
+
+def length_m(
+    word: jax.Array, here: _Axes, p: _Axes, place_m: _Axes, origin_m: _Axes, cell_m: jax.Array
+) -> jax.Array:
+    """As `distance` [...], from what is read for it.
+
+    Args:
+        word: uint16 [...] of ``Routes.words``, of the cell and the place.
+        here: int32 [...] the cell that holds p.
+        p: [...] m in W.
+        place_m: [...] the place.
+        origin_m: [...] of the grid.
+        cell_m: [...] edge of a cell.
+    """
+    step, length = _told(word, cell_m)
     # The word says what is left after the step as well: another read would cost more.
     axes = abs(step[0]) + abs(step[1]) + abs(step[2])
-    rest = length - routes.cell_m * jnp.sqrt(axes.astype(p.dtype))
-    last = rest < 0.5 * routes.cell_m
-    square = jnp.zeros((), p.dtype)
-    for axis, along in enumerate(step):  # number by number: vectors would be written to memory
-        centre = routes.origin_m[axis] + (here[axis] + along + 0.5) * routes.cell_m
-        square += (jnp.where(last, routes.place_m[place, axis], centre) - p[axis]) ** 2
+    rest = length - cell_m * jnp.sqrt(axes.astype(length.dtype))
+    last = rest < 0.5 * cell_m
+    square = jnp.zeros((), length.dtype)
+    for axis, along in enumerate(step):
+        centre = origin_m[axis] + (here[axis] + along + 0.5) * cell_m
+        square += (jnp.where(last, place_m[axis], centre) - p[axis]) ** 2
     whole = jnp.sqrt(square) + jnp.where(last, 0.0, rest)
     return jnp.where(jnp.isinf(length), jnp.inf, whole)
 

@@ -1,7 +1,7 @@
 """Pairs of rows and columns, shortest first."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from angler_kernels.programs import Program, on_gpu
 
 _LANES_A_WARP = 1024
 """32 for each thread: nothing is read in the loop, so that registers are all that counts."""
-_MOST_LANES = 16 * _LANES_A_WARP
+MOST_LANES = 16 * _LANES_A_WARP
 """Of a program: one for each pair."""
 
 
@@ -24,8 +24,8 @@ def matched(way: jax.Array) -> jax.Array:
         The column of each row, int32 [r]; -1 for none. Of equally long pairs that of the lower row
         comes first, then that of the lower column.
     """
-    kernel = _Kernel.of(way.shape)
-    if on_gpu() and kernel.program.lanes <= _MOST_LANES:
+    kernel = _Kernel(Pairs.of(way.shape, lanes_a_warp=_LANES_A_WARP))
+    if on_gpu() and kernel.pairs.program.lanes <= MOST_LANES:
         return kernel.run(way)
     return _one_by_one(way)
 
@@ -54,45 +54,75 @@ def _one_by_one(way: jax.Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class _Kernel:
+class Pairs:
+    """A program with a lane for each pair, for kernels that work lengths out themselves."""
+
     rows: int
     columns: int
     wide: int
     """Columns, and as many more as make a power of two."""
     program: Program
 
-    __name__ = "matched"
-
     @classmethod
-    def of(cls, shape: tuple[int, ...], *, interpret: bool = False) -> "_Kernel":
+    def of(cls, shape: tuple[int, ...], *, lanes_a_warp: int, interpret: bool = False) -> Self:
+        """Of rows and columns."""
         rows, columns = shape
         wide = 1 << (columns - 1).bit_length()
-        program = Program.of(rows * wide, lanes_a_warp=_LANES_A_WARP, interpret=interpret)
+        program = Program.of(rows * wide, lanes_a_warp=lanes_a_warp, interpret=interpret)
         return cls(rows, columns, wide, program)
+
+    @property
+    def lane(self) -> Any:
+        """Numbers of the lanes."""
+        return jnp.arange(self.program.lanes, dtype=jnp.int32)
+
+    @property
+    def places(self) -> tuple[Any, Any, Any]:
+        """Row and column of each lane, and whether there is such a pair."""
+        row, column = self.lane // self.wide, self.lane % self.wide
+        return row, column, (row < self.rows) & (column < self.columns)
+
+    def clear(self, taken: Any) -> None:
+        """Write that no row has a column."""
+        none = jnp.full((self.program.lanes,), -1, jnp.int32)
+        self.program.store(taken, self.lane, none, self.lane < self.rows)
+        self.program.barrier()
+
+    def take(self, way: Any, taken: Any) -> None:
+        """Write the column of each row that gets one.
+
+        Args:
+            way: of each lane; inf for what is no pair.
+            taken: [r] cleared before.
+        """
+        lane, (row, column, _) = self.lane, self.places
+
+        def next_(state: tuple[Any, Any]) -> tuple[Any, Any]:
+            way, least = state
+            first = jnp.min(jnp.where(way == least, lane, self.program.lanes))
+            taken[first // self.wide] = first % self.wide
+            gone = (row == first // self.wide) | (column == first % self.wide)
+            way = jnp.where(gone, jnp.inf, way)
+            return way, jnp.min(way)
+
+        jax.lax.while_loop(lambda state: state[1] < jnp.inf, next_, (way, jnp.min(way)))
+
+
+@dataclass(frozen=True)
+class _Kernel:
+    pairs: Pairs
+
+    __name__ = "matched"
 
     def run(self, way: jax.Array) -> jax.Array:
         """The column of each row."""
-        (taken,) = self.program.run(
-            self, [way.reshape(-1)], [jax.ShapeDtypeStruct((self.rows,), jnp.int32)]
-        )
+        out = jax.ShapeDtypeStruct((self.pairs.rows,), jnp.int32)
+        (taken,) = self.pairs.program.run(self, [way.reshape(-1)], [out])
         return taken
 
     def __call__(self, lengths: Any, taken: Any) -> None:
-        program, inf = self.program, jnp.inf
-        lane = jnp.arange(program.lanes, dtype=jnp.int32)
-        row, column = lane // self.wide, lane % self.wide
-        real = (row < self.rows) & (column < self.columns)
-        at = jnp.where(real, row * self.columns + column, 0)
-        program.store(taken, lane, jnp.full((program.lanes,), -1, jnp.int32), lane < self.rows)
-        program.barrier()
-        way = program.load(lengths, at, real, inf)
-
-        def take(state: tuple[Any, Any]) -> tuple[Any, Any]:
-            way, least = state
-            first = jnp.min(jnp.where(way == least, lane, program.lanes))
-            taken[first // self.wide] = first % self.wide
-            gone = (row == first // self.wide) | (column == first % self.wide)
-            way = jnp.where(gone, inf, way)
-            return way, jnp.min(way)
-
-        jax.lax.while_loop(lambda state: state[1] < inf, take, (way, jnp.min(way)))
+        pairs = self.pairs
+        row, column, real = pairs.places
+        at = jnp.where(real, row * pairs.columns + column, 0)
+        pairs.clear(taken)
+        pairs.take(pairs.program.load(lengths, at, real, jnp.inf), taken)

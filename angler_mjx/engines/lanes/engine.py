@@ -123,8 +123,10 @@ class FusedEngine:
         steps_per_sample: int,
         command: Command | None = None,
         policy: Policy | None = None,
+        begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
+        del begins
         scene, policy = scene_of(fleet, worlds), telling.asked(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []

@@ -104,6 +104,7 @@ class TritonEngine:
         steps_per_sample: int,
         command: Command | None = None,
         policy: Policy | None = None,
+        begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
@@ -114,7 +115,9 @@ class TritonEngine:
             return FusedEngine().segment(spec, fleet, worlds, state, **plan)
 
         def fast(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
-            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, *driven)
+            return self._segment(
+                spec, fleet, worlds, state, n_sample, steps_per_sample, *driven, begins=begins
+            )
 
         both = triton.with_gradient_of(plain, fast)
         after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))
@@ -132,6 +135,7 @@ class TritonEngine:
         policy: Policy | None,
         rows: jax.Array | None = None,
         laid: Laid = (),
+        begins: int = 1,
     ) -> tuple[WorldState, Sample]:
         """Whole programs: the last world is repeated until they are full, and cut off again."""
         count = state.step.shape[0]
@@ -175,14 +179,14 @@ class TritonEngine:
                 return part.result(_fly_looped(launches, part, told_now))
             return part.result(_fly_told(launches, part, told_now, period))
 
-        if period == 1:
-            end = fly(1, usual)
+        if begins % period == 0:
+            end = fly(period, usual)
         else:
             # Between two of their times; who sees obstacles must not see them ahead.
             seen = watched and tile.some_obstacle
             otherwise = partial(fly, 1, laid_out(1) if seen else usual)
-            begins = state.step[0] % period == 0
-            end = jax.lax.cond(begins, partial(fly, period, usual), otherwise)
+            now = state.step[0] % period == 0
+            end = jax.lax.cond(now, partial(fly, period, usual), otherwise)
         after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
         return after, nearness.all_completed(spec, here, samples)
 

@@ -13,6 +13,7 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.tasks import allocation
 from angler_mjx.tasks.allocation import View
+from angler_mjx.tasks.travel import Travel
 
 ROBOTS, JOBS = 4, 11
 
@@ -26,12 +27,12 @@ def view(
     rank: Any = None,
 ) -> View:
     robots, jobs = robots_m.shape[0], jobs_m.shape[0]
-    apart = jnp.sqrt(jnp.sum((robots_m[:, None] - jobs_m) ** 2, axis=-1))
     return View(
         open=jnp.asarray(open_),
         able=jnp.asarray(able),
         active=jnp.asarray(able if active is None else active),
-        reach_m=apart,
+        p=robots_m,
+        travel=Travel(place_m=jobs_m),
         length_m=jnp.zeros(jobs),
         between_m=lambda job: jnp.sqrt(jnp.sum((jobs_m - jobs_m[job]) ** 2, axis=-1)),
         rank=jnp.arange(jobs) if rank is None else jnp.asarray(rank),

@@ -35,7 +35,8 @@ def test_the_shortest_is_taken_of_all_that_are_left() -> None:
 
 
 def test_the_program_for_gpus_gives_the_same() -> None:
-    kernel = matching._Kernel.of((ROWS, COLUMNS), interpret=True)
+    pairs = matching.Pairs.of((ROWS, COLUMNS), lanes_a_warp=64, interpret=True)
+    kernel = matching._Kernel(pairs)
     ways = lengths()
     found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(ways)))
     assert found.tolist() == [by_hand(way) for way in ways]
