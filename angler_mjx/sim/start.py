@@ -89,7 +89,9 @@ def _begun(spec: SimSpec, world: World) -> TaskState | None:
         return None
     if world.task is None:
         raise ConfigError("the worlds have no task, and the simulation is of one; draw them for it")
-    return tasks.begin(spec.task, world.task, world.environment.start_m)
+    return tasks.begin(
+        spec.task, world.task, world.environment.start_m, heard=spec.acoustics is not None
+    )
 
 
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:

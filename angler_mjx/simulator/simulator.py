@@ -182,13 +182,12 @@ class Simulator:
             pack=pack if scenario.engine == "fused" else None,
         )
         # Of runs, whose segments begin where the one before ended; and of any.
-        self._segment, self._from_anywhere = (
-            self._spread(
-                partial(self._run_segment, begins),
-                *(SAME, EACH, EACH, *driver),
-                donate_argnums=2,
-            )
-            for begins in (self.segment_steps, 1)
+        of_run, of_any = (partial(self._run_segment, n) for n in (self.segment_steps, 1))
+        self._segment: Callable[..., Segment] = self._spread(
+            of_run, SAME, EACH, EACH, *driver, donate_argnums=2
+        )
+        self._from_anywhere: Callable[..., Segment] = self._spread(
+            of_any, SAME, EACH, EACH, *driver, donate_argnums=2
         )
         self._commanded: Callable[..., Segment] = self._spread(
             self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2

@@ -75,6 +75,11 @@ class TaskSpec:
     """Whether it is kept when each cell of a survey was seen first, for what is recorded."""
 
     @property
+    def goods_return(self) -> bool:
+        """Whether goods that somebody took may lie where they were again."""
+        return self.kind == "deliver" and self.dropped == "back"
+
+    @property
     def words(self) -> int:
         """32-bit words that hold one bit for each job."""
         return -(-self.jobs // 32)
@@ -162,3 +167,31 @@ class TaskState:
     """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""
     seen_at_s: jax.Array | None = None
     """[nx, ny, nz] when some robot saw each cell first; NaN before. None where nobody asks."""
+    found: "Found | None" = None
+    """What each robot takes to be in hand; None where all know all, or no goods come back."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """Goods that each robot takes to be in somebody's hands, so that it need not go there."""
+
+    missing: jax.Array
+    """uint32 [R, W] of which it found the place empty, as bits."""
+    at_s: jax.Array
+    """[R] when, the last time that one was added."""
+    in_hand: jax.Array
+    """uint32 [R, W] those, and the ones that others say they carry."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What robots say of their part of a task, [R] leading."""
+
+    over: jax.Array
+    """uint32 [R, W] jobs that each knows to be over, as bits."""
+    carrying: jax.Array
+    """int32 [R] job whose goods it carries; -1 for none."""
+    at_work: jax.Array
+    """bool [R] whether its episode goes on."""

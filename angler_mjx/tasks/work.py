@@ -4,61 +4,45 @@ In truth a job is done when a robot was there; robots decide by what they know. 
 everything at once decides as all others do; the rest go by their own knowledge alone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 
 from angler_kernels import bit_grid
 from angler_kernels.quaternion import rotate
-from angler_mjx.tasks import allocation, bits, deliver, sight
+from angler_mjx.tasks import allocation, bits, deliver, knowing, sight
 from angler_mjx.tasks.allocation import View
-from angler_mjx.tasks.spec import SurveySpec, SurveyWorld, TaskSpec, TaskState, TaskWorld
+from angler_mjx.tasks.knowing import Scene
+from angler_mjx.tasks.spec import (
+    Found,
+    SurveySpec,
+    SurveyWorld,
+    TaskSpec,
+    TaskState,
+    TaskWorld,
+)
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.world.grid import Grid
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What a look sees of one world."""
+def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array, *, heard: bool = False) -> TaskState:
+    """Nothing done, nobody sent anywhere.
 
-    t: jax.Array
-    """[] s."""
-    p: jax.Array
-    """[R, 3] where robots are, m in W."""
-    q: jax.Array
-    """[R, 4] their attitudes, wxyz, body to W."""
-    running: jax.Array
-    """bool [R] robots whose episode goes on."""
-    believed_m: jax.Array
-    """[R, 3] where they take themselves to be."""
-    grid: Grid
-    others: "Others | None" = None
-    """What they have heard of each other; None: all know all."""
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, kw_only=True)
-class Others:
-    """What each robot knows of the others; the knowing one leads."""
-
-    p: jax.Array
-    """[R, R, 3] where they last said they were, m in W."""
-    active: jax.Array
-    """bool [R, R] who is taken to be at work."""
-    knows: jax.Array
-    """uint32 [R, R, W] what they last said they know to be over."""
-
-
-def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
-    """Nothing done, nobody sent anywhere."""
+    Args:
+        spec: settings.
+        task: of the world.
+        start_m: [R, 3] in W.
+        heard: whether robots know of each other what they have heard.
+    """
     jobs, robots, kind = spec.jobs, spec.robots, start_m.dtype
+    nothing = jnp.zeros((robots, spec.words), jnp.uint32)
+    found = Found(missing=nothing, at_s=jnp.zeros(robots, kind), in_hand=nothing)
     return TaskState(
         done=jnp.zeros(jobs, bool),
         lost=jnp.zeros(jobs, bool),
         by=jnp.full(jobs, -1, jnp.int32),
         done_at_s=jnp.full(jobs, jnp.nan, kind),
-        knows=jnp.zeros((robots, spec.words), jnp.uint32),
+        knows=nothing,
         target=jnp.full(robots, -1, jnp.int32),
         goal_m=start_m,
         carrying=jnp.full(robots, -1, jnp.int32),
@@ -71,6 +55,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array) -> TaskState:
         seen_at_s=jnp.full(task.survey.cells.shape, jnp.nan, kind)
         if task.survey is not None and spec.timed
         else None,
+        found=found if heard and spec.goods_return else None,
     )
 
 
@@ -86,25 +71,13 @@ def look(
         scene: what is seen of the world.
         travel: ways between its places.
     """
-    after = _known(spec, task, _done(spec, task, state, scene), scene)
-    return _sent(spec, task, after, scene, travel, _news(spec, state, after, scene))
-
-
-def _news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> jax.Array:
-    """Whether a robot has learned anything since the last look, bool [R]: it then thinks anew."""
-    learned = jnp.any(before.knows != after.knows, axis=1) | (scene.t == 0.0)
-    if scene.others is None and spec.shared:
-        learned |= jnp.any(~scene.running & (before.target >= 0))
-    if scene.others is not None:
-        # Goods that it put down it knew to be gone since it took them up, and nobody tells it that
-        # another has fallen silent: who is on its way to no job looks for one at each look.
-        learned |= (before.target < 0) | (before.target >= spec.jobs)
-    return learned
+    after = knowing.known(spec, task, _done(spec, task, state, scene), scene)
+    return _sent(spec, task, after, scene, travel, knowing.news(spec, state, after, scene))
 
 
 def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
     """What has become true since the last look."""
-    near = _near(spec, scene.p, task.place_m) & scene.running[:, None]
+    near = knowing.near(spec, scene.p, task.place_m) & scene.running[:, None]
     by = near[:, : spec.jobs]
     if spec.kind == "deliver":
         state, by = deliver.advance(spec, state, scene.running, near)
@@ -126,12 +99,6 @@ def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
         count, total = bit_grid.population(seen), jnp.maximum(world.count, 1)
         progress, complete = count / total, count >= jnp.ceil(survey.coverage * total)
     return _with_progress(state, progress, complete, scene.t)
-
-
-def _near(spec: TaskSpec, p: jax.Array, place_m: jax.Array) -> jax.Array:
-    """Which robots are at which places, bool [R, P]."""
-    apart = p[:, None] - place_m
-    return jnp.sum(apart * apart, axis=-1) <= spec.tolerance_m**2
 
 
 def _with_done(state: TaskState, new: jax.Array, who: jax.Array, t: jax.Array) -> TaskState:
@@ -222,25 +189,6 @@ def _over(
     return near | (jax.vmap(whole)(points, world.of_job) & nearest)
 
 
-def _known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
-    """Who knows which jobs to be over."""
-    if not spec.shared:
-        return state
-    over = state.done | state.lost | ~task.exists
-    if scene.others is None:
-        # Nobody works on when enough is seen.
-        over |= state.complete
-        knows = jnp.broadcast_to(bits.pack(over), state.knows.shape)
-        return replace(state, knows=knows)
-    # Who comes to a place sees that there is nothing left to do.
-    gone = over | deliver.carried(spec, state) if spec.kind == "deliver" else over
-    there = _near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
-    mine = over & (state.by == jnp.arange(spec.robots)[:, None])
-    known = bits.pack(mine | (gone & there) | ~task.exists)
-    heard = bits.together(scene.others.knows)
-    return replace(state, knows=state.knows | known | heard)
-
-
 def _sent(
     spec: TaskSpec,
     task: TaskWorld,
@@ -254,7 +202,8 @@ def _sent(
     robots = jnp.arange(spec.robots)
     carries = state.carrying >= 0
     before = jnp.where(state.target < spec.jobs, state.target, -1)
-    job = jnp.where(news, _jobs(spec, task, state, scene, travel, over, news), before)
+    closed = bits.unpack(knowing.closed(state), spec.jobs)
+    job = jnp.where(news, _jobs(spec, task, state, scene, travel, closed, news), before)
     target = jnp.where(carries, spec.jobs + state.carrying, job)
     left = ~jnp.all(over, axis=1) | carries
     home = spec.homes + robots
@@ -281,7 +230,7 @@ def _jobs(
     state: TaskState,
     scene: Scene,
     travel: Travel,
-    over: jax.Array,
+    closed: jax.Array,
     news: jax.Array,
 ) -> jax.Array:
     """Next job of each robot that thinks anew, int32 [R]; -1 for none.
@@ -320,22 +269,24 @@ def _jobs(
     able = scene.running & (state.carrying < 0) & news
     if not spec.shared:
 
-        def alone(p: jax.Array, able: jax.Array, over: jax.Array) -> jax.Array:
+        def alone(p: jax.Array, able: jax.Array, closed: jax.Array) -> jax.Array:
             share = jnp.zeros(1, jnp.int32)
-            return allocate(view(p[None], able[None], able[None], ~over, share))[0]
+            return allocate(view(p[None], able[None], able[None], ~closed, share))[0]
 
-        return jax.vmap(alone)(scene.believed_m, able, over)
+        return jax.vmap(alone)(scene.believed_m, able, closed)
     carried = deliver.carried(spec, state)
     if scene.others is None:
-        open_ = ~over[0] & ~carried
+        open_ = ~closed[0] & ~carried
         return allocate(view(scene.believed_m, scene.running, able, open_, task.share))
 
-    def of_one(robot: jax.Array, p: jax.Array, active: jax.Array, over: jax.Array) -> jax.Array:
-        all_able = active.at[robot].set(able[robot]) & news[robot]
-        return allocate(view(p, active, all_able, ~over, task.share))[robot]
+    def of_one(
+        robot: jax.Array, p: jax.Array, active: jax.Array, free: jax.Array, closed: jax.Array
+    ) -> jax.Array:
+        return allocate(view(p, active, free & news[robot], ~closed, task.share))[robot]
 
-    robots = jnp.arange(spec.robots)
     # What a robot knows of itself needs no packet.
-    p = scene.others.p.at[robots, robots].set(scene.believed_m)
-    active = scene.others.active.at[robots, robots].set(scene.running)
-    return jax.vmap(of_one)(robots, p, active, over)
+    robots, others = jnp.arange(spec.robots), scene.others
+    p = others.p.at[robots, robots].set(scene.believed_m)
+    active = others.active.at[robots, robots].set(scene.running)
+    free = (others.active & (others.said.carrying < 0)).at[robots, robots].set(able)
+    return jax.vmap(of_one)(robots, p, active, free, closed)

@@ -115,9 +115,9 @@ class TritonEngine:
             return FusedEngine().segment(spec, fleet, worlds, state, **plan)
 
         def fast(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
-            return self._segment(
-                spec, fleet, worlds, state, n_sample, steps_per_sample, *driven, begins=begins
-            )
+            command, policy = driven
+            plan: dict[str, Any] = {"command": command, "policy": policy, "begins": begins}
+            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, **plan)
 
         both = triton.with_gradient_of(plain, fast)
         after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))

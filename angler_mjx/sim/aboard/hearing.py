@@ -18,8 +18,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Talk
 from angler_mjx.sim.state import World
-from angler_mjx.tasks import work
-from angler_mjx.tasks.spec import TaskState
+from angler_mjx.tasks import knowing
+from angler_mjx.tasks.spec import Report, TaskState
 
 
 def reset(
@@ -99,6 +99,7 @@ def words(
     memory: PolicyMemory | None,
     task: TaskState | None,
     before: dict[str, Any],
+    running: jax.Array | None = None,
 ) -> dict[str, Any]:
     """What robots say in a packet beside where they are, [R] leading, by who says it.
 
@@ -107,11 +108,12 @@ def words(
         memory: of the policy.
         task: what they know of it, if there is one.
         before: what they said last; the policy's again where a command stands in for it.
+        running: bool [R] whose episode goes on; all if left out.
     """
     own = before["policy"]
     if policy is not None and memory is not None:
         own = policy.says(memory.carry)
-    return {"policy": own, "task": None if task is None else task.knows}
+    return {"policy": own, "task": None if task is None else knowing.report(task, running)}
 
 
 def for_policy(radio: Radio | None) -> Others | None:
@@ -119,13 +121,19 @@ def for_policy(radio: Radio | None) -> Others | None:
     return None if radio is None else replace(radio.heard, words=radio.heard.words["policy"])
 
 
-def at_work(shared: Channel | None, radio: Radio | None, t: jax.Array) -> work.Others | None:
+def at_work(shared: Channel | None, radio: Radio | None, t: jax.Array) -> knowing.Others | None:
     """Where each robot takes the others to be at t [] s, and who of them still is at work."""
     if shared is None or radio is None:
         return None
     heard = radio.heard
+    said: Report = heard.words["task"]
     recent = t - heard.time_s < shared.lost_after_s
-    return work.Others(p=heard.place_m(t), active=recent, knows=heard.words["task"])
+    return knowing.Others(
+        p=heard.place_m(t),
+        active=recent & said.at_work,
+        said=said,
+        lost_after_s=shared.lost_after_s,
+    )
 
 
 def record(radio: Radio, t: jax.Array) -> Talk:

@@ -17,9 +17,9 @@ from angler_mjx.sim.phase import Done, Phase, Slots, nothing
 from angler_mjx.sim.record import Progress
 from angler_mjx.sim.state import Outcome
 from angler_mjx.tasks import work as tasks
+from angler_mjx.tasks.knowing import Scene
 from angler_mjx.tasks.spec import TaskState
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.tasks.work import Scene
 
 
 def sense(here: Aboard, now: Slots) -> Done:
@@ -40,7 +40,10 @@ def hear(here: Aboard, now: Slots) -> Done:
     if shared is None:
         return Done(slots=nothing)
     belief = now.get("known")
-    say = partial(hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words)
+    running = None if here.outcome is None else here.outcome == Outcome.RUNNING
+    say = partial(
+        hearing.words, here.policy, now["policy"], now["task"], memory.air.said.words, running
+    )
     told = here.vehicles if belief is None else belief
     after, came = hearing.step(
         shared, here.world, memory, here.number, here.t, here.vehicles.p, told, say, here.every

@@ -1,6 +1,7 @@
 """Tasks flown by points that go straight to where they are sent: who does what, and the end."""
 
 import math
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,9 +12,9 @@ import pytest
 
 from angler_mjx.tasks import bits, drawing, sight, work
 from angler_mjx.tasks.drawing import Places
-from angler_mjx.tasks.spec import SurveySpec, TaskSpec, TaskState, TaskWorld
+from angler_mjx.tasks.knowing import Others, Scene
+from angler_mjx.tasks.spec import Report, SurveySpec, TaskSpec, TaskState, TaskWorld
 from angler_mjx.tasks.travel import Travel
-from angler_mjx.tasks.work import Others, Scene
 from angler_mjx.world.grid import Grid
 
 ROBOTS, SHAPE, CELL = 3, (8, 8, 6), 1.5
@@ -67,6 +68,21 @@ def flown(
         if not running.any():
             break
     return task, states, under_way
+
+
+def heard(active: Any = False, over: Any = 0, carrying: Any = -1) -> Others:
+    """What each robot has heard of each, the receiver first; nothing if left out."""
+    each = (ROBOTS, ROBOTS)
+    return Others(
+        p=jnp.zeros((*each, 3)) + Water().start_m,
+        active=jnp.broadcast_to(jnp.asarray(active), each),
+        said=Report(
+            over=jnp.broadcast_to(jnp.asarray(over, jnp.uint32), (*each, 1)),
+            carrying=jnp.broadcast_to(jnp.asarray(carrying, jnp.int32), each),
+            at_work=jnp.ones(each, bool),
+        ),
+        lost_after_s=60.0,
+    )
 
 
 def spec_of(kind: str, jobs: int, **more: Any) -> TaskSpec:
@@ -192,11 +208,7 @@ def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again(
     p = np.asarray(Water().start_m)
     state = work.begin(spec, task, jnp.asarray(p))
     running = np.ones(ROBOTS, bool)
-    silence = Others(
-        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m,
-        active=jnp.zeros((ROBOTS, ROBOTS), bool),
-        knows=jnp.zeros((ROBOTS, ROBOTS, 1), jnp.uint32),
-    )
+    silence = heard()
     visits: list[set[int]] = [set() for _ in range(ROBOTS)]
     for look in range(LOOKS):
         state = looked(spec, task, state, p, running, 0.5 * look, silence)
@@ -218,12 +230,8 @@ def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again(
 def test_robots_that_hear_nothing_come_back_for_more_goods() -> None:
     spec = spec_of("deliver", 5)
     task, p = task_of(spec), np.asarray(Water().start_m)
-    state = work.begin(spec, task, jnp.asarray(p))
-    silence = Others(
-        p=jnp.zeros((ROBOTS, ROBOTS, 3)) + Water().start_m,
-        active=jnp.zeros((ROBOTS, ROBOTS), bool),
-        knows=jnp.zeros((ROBOTS, ROBOTS, 1), jnp.uint32),
-    )
+    state = work.begin(spec, task, jnp.asarray(p), heard=True)
+    silence = heard()
     for look in range(2 * LOOKS):
         state = looked(spec, task, state, p, np.ones(ROBOTS, bool), 0.5 * look, silence)
         if np.asarray(state.finished).all():
@@ -236,17 +244,56 @@ def test_robots_that_hear_nothing_come_back_for_more_goods() -> None:
     assert np.asarray(state.finished).all()
 
 
+def test_goods_of_a_carrier_that_fell_silent_are_fetched_from_where_they_were() -> None:
+    spec = spec_of("deliver", 1, dropped="back")
+    task, p = task_of(spec), np.asarray(Water().start_m)
+    running = np.array([True, True, False])
+    state = work.begin(spec, task, jnp.asarray(p), heard=True)
+    carries = jnp.full((ROBOTS, ROBOTS), -1).at[:, 1].set(0)  # robot 1 says that it carries them
+
+    def after(state: TaskState, t: float, active: bool, p: Any = p) -> TaskState:
+        told = heard(active=active, carrying=carries)
+        alone = np.array([True, False, False]) & running
+        return looked(spec, task, state, p, alone, t, told)
+
+    state = after(state, 0.0, True)
+    assert state.target[0] == -1
+    assert not state.finished[0]  # they are not brought yet
+    state = after(state, 60.0, False)
+    assert state.target[0] == 0
+    # It comes there, takes them and brings them.
+    at = p.copy()
+    at[0] = task.place_m[0]
+    state = after(state, 70.0, False, at)
+    assert state.carrying[0] == 0
+    at[0] = task.place_m[1]
+    state = after(state, 80.0, False, at)
+    assert bool(state.complete)
+
+
+def test_an_empty_place_is_believed_until_its_goods_may_lie_there_again() -> None:
+    spec = spec_of("deliver", 1, dropped="back")
+    task, p = task_of(spec), np.asarray(Water().start_m).copy()
+    state = work.begin(spec, task, jnp.asarray(p), heard=True)
+    p[:2] = task.place_m[0]  # both come for them at a time, and hear nothing of each other
+    both = np.array([True, True, False])
+    state = replace(state, target=jnp.array([0, 0, -1]))
+    state = looked(spec, task, state, p, both, 1.0, heard())
+    assert state.carrying.tolist() == [0, -1, -1]
+    assert state.target.tolist() == [1, -1, -1]
+    state = looked(spec, task, state, Water().start_m, both, 50.0, heard())
+    assert state.target[1] == -1
+    state = looked(spec, task, state, Water().start_m, both, 62.0, heard())
+    assert state.target[1] == 0
+
+
 def test_what_is_heard_spares_the_way() -> None:
     spec = spec_of("tour", 4)
     task = task_of(spec)
     state = work.begin(spec, task, Water().start_m)
     said = bits.pack(jnp.ones((ROBOTS, ROBOTS, 4), bool).at[:, :, 2].set(False))
     from_one = jnp.zeros_like(said).at[0, 1].set(said[0, 1])  # robot 0 has heard robot 1 alone
-    alone = Others(
-        p=jnp.zeros((ROBOTS, ROBOTS, 3)),
-        active=jnp.zeros((ROBOTS, ROBOTS), bool),
-        knows=from_one,
-    )
+    alone = heard(over=from_one)
     after = looked(spec, task, state, Water().start_m, np.ones(ROBOTS, bool), 0.0, alone)
     known = np.asarray(bits.unpack(after.knows, 4))
     assert known[0].tolist() == [True, True, False, True]
