@@ -14,6 +14,8 @@ LINES = 16
 """Combinations of other settings that are drawn; the table holds all."""
 WIDE = 16.0
 """Ratio of the largest to the smallest value from which they are drawn by their logarithms."""
+TICKS = 44
+"""Letters of all names under an axis that stand beside each other; more are turned."""
 _MARKS = "osD^vPX*"
 
 type Panels = tuple[tuple[str, tuple[str, ...], float], ...]
@@ -143,6 +145,8 @@ def _ticks(axes: Axes, along: Mapping[str, Any], places: Mapping[str, float]) ->
     axes.set_xlabel(along["key"])
     names = [name if len(name) <= 18 else name[:15] + "..." for name in places]
     axes.set_xticks(list(places.values()), names)
+    if sum(map(len, names)) > TICKS:
+        axes.tick_params(axis="x", labelrotation=12.0)
     low, high = min(places.values()), max(places.values())
     room = 0.08 * (high - low) or 0.5
     axes.set_xlim(low - room, high + room)

@@ -74,12 +74,12 @@ def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
     gone = over | deliver.carried(spec, state) if spec.kind == "deliver" else over
     there = near(spec, scene.p, task.place_m[: spec.jobs]) & scene.running[:, None]
     mine = over & (state.by == jnp.arange(spec.robots)[:, None])
-    if state.found is not None:
+    if state.found is not None:  # an empty place does not say that anything is over
         state = replace(state, found=_found(spec, state.found, scene, scene.others, gone, there))
         there = jnp.zeros_like(there)
-    known = bits.pack(mine | (gone & there) | ~task.exists)
+    own = bits.pack(mine | (gone & there) | ~task.exists)
     heard = bits.together(scene.others.said.over)
-    return replace(state, knows=state.knows | known | heard)
+    return replace(state, knows=state.knows | own | heard)
 
 
 def _found(
@@ -122,8 +122,8 @@ def news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> j
     if scene.others is None and spec.shared:
         learned |= jnp.any(~scene.running & (before.target >= 0))
     if scene.others is not None:
-        # Goods that it put down it knew to be gone since it took them up, and nobody tells it that
-        # another has fallen silent: who is on its way to no job looks for one at each look.
+        # Nobody tells a robot that another has fallen silent, and goods that it put down it may
+        # have known to be gone since it took them: who goes to no job looks for one at each look.
         learned |= (before.target < 0) | (before.target >= spec.jobs)
     return learned
 

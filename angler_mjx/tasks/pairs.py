@@ -64,7 +64,7 @@ class _Kernel:
         self, words: Any, place_m: Any, grid: Any, p: Any, able: Any, open_: Any, taken: Any
     ) -> None:
         pairs, program = self.pairs, self.pairs.program
-        row, _, real = pairs.places
+        row, column, real = pairs.places
         pairs.clear(taken)
         can = program.load(able, jnp.where(real, row, 0), real, 0)
 
@@ -73,7 +73,6 @@ class _Kernel:
             begins = program.load(open_, jnp.where(real, column, 0), real, 0)
             pairs.take(jnp.where((can > 0) & (begins > 0), way, jnp.inf), taken)
 
-        column = pairs.places[1]
         program.when(jnp.max(can) > 0, take)
 
     def _ways(self, words: Any, place_m: Any, grid: Any, p: Any) -> Any:

@@ -185,3 +185,8 @@ def test_kernels_lower_for_cuda(scene):
     text = traced.lower(lowering_platforms=("cuda",)).as_text()
     # Control, motion and judgement, for all launches; there are no obstacles.
     assert text.count("__gpu$xla.gpu.triton") == 3
+    # Where it is known to begin with a look, it is not in the program what is done elsewhere.
+    known = jax.jit(partial(run, begins=PERIOD)).trace(scene.fleet, scene.worlds, begin(scene))
+    shorter = known.lower(lowering_platforms=("cuda",)).as_text()
+    assert text.count("stablehlo.case") == 1
+    assert "stablehlo.case" not in shorter

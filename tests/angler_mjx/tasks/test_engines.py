@@ -56,11 +56,8 @@ def flown(scenes):
     def of(name):
         engine = ENGINES[name]
         state = quickly(lambda w: engine.reset(spec, built.fleet, w))(worlds)
-        fly = quickly(
-            lambda w, s: engine.segment(
-                spec, built.fleet, w, s, n_sample=STEPS // EVERY, steps_per_sample=EVERY
-            )
-        )
+        count = {"n_sample": STEPS // EVERY, "steps_per_sample": EVERY, "begins": PERIOD}
+        fly = quickly(lambda w, s: engine.segment(spec, built.fleet, w, s, **count))
         return jax.tree.map(np.asarray, fly(worlds, state))
 
     return of

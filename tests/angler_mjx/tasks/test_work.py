@@ -247,14 +247,12 @@ def test_robots_that_hear_nothing_come_back_for_more_goods() -> None:
 def test_goods_of_a_carrier_that_fell_silent_are_fetched_from_where_they_were() -> None:
     spec = spec_of("deliver", 1, dropped="back")
     task, p = task_of(spec), np.asarray(Water().start_m)
-    running = np.array([True, True, False])
     state = work.begin(spec, task, jnp.asarray(p), heard=True)
     carries = jnp.full((ROBOTS, ROBOTS), -1).at[:, 1].set(0)  # robot 1 says that it carries them
 
     def after(state: TaskState, t: float, active: bool, p: Any = p) -> TaskState:
         told = heard(active=active, carrying=carries)
-        alone = np.array([True, False, False]) & running
-        return looked(spec, task, state, p, alone, t, told)
+        return looked(spec, task, state, p, np.array([True, False, False]), t, told)
 
     state = after(state, 0.0, True)
     assert state.target[0] == -1
