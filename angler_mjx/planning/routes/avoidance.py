@@ -11,7 +11,7 @@ on their left-hand sides: each prefers to turn to its right.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,16 @@ RESPONSE_S = 0.3
 """Time in which a robot takes up a velocity."""
 STANDS_MPS = 0.05
 """A robot slower than this is not taken to get out of the way."""
+STANDING = 1.5
+"""What standing still costs a robot that came no nearer to its place for long, likewise."""
+ROOM_M = 0.5
+"""Beside the margin, that robots with nowhere to go leave to others."""
+OUT_PER_S = 0.5
+"""Share of what it is too near to a body that a robot has to come away in a second."""
+SLIP = 0.05
+"""Share of the distance to such a body that it must not lose."""
+SLIP_S = 0.5
+"""Losing it sooner costs no more: there may be rock on the other side."""
 
 
 @jax.tree_util.register_dataclass
@@ -66,6 +76,7 @@ def choose(
     wanted: jax.Array,
     speed_mps: jax.Array,
     horizon_s: jax.Array | float,
+    held_up: jax.Array | float = 0.0,
 ) -> jax.Array:
     """The velocity to have, [3] m/s over ground in W.
 
@@ -77,6 +88,8 @@ def choose(
         wanted: [3] velocity that it would have alone.
         speed_mps: [] its cruise speed.
         horizon_s: contacts later than this do not count.
+        held_up: [] 0 to 1, how little of its way the robot made of late. Before a body that stands,
+            too, nothing is as near to the wanted velocity as to stand there for ever.
     """
     tried = candidates(wanted, speed_mps)
     off = jnp.sqrt(sum((tried[i] - wanted[i]) ** 2 for i in range(3))) / speed_mps
@@ -88,10 +101,34 @@ def choose(
     share = np.linspace(2.0, 0.0, len(ROCK_S) + 1)[:-1, None] / len(ROCK_S)
     rock = jnp.sum(jnp.where(reading.is_clear(routes, *ahead), 0.0, share), axis=0)
     aside = (tried[0] * wanted[1] - tried[1] * wanted[0]) / speed_mps**2
-    cost = off + CONTACT_S * late + ROCK * rock - RIGHT * jnp.clip(aside, -1.0, 1.0)
+    slow = 1.0 - jnp.sqrt(sum(each**2 for each in tried)) / speed_mps
+    cost = (
+        off
+        + STANDING * held_up * slow
+        + CONTACT_S * late
+        + ROCK * rock
+        - RIGHT * jnp.clip(aside, -1.0, 1.0)
+    )
     # One thread for each velocity, and then the least: threads of a whole robot would be too few.
     best = jnp.argmin(jax.lax.optimization_barrier(cost))
     return jnp.stack([each[best] for each in tried])
+
+
+def make_way(bodies: Bodies, p: jax.Array) -> jax.Array:
+    """Where to a robot with nowhere to go leaves others room, [3]: at most 1 long, 0 to stay."""
+    apart = p - bodies.p_m
+    far = jnp.sqrt(jnp.sum(apart**2, axis=-1) + 1e-12)
+    near = jnp.clip(1.0 - (far - bodies.reach_m) / ROOM_M, 0.0, 1.0) * (bodies.reach_m > 0.0)
+    away = jnp.sum(apart * (near / far)[:, None], axis=0)
+    return away / jnp.maximum(jnp.sqrt(jnp.sum(away**2) + 1e-12), 1.0)
+
+
+def doubted(bodies: Bodies, p: jax.Array, doubt_m: jax.Array) -> Bodies:
+    """Bodies that may be somewhere else by [n] m, but not so that the robot were too near now."""
+    far = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
+    least = jnp.maximum(bodies.reach_m, 0.95 * far)
+    wide = jnp.minimum(bodies.reach_m + doubt_m, least)
+    return replace(bodies, reach_m=jnp.where(bodies.reach_m > 0.0, wide, -1.0))
 
 
 def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
@@ -119,19 +156,28 @@ def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
 
 
 def contact_s(bodies: Bodies, p: jax.Array, v: jax.Array, tried: Sequence[jax.Array]) -> jax.Array:
-    """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none."""
+    """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none.
+
+    With a body that is nearer than its reach: until the distance is less by `SLIP`, unless the
+    robot comes away.
+    """
     apart = bodies.p_m - p
     square = jnp.sum(apart**2, axis=-1)
-    # Nearer than the reach already: it only must not come nearer still.
-    reach = jnp.minimum(bodies.reach_m, 0.95 * jnp.sqrt(square + 1e-12))
+    far = jnp.sqrt(square + 1e-12)[:, None]
     # Whoever avoids likewise changes by the other half of what this robot changes by.
     times = jnp.where(bodies.yields, 2.0, 1.0)
     goes = bodies.v_mps + (times - 1.0)[:, None] * v
     closing = [times[:, None] * tried[i] - goes[:, i, None] for i in range(3)]
     a = sum(each**2 for each in closing)
     b = sum(each * apart[:, i, None] for i, each in enumerate(closing))
-    c = (square - reach**2)[:, None]
+    c = (square - bodies.reach_m**2)[:, None]
     root = b**2 - a * c
     meets = (b > 0.0) & (root > 0.0) & (bodies.reach_m > 0.0)[:, None]
     when = c / jnp.where(meets, b + jnp.sqrt(jnp.where(meets, root, 1.0)), 1.0)
-    return jnp.where(meets, when, jnp.inf)
+    # Nearer than the reach already: to come no nearer does not do, since two side by side that both
+    # slip a little would touch in the end.
+    deep = bodies.reach_m[:, None] - far
+    nears = b / far + OUT_PER_S * deep
+    slips = jnp.maximum(SLIP * far / jnp.where(nears > 0.0, nears, 1.0), SLIP_S)
+    inside = deep > 0.0
+    return jnp.where(jnp.where(inside, nears > 0.0, meets), jnp.where(inside, slips, when), jnp.inf)

@@ -1,6 +1,6 @@
 """A fleet flown along ways that were worked out before the start: nothing is searched in flight."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
@@ -11,13 +11,26 @@ from angler_mjx.control.commands import PoseTarget
 from angler_mjx.control.laws.model import wrap
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.routes import guidance
-from angler_mjx.planning.routes.avoidance import STANDS_MPS, Bodies, choose
+from angler_mjx.planning.routes.avoidance import (
+    STANDS_MPS,
+    Bodies,
+    choose,
+    doubted,
+    make_way,
+)
 from angler_mjx.sim.knowledge import KnownObstacles, Knows
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.world.routes import Routes
 
 NEAR_PER_S = 0.8
 """Velocity per metre that is left to the place, below the cruise speed."""
+PATIENCE_S = 4.0
+"""Time in which a robot that makes none of its way becomes ready to go another one."""
+IDLE = 0.4
+"""Share of the cruise speed at which robots with nowhere to go get out of the way."""
+DOUBT, DOUBT_M = 0.6, 1.0
+"""What a robot may have turned aside since it was heard: a share of its way since then, at most so
+much."""
 MOVES_MPS = 0.1
 """Below this velocity the heading is kept."""
 
@@ -33,6 +46,8 @@ class Memory:
     """bool [R] whether they did at the last call."""
     yaw_rad: jax.Array
     """[R] heading to have."""
+    held_up: jax.Array
+    """[R] 0 to 1, how little of its way each made of late."""
 
 
 @jax.tree_util.register_dataclass
@@ -60,6 +75,7 @@ class AlongRoutes(Policy):
             stay_m=known.belief.p,
             stays=jnp.zeros(place.shape, bool),
             yaw_rad=jax.vmap(quaternion.yaw)(known.belief.q),
+            held_up=jnp.zeros(place.shape, known.belief.p.dtype),
         )
 
     def act(self, carry: Memory, known: Known, key: jax.Array, step: jax.Array) -> Any:
@@ -77,6 +93,10 @@ class AlongRoutes(Policy):
         far = jnp.sqrt(jnp.sum(left**2, axis=-1) + 1e-12)
         speed = jnp.where(ends, jnp.minimum(cruise, NEAR_PER_S * far), cruise)
         wanted = left * (speed / far)[:, None]
+        hold_s = self.dt_s * self.period
+        lacks = jnp.clip((speed - jnp.sum(v * left, axis=-1) / far) / cruise, 0.0, 1.0)
+        held_up = carry.held_up + hold_s / (PATIENCE_S + hold_s) * (lacks - carry.held_up)
+        fastest = jnp.where(stays, IDLE, 1.0) * cruise
         told = _obstacles(known.obstacles)
         robots = jnp.arange(place.shape[0])
 
@@ -86,28 +106,36 @@ class AlongRoutes(Policy):
                 return p, v
             return known.others.place_m(known.time_s)[i], known.others.v_mps[i]
 
-        def one(i: jax.Array) -> jax.Array:
+        def one(i: jax.Array) -> tuple[jax.Array, jax.Array]:
             there, goes = robots_of(i)
             reach = radius[i] + radius + self.margin_m
-            bodies = Bodies(
-                p_m=jnp.concatenate([there, told.p_m]),
-                v_mps=jnp.concatenate([goes, told.v_mps]),
-                reach_m=jnp.concatenate(
-                    [
-                        jnp.where(robots == i, -1.0, reach),
-                        jnp.where(told.reach_m > 0.0, radius[i] + self.margin_m + told.reach_m, -1),
-                    ]
-                ),
-                yields=jnp.concatenate([jnp.sum(goes**2, axis=-1) > STANDS_MPS**2, told.yields]),
+            team = Bodies(
+                p_m=there,
+                v_mps=goes,
+                reach_m=jnp.where(robots == i, -1.0, reach),
+                yields=jnp.sum(goes**2, axis=-1) > STANDS_MPS**2,
             )
-            return choose(routes, bodies, p[i], v[i], wanted[i], cruise[i], self.horizon_s)
+            away = make_way(team, p[i])
+            gives = stays[i] & jnp.any(away != 0.0)
+            if known.others is not None:
+                gone = jnp.sqrt(jnp.sum(goes**2, axis=-1)) * (known.time_s - known.others.time_s[i])
+                team = doubted(team, p[i], jnp.minimum(DOUBT * gone, DOUBT_M))
+            wide = jnp.where(told.reach_m > 0.0, radius[i] + self.margin_m + told.reach_m, -1.0)
+            around = jax.tree.map(
+                lambda *both: jnp.concatenate(both), team, replace(told, reach_m=wide)
+            )
+            goal = jnp.where(gives, fastest[i] * away, wanted[i])
+            chosen = choose(
+                routes, around, p[i], v[i], goal, fastest[i], self.horizon_s, held_up[i]
+            )
+            return chosen, gives
 
-        chosen = jax.vmap(one)(robots)
-        hold_s = self.dt_s * self.period
+        chosen, gives = jax.vmap(one)(robots)
+        stay = jnp.where(gives[:, None], p, stay)
         yaw = _turned(carry.yaw_rad, chosen, self.yaw_rate_radps * hold_s)
         # The loop of position adds what is left to the point; half the time that it holds.
         command = PoseTarget(position_m=p + 0.5 * hold_s * chosen, velocity_mps=chosen, yaw_rad=yaw)
-        return Memory(stay_m=stay, stays=stays, yaw_rad=yaw), command
+        return Memory(stay_m=stay, stays=stays, yaw_rad=yaw, held_up=held_up), command
 
 
 def _told(known: Known) -> tuple[Routes, jax.Array]:

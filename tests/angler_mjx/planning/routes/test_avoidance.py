@@ -154,6 +154,70 @@ def test_what_is_in_the_way_is_passed_without_contact(at, goes, steers):
         assert aside[1] == pytest.approx(-aside[0], abs=0.05)
 
 
+@quickly
+def when_held_up(around, held_up):
+    return avoidance.choose(
+        water(),
+        around,
+        jnp.asarray(HERE),
+        jnp.zeros(3),
+        jnp.asarray(EAST),
+        jnp.asarray(CRUISE),
+        HORIZON,
+        held_up,
+    )
+
+
+def test_who_was_held_up_for_long_goes_around_a_body_that_stands():
+    apart = np.array([1.04, 0.0, 0.0])
+    around = bodies([(HERE + apart, STANDS, 1.0, False), FAR])
+    assert np.linalg.norm(when_held_up(around, 0.0)) < 0.3 * CRUISE
+    chosen = np.asarray(when_held_up(around, 1.0))
+    assert np.linalg.norm(chosen) > 0.4 * CRUISE
+    # Past it on one side, not back, and without a contact within seconds.
+    for t in np.arange(0.0, 3.0, 0.1):
+        assert np.linalg.norm(apart - t * chosen) > 1.0
+    assert chosen[0] > -0.2 * CRUISE
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.03, 0.1])
+def test_robots_side_by_side_do_not_slip_into_each_other(slip):
+    begin = np.stack([HERE - [2.5, 0.0, 0.0], HERE - [2.5, 0.6, 0.1]])
+    v = np.array([EAST + np.array([0.0, -slip, 0.0]), EAST + np.array([0.0, slip, 0.0])])
+    both = jnp.array([True, True])
+    seen = np.asarray(flights(*map(jnp.asarray, (begin, v, v)), both, both))
+    apart = np.linalg.norm(seen[:, 0] - seen[:, 1], axis=-1)
+    assert np.min(apart) > 0.55
+    assert np.min(apart[-10:]) > 0.75
+    assert np.min(seen[-1, :, 0] - begin[:, 0]) > 4.0
+
+
+def test_way_is_made_for_who_is_near_and_for_nobody_else():
+    near, far = (
+        HERE + np.array([0.0, 1.2, 0.0]),
+        HERE + np.array([0.0, 0.0, -1.0 - avoidance.ROOM_M - 0.01]),
+    )
+    one, other = (near, STANDS, 1.0, True), (far, STANDS, 1.0, True)
+    way = quickly(avoidance.make_way)
+    np.testing.assert_array_equal(way(bodies([other, FAR]), jnp.asarray(HERE)), np.zeros(3))
+    off = np.asarray(way(bodies([one, other]), jnp.asarray(HERE)))
+    np.testing.assert_allclose(off, [0.0, -(1.0 - 0.2 / avoidance.ROOM_M), 0.0], atol=1e-5)
+    crowd = [(HERE + np.array([x, 0.3, 0.0]), STANDS, 1.0, True) for x in (-0.2, 0.2)]
+    pushed = np.asarray(way(bodies(crowd), jnp.asarray(HERE)))
+    np.testing.assert_allclose(pushed, [0.0, -1.0, 0.0], atol=1e-5)
+
+
+def test_doubt_widens_a_body_up_to_where_the_robot_is():
+    rows = [
+        (HERE + np.array([3.0, 0.0, 0.0]), EAST, 1.0, True),
+        (HERE + np.array([1.2, 0.0, 0.0]), EAST, 1.0, True),
+    ]
+    rows += [(HERE + np.array([0.8, 0.0, 0.0]), EAST, 1.0, True), FAR]
+    wide = quickly(avoidance.doubted)(bodies(rows), jnp.asarray(HERE), jnp.full(4, 0.4))
+    # Nearer than its reach it is as wide as it is; one that is not there stays away.
+    np.testing.assert_allclose(wide.reach_m, [1.4, 0.95 * 1.2, 1.0, -1.0], rtol=1e-5)
+
+
 def test_no_velocity_leads_into_rock_where_others_do_not():
     wall = water(rock_x=0.9)
     found = choose(routes=wall, v=0.0 * EAST)

@@ -162,6 +162,23 @@ def test_who_has_no_way_stays_and_what_is_told_there_holds_it(simulator, around)
     assert np.max(np.linalg.norm(seen[:, 0] - starts[0], axis=-1)) < 0.1
 
 
+def test_who_has_nowhere_to_go_makes_way_for_one_whose_place_it_stands_at(simulator, around):
+    stands = np.array([0.75, 0.75, -5.75])
+    middle = np.array([5, 1, 2])
+    shell = [tuple(middle + np.array(i) - 1) for i in np.ndindex(3, 3, 3) if i != (1, 1, 1)]
+    starts = [[-3.75, 0.75, -5.75], stands]
+    goals = [
+        stands + np.array([0.1, 0.0, 0.0]),
+        -6.0 + 1.5 * (middle + 0.5) + np.array([0.0, 0.0, -2.0]),
+    ]
+    worlds = with_rock(simulator.worlds(), shell, start_m=starts, goal_m=goals)
+    state, seen = fly(simulator, worlds)
+    assert np.asarray(state.tally.outcome).tolist() == [[Outcome.REACHED, Outcome.RUNNING]]
+    assert float(np.min(np.asarray(state.tally.min_separation_m))) > 0.1
+    # It went no farther than it had to.
+    assert 0.2 < np.max(np.linalg.norm(seen[:, 1] - stands, axis=-1)) < 2.0
+
+
 def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
     policy, world = simulator.policy, jax.tree.map(lambda x: x[0], simulator.worlds())
     state = jax.tree.map(lambda x: x[0], simulator.reset(simulator.worlds()))
