@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from angler_experiments.scalability.cost import PREFIX
-from angler_experiments.scalability.fits import Fit, power
+from angler_experiments.scalability.fits import Fit, Shares, power, shares
 from angler_experiments.scalability.ladders import BY_NAME, LADDERS
 from angler_mjx.errors import ConfigError
 from angler_mjx.speed import rows as speed
@@ -26,6 +28,8 @@ BEGIN, END = "<!-- cost: begin -->", "<!-- cost: end -->"
 """What stands between them in a page is replaced by the tables."""
 STEPS = 100
 """Physics steps whose time is told: a second of simulated time of ours."""
+LEAST_SPAN = 5.0
+"""Of an axis of costs, from its end to its beginning."""
 PUBLISHED = {
     "source": "Crazyflow 0.4.0, table in its README: RTX 4090, first-principles dynamics, one "
     "drone in each world",
@@ -58,8 +62,13 @@ class Line:
     @property
     def memory(self) -> Fit | None:
         """Of the bytes."""
+        return power(*self.known_bytes)
+
+    @property
+    def known_bytes(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Sizes and bytes where XLA says how many."""
         known = [(x, y) for x, y in zip(self.size, self.bytes, strict=True) if y]
-        return power([x for x, _ in known], [y for _, y in known]) if known else None
+        return tuple(x for x, _ in known), tuple(y for _, y in known)
 
 
 def lines(path: Path) -> list[Line]:
@@ -105,27 +114,35 @@ def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, An
 
 def table(found: Sequence[Line]) -> str:
     """The fits, in Markdown."""
-    head = ["what is varied", "engine", "device", "from", "to", f"s for {STEPS} steps"]
-    head += ["exponent of time (95 %)", "of the last step", "memory, to", "its exponent (95 %)"]
+    several = _several_devices(found)
+    head = ["what is varied", "engine", *["device"] * several, "from", "to", f"ms, {STEPS} steps"]
+    head += ["exponent of time (95 %)", "of the last step", "fixed, ms", "each more, us"]
+    head += ["memory, to", "its exponent (95 %)"]
     body = []
     for one in found:
-        time = one.time
+        time, parts = one.time, shares(one.size, one.seconds)
         most = next((x for x in reversed(one.bytes) if x), None)
         body.append(
             [
                 BY_NAME[one.ladder].label,
                 one.engine,
-                one.device,
+                *[one.device] * several,
                 f"{one.size[0]:,.0f}",
                 f"{one.size[-1]:,.0f}",
-                f"{one.seconds[0]:.3g} to {one.seconds[-1]:.3g}",
+                f"{1e3 * one.seconds[0]:.3g} to {1e3 * one.seconds[-1]:.3g}",
                 exponent(time),
                 "-" if time is None else f"{time.last:.2f}",
+                "-" if parts is None else f"{1e3 * parts.fixed:.3g}",
+                "-" if parts is None else f"{1e6 * parts.each:.3g}",
                 "-" if most is None else amount(most),
                 exponent(one.memory),
             ]
         )
     return tables.table(head, body)
+
+
+def _several_devices(found: Sequence[Line]) -> bool:
+    return len({one.device for one in found}) > 1
 
 
 def exponent(fit: Fit | None) -> str:
@@ -154,62 +171,80 @@ def draw(found: Sequence[Line], what: str) -> Figure:
     down = -(-len(shown) // columns)
     kinds = sorted({(one.engine, one.device) for one in found})
     colors = {kind: style.robot_color(i) for i, kind in enumerate(kinds)}
+    where = "" if _several_devices(found) else f"{found[0].device}; "
     words = {
-        "time": ("What more costs in time", f"seconds for {STEPS} physics steps of all robots"),
-        "memory": ("What more costs in memory", "memory of the program, GB, by XLA's account"),
+        "time": ("What more costs in time", f"{where}ms for {STEPS} physics steps of all robots"),
+        "memory": ("What more costs in memory", f"{where}GB of the program, by XLA's account"),
     }[what]
     with style.styled():
-        figure = style.new_figure(11.4, 0.9 + 3.3 * down, headline_in=0.65)
-        style.headline(figure, words[0], f"{words[1]}; lines are fits, the numbers their exponents")
-        every = figure.subplots(down, columns, squeeze=False).flat
+        figure = style.new_figure(11.4, 0.9 + 3.5 * down, headline_in=0.65)
+        told = (
+            "Lines: a fixed cost and one of each; numbers: exponents (95 %), and of the last step"
+        )
+        style.headline(figure, words[0], f"{words[1]}. {told}")
+        every = list(figure.subplots(down, columns, squeeze=False).flat)
         for axes, ladder in zip(every, shown, strict=False):
             axes.set_title(ladder.label, fontsize=10)
             axes.set_xscale("log", base=2)
             axes.set_yscale("log")
             for one in found:
                 if one.ladder == ladder.name:
-                    _panel(axes, one, what, colors[one.engine, one.device])
+                    label = f"{one.engine}, {one.device}" if where == "" else one.engine
+                    _panel(axes, one, what, label, colors[one.engine, one.device])
             if ladder.name == "dynamics" and what == "time":
                 _published(axes)
+            _widen(axes)
             axes.grid(True)
-            axes.legend(fontsize=7.0, loc="best")
-        for axes in list(every)[len(shown) :]:
+            axes.legend(
+                fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.1), borderaxespad=0.0
+            )
+        for axes in every[len(shown) :]:
             axes.set_axis_off()
     return figure
 
 
-def _panel(axes: Axes, one: Line, what: str, color: str) -> None:
+class Plain(LogFormatter):
+    """Plain numbers at the ticks that matplotlib thinks should have one."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """See `LogFormatter`."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def _widen(axes: Axes) -> None:
+    """So that a few per cent do not look like much; plain numbers beside it."""
+    low, high = axes.get_ylim()
+    more = max(1.0, math.sqrt(LEAST_SPAN * low / high))
+    axes.set_ylim(low / more, high * more)
+    for axis in ("major", "minor"):
+        getattr(axes.yaxis, f"set_{axis}_formatter")(Plain())
+
+
+def _panel(axes: Axes, one: Line, what: str, label: str, color: str) -> None:
     fit = one.time if what == "time" else one.memory
-    pairs = (
-        list(zip(one.size, one.seconds, strict=True))
-        if what == "time"
-        else [(x, y / 1e9) for x, y in zip(one.size, one.bytes, strict=True) if y]
-    )
-    if not pairs:
+    x, y = (one.size, one.seconds) if what == "time" else one.known_bytes
+    if not x:
         return
-    x, y = zip(*pairs, strict=True)
-    label = f"{one.engine}, {one.device}" + ("" if fit is None else f": {exponent(fit)}")
-    axes.plot(x, y, marker="o", markersize=4.5, linestyle="", color=color, label=label)
-    if what == "time":
-        axes.vlines(x, one.low, one.high, color=color, linewidth=1.2)
+    scale = 1e3 if what == "time" else 1e-9
     if fit is not None:
-        scale = 1.0 if what == "time" else 1e-9
-        ends = (x[0], x[-1])
-        axes.plot(
-            ends,
-            [scale * fit.factor * end**fit.exponent for end in ends],
-            color=color,
-            linewidth=1.0,
-        )
+        label += f": {exponent(fit)}, {fit.last:.2f}"
+    shown = [scale * each for each in y]
+    axes.plot(x, shown, marker="o", markersize=4.5, linestyle="", color=color, label=label)
+    if what == "time":
+        low, high = ([scale * each for each in end] for end in (one.low, one.high))
+        axes.vlines(x, low, high, color=color, linewidth=1.2)
+    parts: Shares | None = shares(x, y)
+    if parts is not None:
+        along = np.geomspace(x[0], x[-1], 60)
+        axes.plot(along, scale * (parts.fixed + parts.each * along), color=color, linewidth=1.0)
 
 
 def _published(axes: Axes) -> None:
     worlds: Any = PUBLISHED["worlds"]
     rate: Any = PUBLISHED["rate"]
-    seconds = [n * STEPS / each for n, each in zip(worlds, rate, strict=True)]
     axes.plot(
         worlds,
-        seconds,
+        [1e3 * n * STEPS / each for n, each in zip(worlds, rate, strict=True)],
         marker="x",
         markersize=4.5,
         linewidth=0.8,
@@ -248,6 +283,7 @@ def main(
                 "bytes": one.bytes,
                 "time": _plain(one.time),
                 "memory": _plain(one.memory),
+                "shares": _plain(shares(one.size, one.seconds)),
             }
             for one in found
         ]
@@ -257,7 +293,7 @@ def main(
         tables.put(page, BEGIN, "\n\n".join([*pictures, table(found)]), END)
 
 
-def _plain(fit: Fit | None) -> dict[str, float | None] | None:
+def _plain(fit: Fit | Shares | None) -> dict[str, float | None] | None:
     """A fit as a table, null for NaN."""
     if fit is None:
         return None

@@ -1,10 +1,11 @@
-"""Power laws of costs: exponents on logarithmic axes, with intervals."""
+"""Laws of costs: exponents on logarithmic axes with intervals, and fixed costs."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from angler_mjx.storage.intervals import student
 
@@ -21,6 +22,28 @@ class Fit:
     high: float
     last: float
     """Exponent between the last two points: what more costs where there are many already."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shares:
+    """y = fixed + each x, neither below 0, by least squares of what is off in relation to y."""
+
+    fixed: float
+    each: float
+
+
+def shares(x: Sequence[float], y: Sequence[float]) -> Shares | None:
+    """Fit a fixed cost and one of each; None of fewer than two sizes.
+
+    Args:
+        x: sizes, above 0.
+        y: costs, above 0.
+    """
+    if len(set(x)) < 2:
+        return None
+    u, v = np.asarray(x, float), np.asarray(y, float)
+    both, _ = nnls(np.stack([1.0 / v, u / u.max() / v], axis=1), np.ones(len(u)))
+    return Shares(fixed=float(both[0]), each=float(both[1] / u.max()))
 
 
 def power(x: Sequence[float], y: Sequence[float]) -> Fit | None:

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from angler_experiments.scalability import arrivals, cost, draw, ladders
-from angler_experiments.scalability.fits import power
+from angler_experiments.scalability.fits import power, shares
 from angler_mjx.errors import ConfigError
 from angler_mjx.speed import rows as speed
 
@@ -47,6 +47,17 @@ def test_what_more_costs_where_there_are_many_is_the_last_step():
     found = power(x, 5.0 + x)
     assert found.exponent < found.last < 1.0
     assert found.last == pytest.approx(np.log10(1005 / 105))
+
+
+def test_a_fixed_cost_and_one_of_each_are_found_again():
+    x = [1, 10, 100, 10_000]
+    found = shares(x, [5.0 + 0.02 * n for n in x])
+    assert (found.fixed, found.each) == pytest.approx((5.0, 0.02))
+    # Neither is below 0: what gets cheaper costs nothing of each.
+    falls = shares(x, [4.0, 3.0, 2.9, 2.8])
+    assert falls.each == 0.0
+    assert 2.8 < falls.fixed < 4.0
+    assert shares([4], [1.0]) is None
 
 
 def row(ladder, size, rate, engine="fused", worlds=8, n_byte=1000):
@@ -103,8 +114,8 @@ def test_table_and_figures_are_made_of_them(file, tmp_path, capsys):
     assert "old" not in text
     assert text.startswith("before")
     assert (
-        "| worlds, 8 robots each | fused | cpu | 4 | 64 | 0.0008 to 0.0128 | 1.00 (1.00 to 1.00)"
-        in text
+        "| worlds, 8 robots each | fused | 4 | 64 | 0.8 to 12.8 | 1.00 (1.00 to 1.00) | 1.00 | 0 "
+        "| 200 |" in text
     )
     for what in ("time", "memory"):
         assert (tmp_path / "images" / f"scalability_{what}.png").stat().st_size > 5_000
