@@ -128,7 +128,9 @@ def doubted(bodies: Bodies, p: jax.Array, doubt_m: jax.Array) -> Bodies:
     far = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
     least = jnp.maximum(bodies.reach_m, 0.95 * far)
     wide = jnp.minimum(bodies.reach_m + doubt_m, least)
-    return replace(bodies, reach_m=jnp.where(bodies.reach_m > 0.0, wide, -1.0))
+    wide = jnp.where(bodies.reach_m > 0.0, wide, -1.0)
+    # Once for each body, not again for each velocity that is tried.
+    return replace(bodies, reach_m=jax.lax.optimization_barrier(wide))
 
 
 def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:

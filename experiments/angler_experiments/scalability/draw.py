@@ -213,8 +213,8 @@ class Plain(LogFormatter):
 
 def _widen(axes: Axes) -> None:
     """So that a few per cent do not look like much; plain numbers beside it."""
-    low, high = axes.get_ylim()
-    more = max(1.0, math.sqrt(LEAST_SPAN * low / high))
+    low, high = axes.dataLim.intervaly
+    more = max(1.15, math.sqrt(LEAST_SPAN * low / high))
     axes.set_ylim(low / more, high * more)
     for axis in ("major", "minor"):
         getattr(axes.yaxis, f"set_{axis}_formatter")(Plain())
