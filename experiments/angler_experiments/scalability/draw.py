@@ -215,6 +215,7 @@ def _widen(axes: Axes) -> None:
     """So that a few per cent do not look like much; plain numbers beside it."""
     low, high = axes.dataLim.intervaly
     more = max(1.15, math.sqrt(LEAST_SPAN * low / high))
+    axes.set_autoscaley_on(False)
     axes.set_ylim(low / more, high * more)
     for axis in ("major", "minor"):
         getattr(axes.yaxis, f"set_{axis}_formatter")(Plain())
