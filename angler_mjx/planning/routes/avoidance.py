@@ -126,7 +126,7 @@ def make_way(bodies: Bodies, p: jax.Array) -> jax.Array:
 def doubted(bodies: Bodies, p: jax.Array, doubt_m: jax.Array) -> Bodies:
     """Bodies that may be somewhere else by [n] m, but not so that the robot were too near now."""
     far = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
-    least = jnp.maximum(bodies.reach_m, 0.95 * far)
+    least = jnp.maximum(bodies.reach_m, (1.0 - SLIP) * far)
     wide = jnp.minimum(bodies.reach_m + doubt_m, least)
     wide = jnp.where(bodies.reach_m > 0.0, wide, -1.0)
     # Once for each body, not again for each velocity that is tried.
