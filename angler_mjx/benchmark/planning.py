@@ -23,9 +23,10 @@ from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.host.processes.runner import LATE
 from angler_mjx.planning.planner import NoPlan, Path, PathShape
 from angler_mjx.planning.problem import Problem
+from angler_mjx.simulator.compiling import Compiled
 from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.simulator.prepare import with_paths
-from angler_mjx.simulator.simulator import NO_AUTOTUNING, Simulator
+from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world.environment import Environment
 
 
@@ -208,7 +209,7 @@ def _of_device(
             if alike not in programs:
                 begin = time.perf_counter()
                 planner = device_planner(setting.told(), one.planner)
-                program = jax.jit(planner, compiler_options=NO_AUTOTUNING)
+                program = Compiled(planner)
                 programs[alike] = program.lower(*given).compile()
                 jax.block_until_ready(programs[alike](*given))
                 extras = {"warm_up_s": time.perf_counter() - begin}

@@ -35,7 +35,7 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
 from angler_mjx.simulator import cache, hosted, scenario_policy
 from angler_mjx.simulator import devices as on_devices
-from angler_mjx.simulator.compiling import CompileTime, Program, Together
+from angler_mjx.simulator.compiling import Compiled, CompileTime, Program, Together
 from angler_mjx.simulator.devices import (
     EACH,
     SAME,
@@ -66,11 +66,6 @@ LEAST_POINTS = 2
 SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
 """A segment has at most so many samples, or control steps where that is more. A call took an
 H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
-
-NO_AUTOTUNING = {"xla_gpu_autotune_level": 0}
-"""For all programs: XLA's search for a faster form of its kernels takes a GPU long, and what it
-finds is no faster. Drawing and planning (8 robots, 1,024 worlds on an H200) took 291 s instead of
-14 s, a segment of a delivery on an H100 22 s instead of 18 s."""
 
 type Segment = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and how many robots of each world still run."""
@@ -166,16 +161,14 @@ class Simulator:
         driver = (SAME,) * len(self._driver)
         self._memory: Memory | None = None
         self._compiled = False
-        self._prepare: Callable[..., World] = self._spread(self._prepare_tile, SAME, SAME, EACH)
-        self._asking: dict[Knows, Callable[..., Problem]] = {}
-        self._reset: Callable[..., WorldState] = self._spread(
-            partial(self._engine.reset, self.spec), SAME, EACH, *driver
-        )
-        self._step: Callable[..., tuple[WorldState, Sample]] = self._spread(
+        self._prepare = self._spread(self._prepare_tile, SAME, SAME, EACH)
+        self._asking: dict[Knows, Compiled] = {}
+        self._reset = self._spread(partial(self._engine.reset, self.spec), SAME, EACH, *driver)
+        self._step = self._spread(
             partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH, *driver
         )
         pack = self._spread(jax.vmap(cell_neighbours), EACH)
-        take: Callable[..., Any] = self._spread(fleet.parameters, SAME, EACH)
+        take = self._spread(fleet.parameters, SAME, EACH)
         self._gate = Gate(
             self._fleet,
             take=partial(take, self._fleet),
@@ -183,13 +176,9 @@ class Simulator:
         )
         # Of runs, whose segments begin where the one before ended; and of any.
         of_run, of_any = (partial(self._run_segment, n) for n in (self.segment_steps, 1))
-        self._segment: Callable[..., Segment] = self._spread(
-            of_run, SAME, EACH, EACH, *driver, donate_argnums=2
-        )
-        self._from_anywhere: Callable[..., Segment] = self._spread(
-            of_any, SAME, EACH, EACH, *driver, donate_argnums=2
-        )
-        self._commanded: Callable[..., Segment] = self._spread(
+        self._segment = self._spread(of_run, SAME, EACH, EACH, *driver, donate_argnums=2)
+        self._from_anywhere = self._spread(of_any, SAME, EACH, EACH, *driver, donate_argnums=2)
+        self._commanded = self._spread(
             self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2
         )
 
@@ -221,16 +210,17 @@ class Simulator:
         """That commands the robots."""
         return self._driver[0] if self._driver else None
 
-    def _spread(self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any) -> Any:
+    def _spread(
+        self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
+    ) -> Compiled:
         """A compiled function that runs on each device, on its tiles.
 
         Results say themselves that they lie tile by tile: what takes them is then one program,
         whether it was compiled ahead of time or is called.
         """
-        return jax.jit(
+        return Compiled(
             on_devices.on_each(self._mesh, function, *specs),
             out_shardings=NamedSharding(self._mesh, EACH),
-            compiler_options=NO_AUTOTUNING,
             **options,
         )
 
@@ -415,7 +405,7 @@ class Simulator:
     def _knows(self) -> Knows:
         return self.scenario.planner.knows.knows()
 
-    def _ask(self, knows: Knows) -> Callable[..., Problem]:
+    def _ask(self, knows: Knows) -> Compiled:
         """The program that makes problems of worlds of which so much may be known."""
         if knows not in self._asking:
             asking = partial(ask_all, self.scenario, knows)
@@ -495,7 +485,7 @@ class Simulator:
     @cached_property
     def _wave_shape(self) -> World:
         """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
-        shapes = jax.eval_shape(self._prepare, *self._seed_shapes())
+        shapes = self._prepare.shape(*self._seed_shapes())
         worlds: World = placed(shapes, self._mesh, EACH)
         return worlds
 
@@ -521,7 +511,9 @@ class Simulator:
                 as in `step` and `segment`; no stage of the controllers takes what the policy
                 commands, or it is made otherwise than the simulator's.
         """
-        return self._reset(self.fleet, self._gate.admit(worlds), *self._driven(policy))
+        admitted, driver = self._gate.admit(worlds), self._driven(policy)
+        state: WorldState = self._reset(self.fleet, admitted, *driver)
+        return state
 
     def step(
         self,
@@ -552,7 +544,9 @@ class Simulator:
         if command is not None:
             self._check(command, worlds, state)
         admitted = self._gate.admit(worlds)
-        return self._step(self.fleet, admitted, state, command, *self._driven(policy))
+        driver = self._driven(policy)
+        after, sample = self._step(self.fleet, admitted, state, command, *driver)
+        return after, sample
 
     def segment(
         self,
@@ -594,7 +588,9 @@ class Simulator:
         The state is of `reset` or of the segment before: of whole segments.
         The count is an array of its own: it can be read after the state was used up.
         """
-        return self._segment(self.fleet, self._gate.admit(worlds), state, *self._driven(policy))
+        admitted, driver = self._gate.admit(worlds), self._driven(policy)
+        after, sample, running = self._segment(self.fleet, admitted, state, *driver)
+        return after, sample, running
 
     def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
         """Refuse commands that the controllers cannot be given."""
@@ -617,10 +613,10 @@ class Simulator:
         """
         if self._compiled:
             return CompileTime()
-        begun = time.perf_counter()
-        worlds, state, programs = self._begin_all()
+        start = time.perf_counter()
+        worlds, state, begun = self._begin_all()
         try:
-            made = [program.result() for program in programs]
+            made = [program.result() for program in begun]
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
@@ -632,14 +628,16 @@ class Simulator:
         limit = limit_bytes(self._mesh.devices.flat[0])
         if self._memory is not None and self._memory.needed > limit:
             raise too_large(self.tile, self._memory.needed, limit, "before the first world")
-        self._prepare, self._reset, self._segment = functions
+        programs = (self._prepare, self._reset, self._segment)
+        for program, executable in zip(programs, functions, strict=True):
+            program.keep(executable)
         self._compiled = True
         prepare_s, reset_s, segment_s = seconds
         return CompileTime(
             prepare_s=prepare_s,
             reset_s=reset_s,
             segment_s=segment_s,
-            total_s=time.perf_counter() - begun,
+            total_s=time.perf_counter() - start,
         )
 
     def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
@@ -651,7 +649,7 @@ class Simulator:
             prepare = programs.begin(self._prepare, kinds, number, firsts)
             worlds = self._wave_shape
             reset = programs.begin(self._reset, kinds, worlds, *driver)
-            state = placed(jax.eval_shape(self._reset, kinds, worlds, *driver), self._mesh, EACH)
+            state = placed(self._reset.shape(kinds, worlds, *driver), self._mesh, EACH)
             segment = programs.begin(self._segment, kinds, worlds, state, *driver)
         return worlds, state, [prepare, reset, segment]
 

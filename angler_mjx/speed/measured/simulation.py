@@ -240,10 +240,10 @@ def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
         RunError: its memory is more than a device has; nothing was allocated yet.
     """
     shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
-    state = jax.eval_shape(simulator._reset, simulator.fleet, shapes)
+    state = simulator._reset.shape(simulator.fleet, shapes)
     state = on_devices.placed(state, on_devices.mesh(simulator.devices), on_devices.EACH)
-    segment: Any = simulator._segment
-    compile_s, program = seconds_of(segment.lower(simulator.fleet, shapes, state).compile)
+    lowered = simulator._segment.lower(simulator.fleet, shapes, state)
+    compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
     return compile_s, program
 

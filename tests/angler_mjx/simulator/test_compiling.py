@@ -2,9 +2,12 @@
 
 import threading
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from angler_mjx.simulator.compiling import Together
+from angler_mjx.simulator.compiling import Compiled, Together
 
 LONG_S = 30.0
 
@@ -77,3 +80,22 @@ def test_a_fault_while_tracing_waits_for_what_runs():
     with pytest.raises(TypeError, match="not a shape"):
         both()
     assert done.is_set()
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_program_may_be_a_part_of_another(ahead):
+    """Its compiler options are refused by JAX inside any trace, and so is an executable."""
+    x = jnp.arange(3.0)
+    cube = Compiled(lambda x: x**3)
+    if ahead:
+        cube.keep(cube.lower(x).compile())
+    expected = np.arange(3.0) ** 3
+    np.testing.assert_allclose(cube(x), expected)
+    np.testing.assert_allclose(jax.jit(lambda x: cube(x) + 1.0)(x), expected + 1.0)
+    np.testing.assert_allclose(jax.jit(lambda: cube(x) + 1.0)(), expected + 1.0)
+    np.testing.assert_allclose(jax.grad(lambda x: cube(x).sum())(x), 3 * np.arange(3.0) ** 2)
+    np.testing.assert_allclose(jax.vmap(cube)(jnp.stack([x, x])), np.stack([expected, expected]))
+    repeated = jax.lax.fori_loop(0, 2, lambda _, x: cube(x), jnp.array([2.0, 1.0, 0.5]))
+    np.testing.assert_allclose(repeated, [512.0, 1.0, 0.5**9])
+    assert jax.eval_shape(cube, x).shape == cube.shape(x).shape == (3,)
+    assert "pow" in str(jax.make_jaxpr(cube)(x))

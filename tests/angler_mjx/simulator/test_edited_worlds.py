@@ -5,6 +5,7 @@ And a run of it, which stores no trajectories.
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -53,6 +54,18 @@ def simulator(tmp_path_factory):
 @pytest.fixture(scope="module")
 def worlds(simulator):
     return simulator.worlds()
+
+
+def test_a_simulator_may_be_traced(simulator, worlds):
+    """By programs that count, differentiate or repeat it, whatever was compiled before."""
+    state = simulator.reset(worlds)
+    whole = jax.eval_shape(lambda worlds: simulator.advance(worlds, simulator.reset(worlds)), worlds)
+    assert whole[0].vehicles.p.shape == state.vehicles.p.shape
+    assert whole[2].shape == (1,)
+    after, _ = jax.eval_shape(simulator.step, worlds, state)
+    assert after.vehicles.p.shape == state.vehicles.p.shape
+    same = jax.jit(lambda: simulator.reset(worlds).vehicles.p)()
+    np.testing.assert_array_equal(same, state.vehicles.p)
 
 
 def fly(simulator, worlds):

@@ -63,6 +63,31 @@ def test_a_simulation_fills_its_row(measured):
     assert "all worlds different" in measured.inside
 
 
+SIMULATED = [name for name, workload in WORKLOADS.items() if workload.kind == "simulation"]
+
+
+@pytest.mark.parametrize("name", SIMULATED)
+def test_operations_of_every_simulation_are_counted(name):
+    """Traced only: what follows the timed calls of `measure`."""
+    (case,) = ask(workloads=(name,), worlds=(2,), robots=(1,))
+    counted = simulation._count(case.scenario.model_dump_json())
+    # Hundreds of operations for a physics step of one robot, on either engine.
+    assert 500 < counted.flops < 50_000
+    # A scenario's repeats share one count.
+    assert simulation._count(case.scenario.model_dump_json()) is counted
+
+
+ALONE = [n for n, w in WORKLOADS.items() if w.kind in ("dynamics", "generation", "clearance")]
+
+
+@pytest.mark.parametrize("name", ALONE)
+def test_every_workload_without_a_simulation_ends_with_a_number(name):
+    (case,) = ask(workloads=(name,), worlds=(2,), robots=(1,), kernels="xla")
+    (row,) = measuring.run([case], lambda case: None)
+    assert row.refused is None
+    assert 0 < row.low <= row.median <= row.high
+
+
 def state(**changes):
     tally = {
         "outcome": jnp.full((2, 3), int(Outcome.RUNNING)),
@@ -230,6 +255,17 @@ def _known_device(monkeypatch):
     """The limits of this machine are measured where a row is; elsewhere some will do."""
     known = roofline.DeviceSpeed(copy_bytes_per_s=1e10, fma_flops_per_s=1e11, driver=None)
     monkeypatch.setattr(roofline, "measure", lambda: known)
+
+
+@pytest.mark.nightly(by="test_operations_of_every_simulation_are_counted")
+@pytest.mark.usefixtures("_known_device")
+@pytest.mark.parametrize("name", WORKLOADS)
+def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
+    out = tmp_path / "rows.jsonl"
+    main(["bench", "--workload", name, "--worlds", "2", "--robots", "1", "--out", str(out)])
+    (row,) = speed.read(out)
+    assert row["refused"] is None
+    assert row["median"] > 0
 
 
 @pytest.mark.usefixtures("_known_device")

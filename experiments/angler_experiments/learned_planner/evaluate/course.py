@@ -17,9 +17,9 @@ from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.sim.knowledge import Level
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.simulator.compiling import Program, Together
+from angler_mjx.simulator.compiling import Compiled, Program, Together
 from angler_mjx.simulator.on_device import device_planner
-from angler_mjx.simulator.simulator import NO_AUTOTUNING, Simulator
+from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage.intervals import Rate, clustered
 
 _TIMED = 2
@@ -80,7 +80,7 @@ class Course:
     def _begin(self, together: Together, planner: dict[str, Any]) -> Program:
         chosen = scenario(self.sea, planner, self.worlds)
         plan = device_planner(chosen, chosen.planner.chosen())
-        program = jax.jit(plan, compiler_options=NO_AUTOTUNING)
+        program = Compiled(plan)
         return together.begin(program, self.drawn, self.problems)
 
     def fly_ahead(self, settings: dict[str, Any], teams: int, told: Level) -> Row:
@@ -97,7 +97,7 @@ class Course:
         _, told_to_flight = self.simulator.asked(0, knows=knows)
         planner = LearnedPlanner(LearnedSettings(points=POINTS, **settings))
         begun = time.perf_counter()
-        answer = jax.jit(partial(planner.plan_teams, teams=teams), compiler_options=NO_AUTOTUNING)
+        answer = Compiled(partial(planner.plan_teams, teams=teams))
         program = answer.lower(self.problems).compile()
         compile_s = time.perf_counter() - begun
         ahead = Ahead(chosen)
