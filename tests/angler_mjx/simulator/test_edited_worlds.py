@@ -59,9 +59,9 @@ def worlds(simulator):
 def test_a_simulator_may_be_traced(simulator, worlds):
     """By programs that count, differentiate or repeat it, whatever was compiled before."""
     state = simulator.reset(worlds)
-    whole = jax.eval_shape(lambda worlds: simulator.advance(worlds, simulator.reset(worlds)), worlds)
-    assert whole[0].vehicles.p.shape == state.vehicles.p.shape
-    assert whole[2].shape == (1,)
+    after = jax.eval_shape(lambda x: simulator.advance(x, simulator.reset(x)), worlds)
+    assert after[0].vehicles.p.shape == state.vehicles.p.shape
+    assert after[2].shape == (1,)
     after, _ = jax.eval_shape(simulator.step, worlds, state)
     assert after.vehicles.p.shape == state.vehicles.p.shape
     same = jax.jit(lambda: simulator.reset(worlds).vehicles.p)()
