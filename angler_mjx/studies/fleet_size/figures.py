@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
+from angler_mjx.studies.fleet_size.report import level
 from angler_mjx.viewing import style
 
 SUCCESS, TIME = "success.png", "time.png"
@@ -31,7 +32,9 @@ def success(found: Mapping[str, Any]) -> Figure:
     style.headline(
         figure,
         f"{found['name']}: how many robots does it take?",
-        f"done within {found['deadline_s']:g} s; {found['worlds']:,} worlds",
+        f"done within {found['deadline_s']:g} s; {found['worlds']:,} worlds; bars are "
+        f"{level(found, 'share')} intervals of a share, lines below {level(found, 'answer')} "
+        "intervals of the answer",
     )
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3.6, bars_in])
     p = found["probability"]
@@ -111,7 +114,8 @@ def time(found: Mapping[str, Any]) -> Figure:
     style.headline(
         figure,
         f"{found['name']}: how long does it take?",
-        "median over all worlds, with its interval; dots: nine worlds in ten are done by then",
+        f"median over all worlds, with its {level(found, 'quantile')} interval; dots: nine "
+        "worlds in ten are done by then",
     )
     axes = figure.subplots()
     axes.axhline(found["deadline_s"], color=style.INK, linewidth=1.0, linestyle=(0, (4, 3)))

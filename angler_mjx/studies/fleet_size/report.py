@@ -54,6 +54,7 @@ def gather(study: Study, rule: Rule, batches: Sequence[Batch], ended: str) -> di
         "deadline_s": config.deadline_s,
         "probability": config.probability,
         "confidence": config.confidence,
+        "levels": levels(rule),
         "within": config.within,
         "sizes": list(study.sizes),
         "span": not isinstance(config.sizes, tuple),
@@ -88,7 +89,11 @@ def _of_condition(
     return {
         "name": condition.name,
         "values": dict(condition.values),
-        "answer": {**asdict(found), "text": found.text(rule.confidence)},
+        "answer": {
+            **asdict(found),
+            "listed": list(found.listed),
+            "text": found.text(rule.confidence),
+        },
         "sizes": [_of_size(study, rule, condition, several) for several in by_size.values()],
     }
 
@@ -152,7 +157,7 @@ def write_results(path: Path, study: Study, batches: Sequence[Batch]) -> None:
 
 
 ENDED = {
-    "answered": "Every answer is as sharp as was asked for.",
+    "answered": "Every answer is as sharp as the file requires (within, in sizes of the file).",
     "most_worlds": "Some answers are open: a size may have no more worlds (budget.most_worlds).",
     "most_minutes": "The time was over (budget.most_minutes): --resume goes on.",
     "interrupted": "It was interrupted: --resume goes on.",
@@ -160,9 +165,28 @@ ENDED = {
 """How a study ended, in words."""
 
 
+def levels(rule: Rule) -> dict[str, float]:
+    """Confidence of each kind of interval: of an answer, a size's share, a quantile, a mean.
+
+    That of a share is of both ends of `sequence.Rule.ends` together.
+    """
+    half = 0.5 * (1.0 - rule.confidence)
+    return {
+        "answer": rule.confidence,
+        "share": 1.0 - half - half / len(rule.sizes),
+        "quantile": rule.confidence,
+        "mean": survival.CONFIDENCE,
+    }
+
+
+def level(found: Mapping[str, Any], kind: str) -> str:
+    """Confidence of a kind of interval of ``study.json``, in %."""
+    return f"{100 * found['levels'][kind]:.4g} %"
+
+
 def answers_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Head and rows: the answer of each condition."""
-    sure = f"{100 * found['confidence']:g} %"
+    sure = level(found, "answer")
     head = ["condition", "smallest team", f"{sure} interval", "worlds", "answer"]
     rows = []
     for one in found["conditions"]:
@@ -176,17 +200,25 @@ def answers_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     return head, rows
 
 
-def sizes_table(one: Mapping[str, Any], probability: float) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: the sizes of a condition that were flown."""
+def sizes_table(
+    found: Mapping[str, Any], one: Mapping[str, Any]
+) -> tuple[list[str], list[list[str]]]:
+    """Head and rows: the sizes of a condition that were flown.
+
+    Args:
+        found: as ``study.json`` holds it.
+        one: of its conditions.
+    """
+    probability, quantile = found["probability"], level(found, "quantile")
     head = [
         "robots",
         "worlds",
         "met the deadline",
-        "interval",
+        f"{level(found, 'share')} interval",
         "decided",
-        "median time, s",
-        "90 % of worlds by, s",
-        "mean to the horizon, s",
+        f"median time ({quantile} interval), s",
+        f"90 % of worlds by ({quantile} interval), s",
+        f"mean to the horizon ({level(found, 'mean')} interval), s",
         "robots lost",
         "energy, kJ",
     ]
@@ -230,7 +262,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def write_page(path: Path, found: Mapping[str, Any]) -> None:
     """The page of a study."""
-    p, sure = f"{100 * found['probability']:g} %", f"{100 * found['confidence']:g} %"
+    p, sure = f"{100 * found['probability']:g} %", level(found, "answer")
     none = sum(row["no_room"] for one in found["conditions"] for row in one["sizes"])
     parts = [
         f"# {found['name']}",
@@ -238,21 +270,20 @@ def write_page(path: Path, found: Mapping[str, Any]) -> None:
         f"Smallest team that is done within {found['deadline_s']:g} s with a probability of {p}, "
         f"in {found['worlds']:,} worlds of scenario {found['scenario']}. {ENDED[found['ended']]}",
         markdown(*answers_table(found)),
-        f"The interval holds the smallest such size of this study with {sure}, for each condition "
-        "by itself, however long was flown (docs/fleet_size.md says why)."
-        + (
-            " Of sizes that were not flown, those between two that are too few count as too few."
-            if found["span"]
-            else ""
-        ),
+        f"The interval holds the smallest such number of robots with {sure}, for each condition "
+        "by itself, however long was flown (docs/fleet_size.md says why). Of sizes that were not "
+        "flown, one counts as too few where the next larger one that was, and all below, are.",
         "![success](success.png)",
         "![time](time.png)",
-        "Times: of all worlds, also those that were never done; intervals of quantiles hold "
-        "however long was flown, those of means for a number of worlds that was fixed beforehand."
+        f"Intervals of shares ({level(found, 'share')}, each size by itself) decide whether a size "
+        "is enough, and hold however long was flown. Times: of all worlds, also those that were "
+        f"never done; intervals of quantiles ({level(found, 'quantile')}) hold however long was "
+        f"flown, those of means ({level(found, 'mean')}) for a number of worlds that was fixed "
+        "beforehand."
         + (f" In {none:,} worlds there was no room for the team: not done." if none else ""),
     ]
     for one in found["conditions"]:
-        parts += [f"## {one['name']}", markdown(*sizes_table(one, found["probability"]))]
+        parts += [f"## {one['name']}", markdown(*sizes_table(found, one))]
     took = found["timing"]
     made = found["environment"]
     parts.append(

@@ -75,6 +75,7 @@ def rule_of(study: Study) -> Rule:
         confidence=config.confidence,
         within=config.within,
         most_worlds=config.budget.most_worlds,
+        min_size=config.arrivals or 1,
     )
 
 

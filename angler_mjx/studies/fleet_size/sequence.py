@@ -1,11 +1,11 @@
 """The sequential part: which sizes are decided, what is flown next, and what the answer is.
 
-Size n meets the deadline with probability p(n). The answer n* is the smallest size of the file with
+Size n meets the deadline with probability p(n). The answer n* is the smallest number of robots with
 p(n) >= P. A size is *accepted* when the lower end of its interval is P or more, and *excluded* when
 the upper end is below P; the intervals hold at all times (`bernoulli`). With confidence 1 - alpha
 the answer lies in
 
-    [smallest size that is not excluded, smallest size that is accepted]:
+    [one robot more than the largest size up to which all are excluded, smallest accepted size]:
 
 - too high would be a size below n* that was accepted though p < P. Each of the K sizes may err so
   with alpha / (2 K), all together with alpha / 2 (Bonferroni);
@@ -13,8 +13,10 @@ the answer lies in
   upper end: alpha / 2.
 
 Nothing is asked of p but that worlds are independent; it may fall again as robots meet each other.
-Of a span not all sizes are flown: one that lies between two that were both excluded is taken to be
-excluded too. That is the only assumption, and a list of sizes does not need it.
+Not all sizes are flown, of a list as of a span: a size between two excluded ones counts as excluded
+too, and so does each size below the smallest of the file once that one is excluded. That is the
+only assumption. Sizes that were not flown and lie beside one that is not excluded stay in the
+interval.
 """
 
 import math
@@ -42,6 +44,13 @@ class Rule:
     within: int
     most_worlds: int
     """Of one size: no batch begins once so many were flown."""
+    min_size: int = 1
+    """Least number of robots that can do the task at all."""
+
+    @property
+    def is_list(self) -> bool:
+        """Whether sizes between the first and the last are not in the file, or only one is."""
+        return len(self.sizes) == 1 or len(self.sizes) <= self.sizes[-1] - self.sizes[0]
 
     def ends(self, hits: int, total: int) -> tuple[float, float]:
         """The interval of a size that decides about it."""
@@ -239,6 +248,8 @@ class Answer:
     """That were flown for it."""
     largest: int
     """Size of the file."""
+    listed: tuple[int, ...]
+    """Sizes of the file where they are a list with gaps; else none."""
 
     def text(self, confidence: float) -> str:
         """In words."""
@@ -253,8 +264,15 @@ class Answer:
             known = f"between {self.low} and {self.high}"
         if self.good:
             best = self.estimate
-            return f"{best} robot{'s' if best != 1 else ''} ({sure}: {known})"
+            return f"{best} robot{'s' if best != 1 else ''}{self._of_listed()} ({sure}: {known})"
         return f"open: {known} ({sure}) after {self.worlds:,} worlds"
+
+    def _of_listed(self) -> str:
+        """The sizes that the estimate was chosen from, in words."""
+        if not self.listed:
+            return ""
+        *others, last = map(str, self.listed)
+        return f", of {', '.join(others)} and {last}" if others else ", the only size of the file"
 
 
 def answer(rule: Rule, counts: Counts) -> Answer:
@@ -262,9 +280,15 @@ def answer(rule: Rule, counts: Counts) -> Answer:
     now, none = stand(rule, counts), len(rule.sizes)
     return Answer(
         estimate=None if now.estimate == none else rule.sizes[now.estimate],
-        low=None if now.excluded == none - 1 else rule.sizes[now.excluded + 1],
+        low=None if now.excluded == none - 1 else _low(rule, now),
         high=None if now.accepted == none else rule.sizes[now.accepted],
         good=now.good(rule),
         worlds=sum(total for _, total in counts.values()),
         largest=rule.sizes[-1],
+        listed=rule.sizes if rule.is_list else (),
     )
+
+
+def _low(rule: Rule, now: Standing) -> int:
+    """Least number of robots that is not excluded, whether it was flown or not."""
+    return rule.min_size if now.excluded < 0 else rule.sizes[now.excluded] + 1

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+CONFIDENCE = 0.95
+"""Of the interval of a mean."""
 Z = 1.959963984540054
-"""Of 95 %."""
+"""Of `CONFIDENCE`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """A small study in open water: flown whole, and interrupted and gone on with."""
 
+import dataclasses
 import json
 import math
 import os
@@ -313,7 +314,32 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
     for one in found["conditions"]:
         assert one["name"] in text
     page = (out / folder.PAGE).read_text()
+    # One size: 2.5 % for its upper end and as much for its lower one.
+    assert "| robots | worlds | met the deadline | 95 % interval |" in page
+    assert "median time (95 % interval), s" in page
+    assert "mean to the horizon (95 % interval), s" in page
     assert "| breaking | none | more than 2 |" in page or "| breaking | none | 1 or more |" in page
+
+
+def test_every_interval_names_its_level(source):
+    """Of 14 sizes each may be accepted wrongly with 1 / 14 of half of 10 %, excluded with half."""
+    given = asking.read(source)
+    rule = running.rule_of(given)
+    rule = dataclasses.replace(rule, sizes=tuple(range(3, 17)), confidence=0.9)
+    found = {"levels": report.levels(rule)}
+    assert report.level(found, "share") == f"{100 * (1 - 0.05 - 0.05 / 14):.4g} %" == "94.64 %"
+    assert [report.level(found, kind) for kind in ("answer", "quantile", "mean")] == [
+        "90 %",
+        "90 %",
+        "95 %",
+    ]
+    row = {"size": 3, "worlds": 10, "met": 9, "rate": 0.9, "low": 0.5, "high": 1.0}
+    row |= {"median_s": dict.fromkeys(("value", "low", "high"), 1.0)}
+    row |= {"p90_s": row["median_s"], "mean_s": dict.fromkeys(("mean", "low", "high"), 1.0)}
+    row |= {"lost_per_robot": 0.0, "energy_j": 1.0}
+    head, _ = report.sizes_table({**found, "probability": 0.95}, {"sizes": [row]})
+    assert head[3] == "94.64 % interval"
+    assert [name for name in head if "interval" in name and "%" not in name] == []
 
 
 def test_arrival_of_some_robots():

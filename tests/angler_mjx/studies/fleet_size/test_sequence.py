@@ -98,10 +98,56 @@ def test_a_list_is_flown_whole_and_nothing_is_taken_for_granted():
     )
     counts = {0: (900, 1000), 1: (100, 1000), 2: (1000, 1000)}
     found = answer(rule, counts)
-    # 4 is far too few, 8 is enough, 2 is on the edge: it can be the answer.
-    assert (found.low, found.high, found.good) == (2, 8, False)
+    # 4 is far too few, 8 is enough, 2 is on the edge: it can be the answer, as 1 can.
+    assert (found.low, found.high, found.good) == (1, 8, False)
     assert wanted(rule, counts) == []
-    assert found.text(0.95) == "open: between 2 and 8 (95 %) after 3,000 worlds"
+    assert found.text(0.95) == "open: between 1 and 8 (95 %) after 3,000 worlds"
+
+
+def listed(*sizes, **other):
+    return Rule(
+        **{
+            "sizes": sizes,
+            "first": tuple(range(len(sizes))),
+            "probability": 0.95,
+            "confidence": 0.95,
+            "within": 1,
+            "most_worlds": 2048,
+            **other,
+        }
+    )
+
+
+@pytest.mark.parametrize("sizes", [(3, 6), (2, 4, 9, 24), (6,), (4, 5, 7)])
+@pytest.mark.parametrize("curve", ["steep", "just enough", "just too few"])
+def test_the_answer_of_a_list_may_be_a_size_that_was_never_flown(sizes, curve):
+    """Success rises with the team: the truth is the first number of robots that is enough."""
+    p = CURVES[curve]
+    rng = np.random.default_rng(3)
+    rule = listed(*sizes)
+    flown = [p[size - 1] for size in sizes]
+    found = [answer(rule, study(rule, flown, rng, 128)[0]) for _ in range(30)]
+    truth = least(p) if least(p) <= sizes[-1] else None
+    assert sum(holds(one, truth) for one in found) >= 28
+
+
+def test_a_list_with_gaps_claims_no_more_than_was_flown():
+    counts = {0: (0, 300), 1: (2000, 2000)}
+    found = answer(listed(3, 6), counts)
+    assert (found.estimate, found.low, found.high, found.good) == (6, 4, 6, True)
+    assert found.text(0.95) == "6 robots, of 3 and 6 (95 %: between 4 and 6)"
+    # The smallest one is enough: smaller teams were never flown.
+    found = answer(listed(3, 6), {0: (2000, 2000), 1: (2000, 2000)})
+    assert (found.estimate, found.low, found.high) == (3, 1, 3)
+    assert found.text(0.9) == "3 robots, of 3 and 6 (90 %: between 1 and 3)"
+    # No team of fewer than four can bring four robots anywhere.
+    found = answer(listed(4, 6, min_size=4), {0: (2000, 2000), 1: (2000, 2000)})
+    assert (found.low, found.high) == (4, 4)
+    found = answer(listed(6), {0: (2000, 2000)})
+    assert found.text(0.95) == "6 robots, the only size of the file (95 %: between 1 and 6)"
+    # Of 1, 2 and 3 none is left out.
+    found = answer(listed(1, 2, 3), {0: (0, 300), 1: (2000, 2000), 2: (2000, 2000)})
+    assert found.text(0.95) == "2 robots (95 %: 2)"
 
 
 def test_no_size_gets_more_worlds_than_it_may():
