@@ -7,6 +7,7 @@ alone), and the homes of the robots [R], which are their starts.
 """
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Literal
 
 import jax
@@ -45,6 +46,19 @@ class SurveySpec:
     """Height of viewpoints above what they look at."""
     coverage: float
     """Share of what can be seen that has to be."""
+
+    def required(self, total: jax.Array) -> jax.Array:
+        """Return the least whole number of cells that is the coverage of ``total``, int32 [...].
+
+        Exact: the coverage is taken as the fraction that its file says (denominators to 32,768),
+        since 0.6 in single precision asks for 16 of 25 cells.
+
+        Args:
+            total: int32 [...] cells that can be seen.
+        """
+        share = Fraction(self.coverage).limit_denominator(2**15)
+        whole, rest = total // share.denominator, total % share.denominator
+        return whole * share.numerator - (-rest * share.numerator // share.denominator)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -136,7 +136,7 @@ def cover(
         return left.at[flat[best]].min(~mine), (best, exists, mine)
 
     left, (chosen, exists, mine) = jax.lax.scan(choose, wanted, length=jobs)
-    fits = count - jnp.sum(left, dtype=jnp.int32) >= jnp.ceil(spec.coverage * count)
+    fits = count - jnp.sum(left, dtype=jnp.int32) >= spec.required(count)
     wanted = wanted.reshape(surface.shape)
     world = SurveyWorld(
         cells=wanted,

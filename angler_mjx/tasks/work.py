@@ -97,7 +97,7 @@ def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
     complete = jnp.all(state.done | ~task.exists)
     if seen is not None and survey is not None and world is not None:
         count, total = bit_grid.population(seen), jnp.maximum(world.count, 1)
-        progress, complete = count / total, count >= jnp.ceil(survey.coverage * total)
+        progress, complete = count / total, count >= survey.required(total)
     return _with_progress(state, progress, complete, scene.t)
 
 

@@ -1,6 +1,7 @@
 """What a survey is to see, by loops over the cells; and viewpoints that see enough of it."""
 
 import math
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -103,6 +104,29 @@ def test_viewpoints_are_reachable_and_see_what_is_theirs_and_enough_together(of:
             assert (-way[:, 2] >= math.cos(math.radians(50.0)) * length - 1e-4).all()
         assert (covered <= cells).all()
         assert covered.sum() >= 0.95 * cells.sum() - 1  # half of what may be left out as well
+
+
+@pytest.mark.parametrize("text", ["0.6", "0.95", "0.09", "0.123", "1.0", "0.9999"])
+def test_the_required_cells_are_exact(text: str) -> None:
+    """In single precision 0.6 of 25 cells are 15.000001, and 16 would be required."""
+    total = np.r_[np.arange(0, 4000), 99_999, 1_000_000, 2**24]
+    spec = SurveySpec(
+        of="floor",
+        footprint=sight.footprint(1.0, 5.0, CELL),
+        altitude_cells=2,
+        coverage=float(text),
+    )
+    found = np.asarray(jax.jit(spec.required)(jnp.array(total, jnp.int32)))
+    assert found.tolist() == [math.ceil(Fraction(text) * int(n)) for n in total]
+
+
+def test_viewpoints_are_chosen_from_512_candidates_at_most() -> None:
+    """513 columns, and 513 cells of a lattice, are one too many."""
+    for of, shape in (("floor", (27, 19, 1)), ("rock", (27, 19, 1)), ("both", (19, 14, 1))):
+        reachable = jnp.ones(shape, bool)
+        ground = jnp.zeros(shape[:2], jnp.int32)
+        cells, _ = surface.candidates(spec_of(of), reachable, ground)
+        assert 64 <= len(cells) <= 512
 
 
 def test_a_world_whose_viewpoints_see_too_little_has_no_room() -> None:

@@ -100,6 +100,7 @@ def spec_of(kind: str, jobs: int, **more: Any) -> TaskSpec:
 def test_every_place_of_a_shared_tour_is_done_once(allocation: str) -> None:
     _, states, _ = flown(spec_of("tour", 9, allocation=allocation))
     done = np.array([state.done for state in states])
+    assert [float(state.progress) for state in states] == pytest.approx(done.mean(axis=1))
     assert (np.diff(done.astype(int), axis=0) >= 0).all()
     last = states[-1]
     assert last.done.all()
@@ -144,6 +145,30 @@ def test_robots_that_return_are_finished_at_home() -> None:
     assert (np.linalg.norm(last.goal_m - homes, axis=1) <= 0.5).all()
     finished = np.array([state.finished for state in states]).any(axis=1)
     assert np.argmax(finished) > np.argmax([state.complete for state in states])
+
+
+def test_a_robot_is_home_within_the_tolerance_of_its_start() -> None:
+    """By its distance: 0.4 m off along two axes is beyond 0.5 m, 0.3, 0.3 and 0.2 m is not."""
+    spec = spec_of("tour", 4, after="return")
+    task, start = task_of(spec), np.asarray(Water().start_m)
+    off = np.array([[0.4, 0.4, 0.0], [0.3, 0.3, 0.2], [0.0, 0.0, 0.6]])
+    state = replace(work.begin(spec, task, jnp.asarray(start)), done=jnp.ones(4, bool))
+    after = looked(spec, task, state, start + off, np.ones(ROBOTS, bool), 1.0, None)
+    assert after.finished.tolist() == [False, True, False]
+
+
+def test_goods_are_taken_by_robots_that_were_sent_for_them() -> None:
+    """A robot that starts where goods lie takes them up once it is sent there, not before."""
+    spec = spec_of("deliver", 4, dropped="lost")
+    task, p = task_of(spec), np.asarray(Water().start_m).copy()
+    p[0] = task.place_m[1]
+    state = work.begin(spec, task, jnp.asarray(p))
+    assert state.target.tolist() == [-1] * ROBOTS
+    state = looked(spec, task, state, p, np.ones(ROBOTS, bool), 0.0, None)
+    assert state.carrying.tolist() == [-1] * ROBOTS
+    assert state.target[0] == 1
+    state = looked(spec, task, state, p, np.ones(ROBOTS, bool), 0.5, None)
+    assert state.carrying[0] == 1
 
 
 def test_goods_are_conserved_and_each_is_brought_once() -> None:
@@ -200,6 +225,55 @@ def test_a_survey_ends_when_enough_was_seen() -> None:
     before = [state.progress for state in states if not state.complete]
     assert max(before) < 0.9
     assert (np.diff([state.progress for state in states]) >= 0).all()
+
+
+def survey_of(coverage: float) -> TaskSpec:
+    seen = sight.footprint(math.radians(45.0), 5.0, CELL)
+    survey = SurveySpec(of="floor", footprint=seen, altitude_cells=2, coverage=coverage)
+    return spec_of("survey", 20, survey=survey)
+
+
+def cells_of(words: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """bool [nx, ny, nz] of packed words, by NumPy."""
+    bits = np.unpackbits(np.asarray(words).view(np.uint8), axis=-1, bitorder="little")
+    return bits[..., : shape[2]].astype(bool)
+
+
+def test_a_survey_is_complete_with_the_cell_that_makes_its_coverage() -> None:
+    """What is seen at once is exactly the coverage of the one, one cell less than of the other."""
+    p, all_ = np.array([[0.0, 0.0, -6.0], [3.0, 3.0, -6.0], [-3.0, 3.0, -6.0]]), np.ones(3, bool)
+
+    def after(coverage: float) -> tuple[TaskWorld, TaskState]:
+        spec = survey_of(coverage)
+        task = task_of(spec)
+        begun = work.begin(spec, task, jnp.asarray(p))
+        return task, looked(spec, task, begun, p, all_, 0.0, None)
+
+    task, state = after(1.0)
+    cells = np.asarray(task.survey.cells)
+    count, total = int((cells_of(state.seen, SHAPE) & cells).sum()), int(cells.sum())
+    assert 5 < count < total - 1
+    assert not state.complete
+    assert after(count / total)[1].complete
+    assert not after((count + 1) / total)[1].complete
+
+
+def test_viewpoints_are_credited_to_robots_that_are_under_way() -> None:
+    """All is seen: each viewpoint is that of the nearest robot whose episode goes on."""
+    spec = survey_of(1.0)
+    task = task_of(spec)
+    points, there = np.asarray(task.place_m)[: spec.jobs], np.asarray(task.exists)
+    p, running = np.asarray(Water().start_m).copy(), np.array([True, False, True])
+    p[1] = points[there].mean(axis=0)  # in the middle of them, and lost
+    begun = replace(work.begin(spec, task, jnp.asarray(p)), seen=task.survey.words)
+    state = looked(spec, task, begun, p, running, 1.0, None)
+    apart = np.linalg.norm(points[:, None] - p, axis=-1)
+    assert (np.argmin(apart[there], axis=1) == 1).any()
+    expected = np.argmin(np.where(running, apart, np.inf), axis=1)
+    assert np.asarray(state.by)[there].tolist() == expected[there].tolist()
+    assert (np.asarray(state.by)[~there] == -1).all()
+    assert state.did.tolist() == [int((expected[there] == robot).sum()) for robot in range(ROBOTS)]
+    assert state.did[1] == 0
 
 
 def test_robots_that_hear_nothing_know_their_own_work_alone_and_do_it_all_again() -> None:
