@@ -4,7 +4,7 @@ import pytest
 
 from angler_mjx.acoustics.access import Aloha, Tdma
 from angler_mjx.acoustics.config import AcousticsConfig, refuse_acoustics
-from angler_mjx.acoustics.link import Budget
+from angler_mjx.acoustics.link import Budget, Reach
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
 
@@ -43,6 +43,44 @@ def test_numbers_of_the_nanomodem_by_hand():
     assert made.link.success(2000.0, 0.0) > 0.999
     # 24 m cubed is 41.6 m across: 28 ms more than the packet, in steps of 50 ms.
     assert made.access.slot == 5
+
+
+def test_a_range_is_a_channel():
+    made = channel(model="range", range_m=10.0)
+    assert made.link == Reach(range_m=10.0)
+    assert channel(model="range", range_m=1.0).link.success(1.0, 0.0) == 1.0
+
+
+BOUNDS = {
+    "interval_s": (1e-9, 86400.0),
+    "guard_s": (0.0, 60.0),
+    "bits": (1, 10**6),
+    "bit_rate_bps": (1e-9, 1e6),
+    "lost_after_s": (1e-9, 86400.0),
+    "sound_mps": (1300.0, 1700.0),
+    "temperature_c": (0.0, 35.0),
+    "salinity_ppt": (0.0, 45.0),
+    "depth_m": (0.0, 8000.0),
+    "ph": (7.0, 9.0),
+    "spreading": (1.0, 2.0),
+    "source_level_db": (60.0, 220.0),
+    "shipping": (0.0, 1.0),
+    "wind_mps": (0.0, 50.0),
+    "self_noise_db": (-50.0, 200.0),
+    "rock_db_per_m": (0.0, 1000.0),
+}
+"""Least and greatest value of keys, of the sea and of modems that are sold."""
+
+
+@pytest.mark.parametrize("key", BOUNDS)
+def test_numbers_beyond_what_there_is_are_refused(key):
+    low, high = BOUNDS[key]
+    step = 1 if isinstance(low, int) else 0.5
+    for value in (low, high):
+        assert getattr(AcousticsConfig.model_validate({key: value}), key) == value
+    for value in (low - step, high + step):
+        with pytest.raises(ValueError, match=key):
+            AcousticsConfig.model_validate({key: value})
 
 
 def test_chances_of_aloha_keep_the_rate():

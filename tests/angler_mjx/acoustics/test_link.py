@@ -3,6 +3,7 @@ import math
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import optimize
 
 from angler_mjx.acoustics.link import Budget, Reach, bit_error, packet_success
 from angler_mjx.acoustics.link import transmission_loss_db as loss_db
@@ -71,6 +72,34 @@ def test_budget_by_hand():
     near, far = link.success(np.array([10.0, 20_000.0]), 0.0)
     assert near > 0.999 > 0.01 > far
     assert link.success(np.array(2000.0), 60.0) < link.success(np.array(2000.0), 0.0)
+
+
+@pytest.mark.parametrize("rock_db", [0.0, 7.5])
+def test_a_modem_drowns_others_where_it_is_louder_than_the_noise(rock_db):
+    """Up to the distance at which 10 k log10(r) + a r eats up the signal (SciPy's root)."""
+    link = Budget(
+        snr_db=60.0,
+        bit_db=11.0,
+        spreading=1.5,
+        absorption_db_per_m=6e-3,
+        bits=64,
+        modulation="bpsk",
+        fading="rayleigh",
+    )
+
+    def above_noise_db(r):
+        return 60.0 - rock_db - 15.0 * math.log10(r) - 6e-3 * r
+
+    for level_db, is_loud in ((20.0, True), (5.9, True), (0.01, True), (-0.01, False), (-6, False)):
+        r = optimize.brentq(lambda r, level_db=level_db: above_noise_db(r) - level_db, 1.0, 1e5)
+        assert bool(link.loud(np.array(r), rock_db)) == is_loud
+        assert bool(link.loud(jnp.array(r), rock_db)) == is_loud
+
+
+def test_within_a_range_all_is_loud():
+    link = Reach(range_m=50.0)
+    found = link.loud(np.array([1.0, 50.0, 50.1, 1.0]), np.array([0.0, 0.0, 0.0, 0.1]))
+    assert found.tolist() == [True, True, False, False]
 
 
 def test_reach_is_all_or_nothing():

@@ -39,6 +39,51 @@ def test_ainslie_and_mccolm_keep_within_ten_per_cent_of_francois_and_garrison():
             assert one == pytest.approx(sound.francois_garrison_db_per_km(khz, *water), rel=0.12)
 
 
+WATERS = [
+    (10.0, 35.0, 10.0, 8.0),
+    (4.0, 30.0, 1000.0, 7.7),
+    (20.0, 38.0, 0.0, 8.2),
+    (26.0, 12.0, 50.0, 7.9),
+]
+"""Temperature, salinity, depth, pH: water above and below 20 degrees, salinity other than 35."""
+
+
+@pytest.mark.parametrize("khz", [0.3, 1.0, 28.0, 100.0, 600.0])
+@pytest.mark.parametrize(("t", "s", "d", "ph"), WATERS)
+def test_francois_and_garrison_is_the_equation_of_the_paper(khz, t, s, d, ph):
+    """Equations 2 to 10 of part II, term by term: A1 P1 of boric acid, A2 P2, A3 P3."""
+    theta, c = 273 + t, 1412 + 3.21 * t + 1.19 * s + 0.0167 * d
+    a1, p1 = 8.86 / c * 10 ** (0.78 * ph - 5), 1
+    a2, p2 = 21.44 * s / c * (1 + 0.025 * t), 1 - 1.37e-4 * d + 6.2e-9 * d**2
+    warm, cold = [3.964e-4, -1.146e-5, 1.45e-7, -6.5e-10], [4.937e-4, -2.59e-5, 9.11e-7, -1.5e-8]
+    a3 = np.polynomial.polynomial.polyval(t, cold if t <= 20 else warm)
+    p3 = 1 - 3.83e-5 * d + 4.9e-10 * d**2
+    f1 = 2.8 * (s / 35) ** 0.5 * 10 ** (4 - 1245 / theta)
+    f2 = 8.17 * 10 ** (8 - 1990 / theta) / (1 + 0.0018 * (s - 35))
+    f = khz
+    want = a1 * p1 * f1 * f**2 / (f1**2 + f**2) + a2 * p2 * f2 * f**2 / (f2**2 + f**2)
+    want += a3 * p3 * f**2
+    assert sound.francois_garrison_db_per_km(f, t, s, d, ph) == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize("khz", [0.3, 1.0, 28.0, 100.0, 600.0])
+@pytest.mark.parametrize(("t", "s", "d", "ph"), WATERS)
+def test_ainslie_and_mccolm_is_the_equation_of_the_paper(khz, t, s, d, ph):
+    f, z = khz, d / 1000
+    f1, f2 = 0.78 * (s / 35) ** 0.5 * np.exp(t / 26), 42 * np.exp(t / 17)
+    want = 0.106 * f1 * f**2 / (f**2 + f1**2) * np.exp((ph - 8) / 0.56)
+    want += 0.52 * (1 + t / 43) * (s / 35) * f2 * f**2 / (f**2 + f2**2) * np.exp(-z / 6)
+    want += 0.00049 * f**2 * np.exp(-(t / 27 + z / 17))
+    assert sound.ainslie_mccolm_db_per_km(f, t, s, d, ph) == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize(("t", "s", "d"), [(4.0, 30.0, 900.0), (20.0, 38.0, 0.0), (9, 34, 300)])
+def test_speed_is_about_that_of_medwins_equation(t, s, d):
+    """J. Acoust. Soc. Am. 58, 1975: to 0.6 m/s, 0 to 35 degrees, down to 1,000 m."""
+    medwin = 1449.2 + 4.6 * t - 0.055 * t**2 + 0.00029 * t**3 + (1.34 - 0.01 * t) * (s - 35)
+    assert sound.speed_mps(t, s, d) == pytest.approx(medwin + 0.016 * d, abs=0.6)
+
+
 def test_fresh_water_absorbs_little():
     salt, fresh = (sound.francois_garrison_db_per_km(28.0, 10.0, s, 5.0, 8.0) for s in (35.0, 0.0))
     assert 0.0 < fresh < 0.1 * salt
