@@ -232,11 +232,13 @@ def _of_task(task: dict[str, Any]) -> str:
     rate, taken = task["completed"], task["completed_s"]
     share = (
         f"task completed in {rate['count']} worlds, {100 * rate['rate']:.1f} % "
-        f"({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
+        f"(95 %: {100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
     )
     if taken["mean"] is None:
         return f"{share}; on average {100 * task['progress']:.1f} % of it was done"
-    spread = "" if taken["interval"] is None else " ({:.0f} to {:.0f} s)".format(*taken["interval"])
+    spread = ""
+    if taken["interval"] is not None:
+        spread = " (95 %: {:.0f} to {:.0f} s)".format(*taken["interval"])
     return f"{share}, after {taken['mean']:.0f} s on average{spread}"
 
 
@@ -265,12 +267,15 @@ def _report(run: "Run", *, as_json: bool) -> None:
         interval = f"{100 * reached['low']:.1f} to {100 * reached['high']:.1f} %"
         kinds.add_row(name, str(row["robots"]), f"{100 * reached['rate']:.1f} %", interval)
     console = Console()
-    console.print(table)
-    console.print(kinds)
     if "task" in summary:
         console.print(_of_task(summary["task"]), highlight=False)
+    console.print(table)
+    console.print(kinds)
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
-    median = "no robot arrived" if arrival is None else f"median time to goal {arrival:.0f} s"
+    did, time = "arrived", "time to goal"
+    if "task" in summary:
+        did, time = "did its part", "time of a robot's part"
+    median = f"no robot {did}" if arrival is None else f"median {time} {arrival:.0f} s"
     console.print(
         f"{median}; {timing['vehicle_steps_per_s']:.2e} vehicle-steps/s on "
         f"{_count(summary['devices'], 'device')}, "

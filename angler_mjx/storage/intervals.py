@@ -34,7 +34,7 @@ class Rate:
     low: float
     high: float
     effective: float
-    """Independent robots that would tell as much."""
+    """Independent robots that would tell as much: n / d, reduced for the degrees of freedom."""
 
 
 def wilson(count: float, total: float) -> tuple[float, float]:

@@ -261,13 +261,25 @@ def rates(episodes: pa.Table) -> dict[str, Any]:
     return {name: asdict(interval) for name, interval in found.items()}
 
 
+def completion_times(episodes: pa.Table) -> np.ndarray | None:
+    """Return when each world completed its task [w], s: NaN if it did not; None without a task.
+
+    Args:
+        episodes: rows of ``EPISODE_SCHEMA``; worlds come in increasing order.
+    """
+    rows = episodes.take(np.unique(episodes["world"].to_numpy(), return_index=True)[1])
+    if not np.isfinite(np.asarray(rows["task_progress"].to_numpy(), float)).any():
+        return None
+    return np.asarray(rows["task_completed_s"].to_numpy(), float)
+
+
 def summarise(episodes: pa.Table) -> dict[str, Any]:
     """What the rows add up to: outcomes, and quantiles of the main figures.
 
     Returns:
-        Keys ``robots``, ``outcomes``, ``planned_rate``, ``time_to_goal_s``, ``path_length_m``,
-        ``energy_j``, ``min_clearance_m``, ``redraws``, ``by_vehicle``; of runs with a task also
-        ``task``.
+        Keys ``robots``, ``task`` (of runs with a task), ``outcomes``, ``planned_rate``,
+        ``time_to_goal_s``, ``path_length_m``, ``energy_j``, ``min_clearance_m``, ``redraws``,
+        ``by_vehicle``.
     """
     world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
     first_rows = np.unique(world, return_index=True)[1]
@@ -286,6 +298,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     planned = episodes["planned"].to_numpy(zero_copy_only=False)
     return {
         "robots": episodes.num_rows,
+        **_of_task(episodes.take(first_rows)),
         "outcomes": rates(episodes),
         "planned_rate": float(planned.mean()) if planned.size else 0.0,
         "time_to_goal_s": _quantiles(episodes["time_to_goal_s"]),
@@ -297,7 +310,6 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
             "worlds": int((redraws[first_rows] > 0).sum()),
         },
         "by_vehicle": by_vehicle,
-        **_of_task(episodes.take(first_rows)),
     }
 
 

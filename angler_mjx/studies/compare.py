@@ -8,6 +8,7 @@ import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.storage.folder import Run
+from angler_mjx.storage.results import completion_times
 from angler_mjx.studies import paired
 from angler_mjx.studies.measures import arrived_of, numbers, plain, worlds_of
 from angler_mjx.vehicles import library
@@ -19,8 +20,8 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
     Returns:
         ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
         ``same_problems``, what `paired.pair` found, ``outcomes``: robots by outcome in the first
-        and in the second, and ``changed``: worlds in which any robot ended otherwise or at another
-        time, those that changed most first.
+        and in the second, and ``changed``: worlds in which the task was completed, or any robot
+        ended, otherwise or at another time, those that changed most first.
 
     Raises:
         ConfigError: the runs are not of the same seed, worlds and robots; the key is named.
@@ -114,14 +115,20 @@ def _outcomes(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
 
 
 def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
-    """Worlds that changed, those with more robots that arrived in one run alone first."""
+    """Return worlds that changed, those that changed most first.
+
+    Of runs with a task: worlds that completed it in one run alone, then by the change of the time
+    of completion. Ties, and other runs: more robots that arrived in one run alone, then the change
+    of their mean time.
+    """
     worlds, arrived = worlds_of(first), [arrived_of(rows) for rows in (first, second)]
     ended = [rows["outcome"].to_pylist() for rows in (first, second)]
     late = numbers(second, "time_to_goal_s") - numbers(first, "time_to_goal_s")
+    completed = [completion_times(rows) for rows in (first, second)]
     lost, won = arrived[0] & ~arrived[1], ~arrived[0] & arrived[1]
     made = []
     begins = np.flatnonzero(np.r_[True, np.diff(worlds) != 0])
-    for begin, end in zip(begins, [*begins[1:], len(worlds)], strict=True):
+    for number, (begin, end) in enumerate(zip(begins, [*begins[1:], len(worlds)], strict=True)):
         rows = range(begin, end)
         both = [float(late[i]) for i in rows if np.isfinite(late[i])]
         robots = [
@@ -129,10 +136,12 @@ def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
             for i in rows
             if ended[0][i] != ended[1][i]
         ]
-        if robots or any(both):
+        task = _task_change(*(None if x is None else float(x[number]) for x in completed))
+        if robots or any(both) or (task is not None and task["first_s"] != task["second_s"]):
             made.append(
                 {
                     "world": int(worlds[begin]),
+                    "task": task,
                     "arrived_first": int(np.sum(arrived[0][begin:end])),
                     "arrived_second": int(np.sum(arrived[1][begin:end])),
                     "lost": int(np.sum(lost[begin:end])),
@@ -141,4 +150,24 @@ def _changed(first: pa.Table, second: pa.Table) -> list[dict[str, Any]]:
                     "robots": robots,
                 }
             )
-    return sorted(made, key=lambda x: (-x["lost"] - x["won"], -abs(x["time_s"] or 0.0), x["world"]))
+    return sorted(made, key=_order)
+
+
+def _task_change(first_s: float | None, second_s: float | None) -> dict[str, float | None] | None:
+    """Return the times of completion of a world in both runs; None where a run has no task."""
+    if first_s is None or second_s is None:
+        return None
+    times: dict[str, float | None] = plain({"first_s": first_s, "second_s": second_s})
+    return times
+
+
+def _order(changed: Mapping[str, Any]) -> tuple[float, ...]:
+    """Return the sort key of a world that changed."""
+    task: tuple[float, float] = 0.0, 0.0
+    if changed["task"] is not None:
+        first_s, second_s = changed["task"]["first_s"], changed["task"]["second_s"]
+        alone = (first_s is None) != (second_s is None)
+        moved = 0.0 if first_s is None or second_s is None else abs(second_s - first_s)
+        task = -float(alone), -moved
+    robots = -changed["lost"] - changed["won"], -abs(changed["time_s"] or 0.0)
+    return (*task, *robots, changed["world"])

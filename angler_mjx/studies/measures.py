@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from angler_mjx.storage.folder import Run
 from angler_mjx.storage.intervals import Mean, clustered, clustered_mean, wilson
-from angler_mjx.storage.results import rates
+from angler_mjx.storage.results import completion_times, rates
 
 COSTS = {
     "time_to_goal_s": "of robots that arrived",
@@ -57,19 +57,11 @@ def _of_worlds(hit: np.ndarray) -> dict[str, Any]:
 
 
 def _task(episodes: pa.Table) -> dict[str, Any] | None:
-    when = task_times(episodes)
+    when = completion_times(episodes)
     if when is None:
         return None
     mean = clustered_mean(when, np.arange(len(when)))
     return {"completed": _of_worlds(np.isfinite(when)), "completed_s": plain(mean)}
-
-
-def task_times(episodes: pa.Table) -> np.ndarray | None:
-    """When each world completed its task, s [w], NaN where it did not; None without a task."""
-    rows = episodes.take(np.unique(worlds_of(episodes), return_index=True)[1])
-    if not np.isfinite(numbers(rows, "task_progress")).any():
-        return None
-    return numbers(rows, "task_completed_s")
 
 
 def _share(hit: np.ndarray, world: np.ndarray) -> dict[str, Any]:

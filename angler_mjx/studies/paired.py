@@ -17,14 +17,8 @@ import pyarrow as pa
 
 from angler_mjx.benchmark.report.paired import mcnemar, newcombe
 from angler_mjx.storage.intervals import Mean, clustered_mean, wilson
-from angler_mjx.studies.measures import (
-    COSTS,
-    arrived_of,
-    by_world,
-    numbers,
-    task_times,
-    worlds_of,
-)
+from angler_mjx.storage.results import completion_times
+from angler_mjx.studies.measures import COSTS, arrived_of, by_world, numbers, worlds_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +97,7 @@ def pair(first: pa.Table, second: pa.Table) -> Pairing:
     return Pairing(
         worlds=len(common),
         teams=_of_worlds(*(one == 1.0 for one in shares)),
-        **_tasks(*(task_times(one) for one in tables)),
+        **_tasks(*(completion_times(one) for one in tables)),
         robots=robots,
         share=share,
         share_p=share_p,

@@ -27,7 +27,9 @@ HOW_TO_READ = (
 OF_TASKS = (
     "*Tasks* is the change of the share of worlds that complete their task, with Newcombe's "
     "interval and McNemar's exact test; *completed after* that of the mean time, over worlds that "
-    "did in both."
+    "did in both. *Did their part* and *time of their part* are of robots: one has done its part "
+    "when nothing is left for it, which may be before the task is completed or without its being "
+    "completed."
 )
 
 OTHER_PROBLEMS = (
@@ -88,6 +90,13 @@ def has_tasks(found: Mapping[str, Any]) -> bool:
     return any(row["task"] is not None for row in found["cells"])
 
 
+def _words(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return what robots did, of whole teams too, and the time they took, as heads call it."""
+    if found["cells"] and all(row["task"] is not None for row in found["cells"]):
+        return "did their part", "whole teams did", "time of their part, s"
+    return "arrived", "whole teams", "time to goal, s"
+
+
 def write_page(found: Mapping[str, Any], path: Path) -> None:
     """The tables as Markdown.
 
@@ -122,15 +131,15 @@ def page(found: Mapping[str, Any]) -> str:
 def cells_table(found: Mapping[str, Any]) -> Table:
     """A row for each cell."""
     keys = [axis["key"] for axis in found["axes"]]
-    tasks = has_tasks(found)
+    tasks, (did, teams, time) = has_tasks(found), _words(found)
     head = [
         *keys,
         "robots",
         *(("tasks completed, %", "completed after, s") if tasks else ()),
         "planned, %",
-        "arrived, %",
-        "whole teams, %",
-        "time to goal, s",
+        f"{did}, %",
+        f"{teams}, %",
+        time,
         "energy, kJ",
     ]
     rows = [
@@ -160,10 +169,10 @@ def _task(found: Mapping[str, Any] | None) -> tuple[str, str]:
 def pairs_table(found: Mapping[str, Any]) -> Table:
     """A row for each pair of cells."""
     cells = {row["cell"]: row for row in found["cells"]}
-    tasks = has_tasks(found)
+    tasks, (did, _, time) = has_tasks(found), _words(found)
     head = ["key", "from", "to", "others"]
     head += ["tasks, points", "p of tasks", "completed after, s"] if tasks else []
-    head += ["arrived, points", "p", "won", "lost", "time, s"]
+    head += [f"{did}, points", "p", "won", "lost", "time, s" if did == "arrived" else time]
     rows = []
     for pair in found["pairs"]:
         first, second = cells[pair["first"]]["set"], cells[pair["second"]]["set"]

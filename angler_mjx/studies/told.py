@@ -26,6 +26,17 @@ COSTS = {
     "min_clearance_m": ("least clearance", "m", 1.0),
 }
 """Words, unit and scale of each cost."""
+COMPLETION = ("time to completion of the task", "s", 1.0)
+"""The same of the time at which a world completed its task."""
+
+TASK_RATES = {
+    "tasks": "tasks completed",
+    "robots": "robots that did their part",
+    "teams": "teams that all did their part",
+}
+"""Words of each rate in runs with a task."""
+TASK_COSTS = {**COSTS, "time_to_goal_s": ("time until a robot did its part", "s", 1.0)}
+"""Words, unit and scale of each cost of robots in runs with a task."""
 
 
 def text(found: Mapping[str, Any]) -> str:
@@ -51,7 +62,7 @@ def text(found: Mapping[str, Any]) -> str:
         f"  {one['robots']:>7,}  {one['first']} -> {one['second']}"
         for one in found["outcomes"][:MOST]
     ]
-    return "\n".join([*lines, "", *_worlds(found["changed"])])
+    return "\n".join([*lines, "", *_worlds(found)])
 
 
 def _rates(found: Mapping[str, Any]) -> list[str]:
@@ -59,7 +70,7 @@ def _rates(found: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{found['worlds']:,} worlds{held}; changes are B minus A, with 95 % intervals by world:"
     ]
-    for name, what in RATES.items():
+    for name, what in (TASK_RATES if _has_tasks(found) else RATES).items():
         one = found[name]
         if one is None:
             continue
@@ -79,11 +90,26 @@ def _points(one: Mapping[str, Any]) -> str:
     return f"{100 * one['difference']:+.1f} ({low} to {high})"
 
 
+def _has_tasks(found: Mapping[str, Any]) -> bool:
+    """Whether both runs are of scenarios with a task."""
+    return found["tasks"] is not None
+
+
+type Cost = tuple[str, str, float, Mapping[str, Any], str]
+"""Words, unit, scale, values, and what has one."""
+
+
+def _costs_of(found: Mapping[str, Any]) -> list[Cost]:
+    """Return all costs in the order in which they are shown: completion of the task first."""
+    has_tasks, costs = _has_tasks(found), found["costs"]
+    words = TASK_COSTS if has_tasks else COSTS
+    rows: list[Cost] = [(*COMPLETION, found["task_s"], "world")] if has_tasks else []
+    return rows + [(*words[name], costs[name], "robot") for name in words if name in costs]
+
+
 def _costs(found: Mapping[str, Any]) -> list[str]:
     lines = []
-    tasks = [("time to completion", "s", 1.0, found["task_s"], "world")]
-    robots = [(*said, found["costs"][name], "robot") for name, said in COSTS.items()]
-    for word, unit, scale, one, whose in [*(tasks if found["task_s"] else []), *robots]:
+    for word, unit, scale, one, whose in _costs_of(found):
         if one["difference"] is None:
             lines.append(f"  {word}: no {whose} has one in both")
             continue
@@ -100,11 +126,14 @@ def _costs(found: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def _worlds(changed: list[Mapping[str, Any]]) -> list[str]:
+def _worlds(found: Mapping[str, Any]) -> list[str]:
+    changed = found["changed"]
     count = "1 world" if len(changed) == 1 else f"{len(changed):,} worlds"
     lines = [f"{count} changed" + (", these most:" if len(changed) > MOST else "")]
     for one in changed[:MOST]:
-        parts = [f"{one['arrived_first']} -> {one['arrived_second']} arrived"]
+        did = "did their part" if one["task"] else "arrived"
+        parts = [_task(one["task"])] if one["task"] else []
+        parts.append(f"{one['arrived_first']} -> {one['arrived_second']} {did}")
         if one["time_s"] is not None:
             parts.append(f"time of those that did in both {one['time_s']:+.1f} s")
         parts += [f"robot {x['robot']}: {x['first']} -> {x['second']}" for x in one["robots"]]
@@ -114,20 +143,28 @@ def _worlds(changed: list[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
+def _task(task: Mapping[str, float | None]) -> str:
+    first, second = (
+        "not completed" if at_s is None else f"{at_s:.1f} s"
+        for at_s in (task["first_s"], task["second_s"])
+    )
+    return f"task: {first} -> {second}"
+
+
 def draw(found: Mapping[str, Any]) -> Figure:
     """Changes with their intervals.
 
     Args:
         found: by `angler_mjx.studies.compare.compare`.
     """
+    words = TASK_RATES if _has_tasks(found) else RATES
     rates = [
         (word, 100 * x["difference"], [None if x[e] is None else 100 * x[e] for e in _ENDS])
-        for word, x in ((word, found[name]) for name, word in RATES.items())
+        for word, x in ((word, found[name]) for name, word in words.items())
         if x is not None
     ]
     costs = []
-    for name, (word, _, _) in COSTS.items():
-        one = found["costs"][name]
+    for word, _, _, one, _ in _costs_of(found):
         if one["difference"] is None or not one["first"]:
             continue
         share = 100 / abs(one["first"])

@@ -1,6 +1,7 @@
 """Figures about all robots of a run: how they ended, how near they came, how long they took."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from angler_mjx.storage.results import OUTCOMES, rates
+from angler_mjx.storage.results import OUTCOMES, completion_times, rates
 from angler_mjx.viewing import style
 
 
@@ -43,13 +44,22 @@ def outcomes(episodes: pa.Table, name: str) -> Figure:
         _rate_bars(top, all_rates)
         style.headline(
             figure,
-            f"{name}: {100 * all_rates['reached']['rate']:.0f} % of robots arrived",
+            f"{name}: {_headline(episodes, all_rates['reached']['rate'])}",
             f"{episodes.num_rows:,} robots in {len(set(episodes['world'].to_pylist())):,} worlds; "
             "lines are 95 % intervals, clustered by world",
         )
         top.set_title("All robots")
         _stacked_kinds(bottom, {kind: rates(rows_of(episodes, kind)) for kind in groups})
     return figure
+
+
+def _headline(episodes: pa.Table, reached: float) -> str:
+    """Return what came of a run in words: of its tasks first."""
+    completed_s = completion_times(episodes)
+    if completed_s is None:
+        return f"{100 * reached:.0f} % of robots arrived"
+    share = 100 * np.mean(np.isfinite(completed_s))
+    return f"{share:.0f} % of tasks completed, {100 * reached:.0f} % of robots did their part"
 
 
 def _rate_bars(axes: Axes, table: Mapping[str, Mapping[str, float]]) -> None:
@@ -182,48 +192,90 @@ def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label:
 def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:
     """Share of robots that had arrived by a time, of each vehicle and parameter set.
 
-    Robots that never arrive count in the share, so a curve ends at the rate of arrival.
+    Robots that never arrive count in the share, so a curve ends at the rate of arrival. Of a run
+    with a task, the first curve is the share of worlds that had completed it.
 
     Args:
         episodes: rows of the run.
         name: of the scenario, for the title.
         horizon_s: end of the run, s.
     """
+    completed_s, groups = completion_times(episodes), kinds(episodes)
+    never, unit = "none arrived", "robots at their goal"
+    if completed_s is not None:
+        never, unit = "none did its part", "worlds with the task completed, robots done"
     with style.styled():
-        figure = style.new_figure(9.6, 4.6 + 0.11 * len(kinds(episodes)), headline_in=0.65)
+        figure = style.new_figure(9.6, 4.6 + 0.11 * len(groups), headline_in=0.65)
         axes = figure.subplots()
-        groups = kinds(episodes)
+        shown = _finite(episodes, "time_to_goal_s")
+        if completed_s is not None:
+            done_s = completed_s[np.isfinite(completed_s)]
+            total = len(completed_s)
+            _curve(axes, done_s, total, horizon_s, "task completed", "never", color=style.INK)
+            shown = np.r_[shown, done_s]
         for i, kind in enumerate(groups):
             rows = rows_of(episodes, kind)
-            arrival = np.sort(_finite(rows, "time_to_goal_s"))
-            share = np.arange(1, arrival.size + 1) / max(rows.num_rows, 1)
-            end = share[-1] if arrival.size else 0.0
-            axes.step(
-                np.r_[0.0, arrival, horizon_s],
-                np.r_[0.0, share, end],
-                where="post",
+            line = ("-", "--", ":")[i // len(style.ROBOTS) % 3]
+            _curve(
+                axes,
+                _finite(rows, "time_to_goal_s"),
+                rows.num_rows,
+                horizon_s,
+                f"{kind[0]}, {kind[1]}",
+                never,
                 color=style.robot_color(i),
-                linestyle=("-", "--", ":")[i // len(style.ROBOTS) % 3],
-                linewidth=2.0,
-                label=_arrival_label(kind, arrival),
+                linestyle=line,
             )
-        every = _finite(episodes, "time_to_goal_s")
-        what = "no robot arrived"
-        if every.size:
-            what = f"half of those that arrive need at most {np.median(every):.0f} s"
         style.headline(
             figure,
-            f"{name}: {what}",
-            "a curve levels off at the share of its robots that ever arrive",
+            f"{name}: {_need(episodes, completed_s)}",
+            "a curve levels off at the share of its robots that ever arrive"
+            if completed_s is None
+            else "a curve levels off at the share of worlds that complete the task, or of robots "
+            "that do their part",
         )
-        axes.set_xlim(*_window(every, horizon_s))
+        axes.set_xlim(*_window(shown, horizon_s))
         axes.set_ylim(0.0, 1.02)
         axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
         axes.set_xlabel("time since the start, s")
-        axes.set_ylabel("robots at their goal")
+        axes.set_ylabel(unit)
         axes.grid()
         figure.legend(loc="outside lower left", ncols=2, handlelength=2.4)
     return figure
+
+
+def _need(episodes: pa.Table, completed_s: np.ndarray | None) -> str:
+    """Return the median time of what a run is about, in words."""
+    if completed_s is None:
+        every = _finite(episodes, "time_to_goal_s")
+        none, those = "no robot arrived", "those that arrive need"
+    else:
+        every = completed_s[np.isfinite(completed_s)]
+        none, those = "no task was completed", "the tasks that are completed take"
+    return f"half of {those} at most {np.median(every):.0f} s" if every.size else none
+
+
+def _curve(
+    axes: Axes,
+    times_s: np.ndarray,
+    total: int,
+    horizon_s: float,
+    name: str,
+    never: str,
+    **line: Any,
+) -> None:
+    """Draw the share of ``total`` that was done by each time, and name its median."""
+    ordered = np.sort(times_s)
+    share = np.arange(1, ordered.size + 1) / max(total, 1)
+    median = f"median {np.median(ordered):.0f} s" if ordered.size else never
+    axes.step(
+        np.r_[0.0, ordered, horizon_s],
+        np.r_[0.0, share, share[-1] if ordered.size else 0.0],
+        where="post",
+        linewidth=2.0,
+        label=f"{name}: {median}",
+        **line,
+    )
 
 
 def _window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
@@ -232,11 +284,6 @@ def _window(arrival: np.ndarray, horizon_s: float) -> tuple[float, float]:
         return 0.0, horizon_s
     first, last = 0.9 * float(arrival.min()), 1.1 * float(arrival.max())
     return 10.0 * np.floor(first / 10.0), min(horizon_s, 10.0 * np.ceil(last / 10.0))
-
-
-def _arrival_label(kind: tuple[str, str], arrival: np.ndarray) -> str:
-    median = f"median {np.median(arrival):.0f} s" if arrival.size else "none arrived"
-    return f"{kind[0]}, {kind[1]}: {median}"
 
 
 def _column(episodes: pa.Table, name: str) -> np.ndarray:

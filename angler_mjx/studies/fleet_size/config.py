@@ -107,7 +107,8 @@ class FleetSizeConfig(FileModel):
     confidence: float = Field(default=0.95, ge=0.5, le=0.999)
     """Of the interval of the answer."""
     within: int = Field(default=1, ge=0, le=1024)
-    """The answer is sharp enough where its interval holds 2 within + 1 sizes of the file at most."""
+    """The answer is sharp enough where its interval holds at most 2 within + 1 sizes of the
+    file."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Of the worlds: world i is the same for all sizes and conditions, as far as they allow."""
     budget: BudgetConfig = BudgetConfig()

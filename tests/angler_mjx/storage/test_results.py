@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from angler_mjx.storage.intervals import clustered, student, wilson
 
@@ -62,10 +63,37 @@ def test_worlds_that_end_as_one_are_worth_one_robot():
     assert (found["never"].count, found["never"].rate) == (0, 0.0)
 
 
+@pytest.mark.parametrize("spread", ["even", "clustered"])
+def test_effective_is_n_over_d_reduced_for_the_degrees_of_freedom(spread):
+    """Worlds of one size k: d = k var(rates of worlds) / (p (1 - p)), 1 at least (Cochran 1977)."""
+    worlds, k = 64, 4
+    reached = np.full(worlds, 2) if spread == "even" else np.r_[np.full(40, 4), np.full(24, 1)]
+    hit = (np.arange(k) < reached[:, None]).reshape(-1)
+    found = clustered({"hit": hit, "not": ~hit}, np.repeat(np.arange(worlds), k))["hit"]
+    p = hit.mean()
+    d = max(1.0, k * np.var(reached / k, ddof=1) / (p * (1 - p)))
+    reduced = (stats.norm.ppf(0.975) / stats.t.ppf(0.975, worlds - 1)) ** 2
+    assert found.effective == pytest.approx(worlds * k / d * reduced, rel=1e-3)
+    if spread == "even":
+        assert found.effective == pytest.approx(246.3, abs=0.1)
+
+
+@pytest.mark.parametrize(("count", "total"), [(0, 20), (7, 20), (20, 20), (1, 1), (811, 1000)])
+def test_wilsons_interval_is_scipys(count, total):
+    want = stats.binomtest(count, total).proportion_ci(0.95, method="wilson")
+    assert wilson(count, total) == pytest.approx((want.low, want.high), abs=1e-12)
+
+
 def test_one_world_says_next_to_nothing():
     found = clustered({"hit": np.ones(4, bool)}, np.zeros(4, int))["hit"]
     assert found.high == 1.0
     assert found.low < 0.05
+
+
+def test_quantiles_of_student_are_scipys():
+    for freedom in (*range(1, 60), 120, 1000, 10_000):
+        assert student(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=2e-3)
+    assert student(0) == student(1)
 
 
 def test_quantiles_of_student_against_tables():

@@ -112,8 +112,43 @@ def test_costs_are_of_robots_that_arrived_both_times_and_clearance_of_all():
     time, clearance = found.costs["time_to_goal_s"], found.costs["min_clearance_m"]
     assert (time.pairs, time.first, time.second) == (4, 37.5, 40.5)
     assert time.difference == pytest.approx(3.0)
+    # Energy and way have a value of every robot, and count where both runs arrived all the same.
+    for name in ("energy_j", "path_length_m"):
+        one = found.costs[name]
+        assert (one.pairs, one.first, one.second) == (4, 37.5, 40.5)
     assert clearance.pairs == 6
     assert clearance.difference == pytest.approx((1 + 77 + 2 + 88 + 3 + 6) / 6)
+
+
+def test_the_interval_of_paired_rates_is_newcombes_with_its_sign():
+    """Newcombe 1998 (Statistics in Medicine 17, 2635), table II, method 10: 36, 12, 2, 0."""
+    pairs = [(1, 1)] * 36 + [(0, 1)] * 12 + [(1, 0)] * 2
+    first, second = np.array(pairs, bool)[:, :, None].transpose(1, 0, 2)
+    found = pair(episodes(first, first * 1.0), episodes(second, second * 1.0)).teams
+    assert (found.both, found.only_second, found.only_first, found.neither) == (36, 12, 2, 0)
+    assert found.difference == pytest.approx(0.2)
+    assert (found.low, found.high) == pytest.approx((0.0569, 0.3404), abs=5e-5)
+    assert found.p == pytest.approx(stats.binomtest(12, 14).pvalue, rel=1e-12)
+    done = [[10.0 if one else None for one in column.reshape(-1)] for column in (first, second)]
+    tables = [episodes(first, first * 1.0, completed_s=times) for times in done]
+    tasks = pair(*tables).tasks
+    assert (tasks.low, tasks.high) == pytest.approx((0.0569, 0.3404), abs=5e-5)
+
+
+@pytest.mark.parametrize("change", [-1.0, 0.4])
+def test_the_interval_of_a_cost_is_that_of_a_bootstrap_over_worlds(random, change):
+    """Robots of a world share its luck: worlds are drawn whole (SciPy, percentiles)."""
+    worlds, robots = 150, 3
+    each = random.normal(change, 1.0, (worlds, 1)) + random.normal(0.0, 0.3, (worlds, robots))
+    all_ = np.ones((worlds, robots), bool)
+    before = random.normal(50.0, 5.0, (worlds, robots))
+    found = pair(episodes(all_, before), episodes(all_, before + each)).costs["energy_j"]
+    end = stats.bootstrap(
+        (each.mean(axis=1),), np.mean, n_resamples=5000, rng=random, method="percentile"
+    ).confidence_interval
+    assert found.difference == pytest.approx(each.mean(), rel=1e-9)
+    assert (found.low, found.high) == pytest.approx((end.low, end.high), abs=0.03)
+    assert found.low < found.difference < found.high
 
 
 def test_tasks_are_paired_by_world_whoever_arrived():

@@ -130,6 +130,8 @@ def test_settings_of_a_planner_stand_by_its_name_beside_those_it_has(table):
 def test_what_no_robot_can_do_is_refused_before_the_flight(table):
     with pytest.raises(ConfigError, match="no robot can be at its goal by then"):
         cells(table, axes(["time.horizon_s=120,20"]), "reef_fleet")
+    with pytest.raises(ConfigError, match="the planner grid plans in still water"):
+        cells(table, axes(["planner.knows.current=nothing,truth"]), "reef_fleet")
     with pytest.raises(ConfigError, match="unknown planner 'nobody'"):
         cells(table, axes(["planner.name=grid,nobody"]), "reef_fleet")
     many = ",".join(str(i) for i in range(1, 1001))

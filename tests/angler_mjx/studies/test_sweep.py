@@ -177,6 +177,22 @@ def test_cells_fly_the_same_worlds_so_that_differences_are_paired(made):
     assert pair["share_p"] == pytest.approx(stats.binomtest(won, won).pvalue)
 
 
+def test_the_table_for_people_says_what_the_episodes_say(made):
+    """Numbers as they are printed, against means of rows, in the units of the head."""
+    head, rows = tables.cells_table(sweep.read(made))
+    columns = {"time to goal, s": ("time_to_goal_s", 1.0), "energy, kJ": ("energy_j", 1e-3)}
+    columns["clearance, m"] = ("min_clearance_m", 1.0)
+    for number, row in enumerate(rows):
+        episodes = rows_of(made, number)
+        for name, (column, scale) in columns.items():
+            every = name == "clearance, m"
+            values = [x[column] for x in episodes if every or x["outcome"] == "reached"]
+            text = row[head.index(name)]
+            assert float(text.split()[0]) == pytest.approx(
+                scale * statistics.mean(values), rel=1e-3
+            )
+
+
 def test_page_and_figure_are_there(made):
     page = (made / sweep.PAGE).read_text()
     assert f"| {KEY} | robots | planned, % | arrived, % |" in page
@@ -200,6 +216,11 @@ def test_of_scenarios_with_a_task_the_tables_tell_of_it(made):
     assert [row["task_completed_rate"] for row in written] == [0.5, None]
     assert "tasks completed" not in "".join(tables.cells_table(found)[0])
     both = {**found, "cells": [{**cell, "task": task} for cell in found["cells"]]}
+    head = tables.cells_table(both)[0]
+    assert head.index("completed after, s") < head.index("time of their part, s")
+    assert not [name for name in head if "goal" in name or "arrived" in name]
+    head = tables.pairs_table({**both, "pairs": []})[0]
+    assert head.index("completed after, s") < head.index("time of their part, s")
     titles = [axes.get_title("left") for axes in chart.draw(both).axes]
     assert titles[0] == "worlds that completed their task, %"
     assert chart.draw(mixed).axes[0].get_title("left") == "robots that arrived, %"

@@ -12,8 +12,8 @@ from angler_mjx.viewing import statistics, style
 KINDS = (("bluerov2", "blue_gazebo"), ("bluerov2_heavy", "wu2018"))
 
 
-def make_episodes(counts, separation=1.0):
-    """Robots by outcome, half of each kind, four a world."""
+def make_episodes(counts, separation=1.0, completed_s=None):
+    """Robots by outcome, half of each kind, four a world; times of worlds with a task."""
     outcome = [name for name, count in counts.items() for _ in range(count)]
     n = len(outcome)
     arrived = np.array([name == "reached" for name in outcome])
@@ -26,6 +26,11 @@ def make_episodes(counts, separation=1.0):
             "time_to_goal_s": np.where(arrived, 40.0 + np.arange(n), np.nan).astype(np.float32),
             "min_clearance_m": np.where(arrived, 0.3, 0.0).astype(np.float32),
             "min_separation_m": np.full(n, separation, np.float32),
+            "task_progress": pa.array([None if completed_s is None else 0.5] * n, pa.float32()),
+            "task_completed_s": pa.array(
+                [None if completed_s is None else completed_s[i // 4] for i in range(n)],
+                pa.float32(),
+            ),
         }
     )
 
@@ -65,6 +70,20 @@ def test_arrival_curves_level_off_at_the_rate_of_arrival(episodes):
         assert np.all(np.diff(share) >= 0)
         assert share[-1] == pytest.approx(0.6)  # 6 of the 10 robots of each kind
         assert line.get_xdata()[-1] == 120.0
+
+
+def test_of_a_task_its_completion_is_drawn_first():
+    """Robots are done early, worlds late: three of five, half of them by 90 s."""
+    task = make_episodes(COUNTS, completed_s=[80.0, 90.0, None, 100.0, None])
+    figure = statistics.times(task, "name", 120.0)
+    line = figure.axes[0].lines[0]
+    assert line.get_label() == "task completed: median 90 s"
+    assert line.get_xdata().tolist() == [0.0, 80.0, 90.0, 100.0, 120.0]
+    assert line.get_ydata() == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.6])
+    titles = [text.get_text() for text in figure.texts]
+    assert "name: half of the tasks that are completed take at most 90 s" in titles
+    titles = [text.get_text() for text in statistics.outcomes(task, "name").texts]
+    assert "name: 60 % of tasks completed, 60 % of robots did their part" in titles
 
 
 def test_histograms_hold_every_robot(episodes):

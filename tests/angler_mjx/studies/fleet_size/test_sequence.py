@@ -73,6 +73,17 @@ def test_narrow_confidence_errs_but_no_more_than_it_says():
     assert 0.6 <= np.mean(found) < 1.0
 
 
+@pytest.mark.parametrize("probability", [0.5, 0.9])
+def test_other_probabilities_are_asked_for_as_well(probability):
+    """Sizes that were not flown yet stand in the way of none."""
+    rng = np.random.default_rng(5)
+    p = rising(9, 1.5)
+    rule = span(24, probability=probability, within=0)
+    truth = int(np.flatnonzero(p >= probability)[0]) + 1
+    found = [answer(rule, study(rule, p, rng, 128)[0]) for _ in range(12)]
+    assert sum(one.low <= truth <= (one.high or truth) for one in found) >= 11
+
+
 def test_a_steep_span_takes_few_sizes_and_worlds():
     rng = np.random.default_rng(4)
     rule = span(64)

@@ -52,3 +52,9 @@ def test_restricted_mean_of_all_that_were_watched_is_the_mean():
 def test_nothing_done():
     found = survival.curve(np.full(5, 60.0), np.zeros(5, bool))
     assert survival.restricted_mean(found, 60.0) == (60.0, 60.0, 60.0)
+
+
+def test_the_interval_of_a_mean_stays_within_the_observation():
+    """Two worlds, done after 1 s and 99 s of 100 s: the normal interval would be -18 to 118 s."""
+    found = survival.restricted_mean(survival.curve(np.array([1.0, 99.0]), np.ones(2, bool)), 100.0)
+    assert found == (50.0, 0.0, 100.0)
