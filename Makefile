@@ -15,7 +15,7 @@ export UV_PYTHON_DOWNLOADS := never
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test fuzz fuzz-sim mutants lint types imports format clean
+.PHONY: help venv demo test fuzz fuzz-sim mutants gpu-check lint types imports format clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 17
@@ -57,6 +57,10 @@ mutants: $(STAMP)  ## put small faults into the code and see whether tests find 
 	    $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e '.[mutants]'; \
 	  fi; }
 	$(BIN)/python -m tools.mutants $(MUTANTS_ARGS)
+
+# In parts of eight minutes: call it again until none is unfinished. See docs/gpu_check.md.
+gpu-check: $(STAMP)  ## compare engines, kernels, policies and rates on a GPU with the CPU
+	$(BIN)/python -m tools.gpu_check $(GPU_CHECK_ARGS)
 
 lint: $(STAMP)  ## check style and formatting
 	$(BIN)/ruff check $(CODE)

@@ -1,0 +1,1 @@
+"""`make gpu-check`: engines, kernels, policies, planners and speed on a GPU against the CPU."""

@@ -1,0 +1,170 @@
+"""``python -m tools.gpu_check``: check a machine with a GPU, in parts that resume."""
+
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from tools.gpu_check import checks, running, workloads
+from tools.gpu_check.running import Machine, Outcome
+
+KEPT = ("worlds", "robots", "unit", "engine", "kernels", "median", "low", "high")
+"""Fields of a row that are stored."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Compare engines, kernels, policies, planners and rates of a GPU with the CPU's outcomes.
+
+    A call ends after --minutes; the next one goes on with what is left.
+    """
+
+    device: Literal["gpu", "cpu"] = "gpu"
+    """Device under test; cpu tries the script itself, in small."""
+    minutes: float = 8.0
+    """After so long, processes are ended and their checks are left to the next call."""
+    jobs: int = min(16, os.cpu_count() or 1)
+    """Processes side by side; rates are measured alone."""
+    only: tuple[str, ...] = ()
+    """Beginnings of the names of checks to run; all if left out."""
+    results: Path = running.ROOT / ".cache" / "gpu_check.jsonl"
+    """File of outcomes, a line each; those of another commit or device are not believed."""
+    again: bool = False
+    """Run once more what failed, was slower or was skipped."""
+    fresh: bool = False
+    """Forget all outcomes of this commit and device."""
+    list: bool = False
+    """Only list the checks and what is known of each."""
+    store: bool = False
+    """Store the measured rates as medians of this card, with date and commit."""
+
+
+def main(options: Options) -> int:
+    """Run checks; return 0 if all of the chosen passed or were skipped, 3 if some are left."""
+    cache = running.ROOT / ".cache" / "gpu_check_programs"
+    cache.mkdir(parents=True, exist_ok=True)
+    deadline = time.monotonic() + 60.0 * options.minutes
+    machine = Machine(device=options.device, cache=cache, deadline=deadline)
+    about = _about(machine)
+    mark = [about["commit"], about["device"], options.device]
+    chosen = [n for n in checks.names() if not options.only or n.startswith(options.only)]
+    if not chosen:
+        print(f"--only {' '.join(options.only)}: no check begins so", file=sys.stderr)
+        return 2
+    if options.fresh:
+        options.results.unlink(missing_ok=True)
+    known = _read(options.results, mark)
+    done = {
+        name: outcome
+        for name, outcome in known.items()
+        if outcome.status == "passed" or (outcome.status != "unfinished" and not options.again)
+    }
+    if options.list:
+        for name in chosen:
+            print(name, known[name].status if name in known else "")
+        return 0
+    begun = time.monotonic()
+
+    def report(outcome: Outcome) -> None:
+        known[outcome.name] = outcome
+        line = {**asdict(outcome), "mark": mark, "at_utc": datetime.now(UTC).isoformat()}
+        options.results.parent.mkdir(parents=True, exist_ok=True)
+        with options.results.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        print(
+            f"[{time.monotonic() - begun:5.0f} s] {outcome.status:10} {outcome.name} "
+            f"({outcome.seconds:.0f} s) {outcome.reason}",
+            flush=True,
+        )
+
+    left = [name for name in chosen if name not in done]
+    beside = [name for name in left if name not in checks.RATES]
+    running.run_side_by_side(machine, beside, options.jobs, report)
+    _rates(machine, [name for name in left if name in checks.RATES], about["device"], report)
+    if options.store:
+        _store(known, about)
+    return _summary(chosen, known, about)
+
+
+def _about(machine: Machine) -> dict[str, Any]:
+    """Describe the device, from a process of its own: this one holds no device memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "about.json")
+        if text := running.compute(machine, "about", machine.device, out):
+            raise SystemExit(f"no device {machine.device!r}:\n{text}")
+        if not out.is_file():
+            raise SystemExit("time was up before the device answered: give more --minutes")
+        found: dict[str, Any] = json.loads(out.read_text())
+    return found
+
+
+def _rates(
+    machine: Machine, names: list[str], device: str, report: Callable[[Outcome], None]
+) -> None:
+    medians = workloads.stored(device)
+    for name in names:
+        if time.monotonic() >= machine.deadline:
+            return
+        report(running.run_rate(machine, name, medians.get(name.removeprefix("rate/"))))
+
+
+def _read(results: Path, mark: list[Any]) -> dict[str, Outcome]:
+    """Return the last outcome of each check of this commit and device."""
+    known = {}
+    lines = results.read_text().splitlines() if results.is_file() else []
+    for line in lines:
+        found = json.loads(line)
+        if found.pop("mark") == mark:
+            found.pop("at_utc")
+            known[found["name"]] = Outcome(**found)
+    return known
+
+
+def _store(known: dict[str, Outcome], about: dict[str, Any]) -> None:
+    origin = {
+        "commit": about["commit"],
+        "date": datetime.now(UTC).date().isoformat(),
+        "driver": about["driver"],
+        "jax": about["versions"]["jax"],
+    }
+    rows = {
+        name.removeprefix("rate/"): {key: outcome.row[key] for key in KEPT} | origin
+        for name, outcome in known.items()
+        if outcome.row
+    }
+    workloads.store(about["device"], rows)
+    print(f"{workloads.STORED}: {len(rows)} medians of {about['device']}")
+
+
+def _summary(chosen: list[str], known: dict[str, Outcome], about: dict[str, Any]) -> int:
+    """Print what became of each check and of all; return the exit status."""
+    of = {name: known[name].status if name in known else "unfinished" for name in chosen}
+    print()
+    for status in ("skipped", "unfinished", "slower", "failed"):
+        for name in (name for name in chosen if of[name] == status):
+            reason = known[name].reason if name in known else "not begun"
+            print(f"{status:10} {name}: {reason}")
+    counts = {
+        status: sum(found == status for found in of.values())
+        for status in ("passed", "failed", "slower", "skipped", "unfinished")
+    }
+    print(
+        f"\ncard {about['device']}, driver {about['driver']}, jax {about['versions']['jax']}, "
+        f"commit {about['commit']}, {about['cpu_count']} processors"
+    )
+    print(f"gpu-check: {', '.join(f'{count} {status}' for status, count in counts.items())}")
+    if counts["failed"] or counts["slower"]:
+        return 1
+    return 3 if counts["unfinished"] else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(tyro.cli(Options)))

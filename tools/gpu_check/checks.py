@@ -1,0 +1,137 @@
+"""All checks by name, and what each of them covers."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.speed.workloads import WORKLOADS
+from tools.gpu_check import kernels, simulations, workloads
+from tools.gpu_check.comparing import Bound
+
+type Run = Callable[[], Mapping[str, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One line of the results."""
+
+    name: str
+    run: Run
+    """Arrays by name; computed in a process for each device."""
+    bounds: Mapping[str, Bound] = field(default_factory=dict)
+    covers: frozenset[str] = frozenset()
+    """Such as ``engine:mjx/xla``, ``kernel:angler_kernels.matching``, ``planner:grid``."""
+    compared: bool = True
+    """Whether the CPU computes the same; else it only has to end."""
+    needs: tuple[str, ...] = ()
+    """Packages without which the check is skipped."""
+
+
+WATER = "float32 rounds differently in each of 100 steps of numbers of order 10"
+
+
+def _kernels() -> list[Check]:
+    free = Bound(atol=2e-4, why=WATER)
+    found: list[tuple[str, Run, dict[str, Bound]]] = [
+        ("angler_kernels.matching", kernels.matching, {}),
+        ("angler_mjx.tasks.pairs", kernels.pairs, {}),
+        ("angler_mjx.planning.ways.search_kernel", kernels.reachable, {}),
+        ("angler_mjx.planning.current.search_kernel", kernels.costs_to_goal, {}),
+        ("angler_mjx.world.ways_kernel", kernels.shortest_ways, {}),
+        ("angler_mjx.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
+    ]
+    return [
+        Check(name=f"kernel/{of}", run=run, bounds=bounds, covers=frozenset({f"kernel:{of}"}))
+        for of, run, bounds in found
+    ]
+
+
+FAST = {"record_hz": 1.0}
+
+
+def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> Check:
+    return Check(
+        name=f"flight/{name}",
+        run=partial(simulations.fly, scenario, **changes),
+        bounds=simulations.BOUNDS,
+        covers=frozenset({f"scenario:{scenario}", *covers}),
+    )
+
+
+def _flights() -> list[Check]:
+    """Every engine, device planner, policy, allocation and shipped scenario."""
+    reef: dict[str, Any] = {"worlds": 16, "time": FAST}
+    brief: dict[str, Any] = {"worlds": 8, "time": {**FAST, "horizon_s": 40.0}}
+    triton = {
+        "engine:fused/xla",
+        "engine:fused/triton",
+        "policy:none",
+        "planner:grid",
+        "kernel:angler_mjx.engines.triton.launch",
+        "kernel:angler_mjx.engines.triton.engine",
+    }
+    anew: dict[str, Any] = {"replan_hz": 0.5, "knows": {"obstacles": "observed"}}
+    few = {"samples": 64}
+    deliver = {"task": {"allocation": "nearest"}}
+    return [
+        _flight("reef_fleet", "reef_fleet", triton, **reef),
+        _flight("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
+        _flight("reef_fleet-mjx", "reef_fleet", {"engine:mjx/xla"}, engine="mjx", **reef),
+        _flight(
+            "priority", "reef_fleet", {"planner:priority"}, planner={"name": "priority"}, **reef
+        ),
+        _flight("current", "reef_fleet", {"planner:current"}, planner={"name": "current"}, **reef),
+        _flight(
+            "mppi", "reef_fleet", {"policy:mppi"}, policy={"name": "mppi", "mppi": few}, **brief
+        ),
+        _flight("routes", "reef_survey", {"policy:routes"}, **brief),
+        _flight("delivery", "corridor_delivery", set(), **brief),
+        _flight("delivery-nearest", "corridor_delivery", set(), **brief, **deliver),
+        *(
+            _flight(
+                f"replanning-{name}",
+                "reef_fleet",
+                {f"replanning:{name}"},
+                planner={"name": name, **anew},
+                **brief,
+            )
+            for name in ("grid", "priority", "current")
+        ),
+        _flight("order", "reef_fleet", {"order:kept"}, execution={"order": "kept"}, **brief),
+        _flight("dense_dynamic", "dense_dynamic", set(), **brief),
+        _flight("heterogeneous", "heterogeneous", set(), **brief),
+        _flight("open_water_current", "open_water_current", set(), **brief),
+        _flight("sitl_hold", "sitl_hold", set(), worlds=2, time={**FAST, "horizon_s": 40.0}),
+        _flight("sitl_formation", "sitl_formation", set(), worlds=2, time={"horizon_s": 20.0}),
+    ]
+
+
+def _workloads() -> list[Check]:
+    return [
+        Check(
+            name=f"bench/{name}",
+            run=partial(workloads.end, name),
+            covers=frozenset({f"workload:{name}"}),
+            compared=False,
+        )
+        for name in WORKLOADS
+    ]
+
+
+CHECKS: dict[str, Check] = {
+    check.name: check for check in (*_flights(), *_workloads(), *_kernels())
+}
+"""Those that compile longest come first."""
+
+TESTS = "tests/gpu"
+"""The tests marked ``gpu``, run by pytest."""
+RATES = [f"rate/{name}" for name in WORKLOADS]
+"""Timed alone, after all others."""
+
+
+def names() -> list[str]:
+    """Return all names in the order of running."""
+    return [TESTS, *CHECKS, *RATES]

@@ -1,0 +1,212 @@
+"""Checks as processes side by side, each computed on the device and on the CPU, then compared."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tools.gpu_check.checks import CHECKS, TESTS
+from tools.gpu_check.comparing import differences
+
+ROOT = Path(__file__).parents[2]
+REFERENCE_FLAGS = (
+    "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
+    "--xla_backend_optimization_level=1"
+)
+"""Of the CPU's programs, as in `make test`: they compile in a third of the time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Result of one check."""
+
+    name: str
+    status: str
+    """passed, failed, slower, skipped, or unfinished where time was up."""
+    seconds: float
+    reason: str = ""
+    row: dict[str, Any] = field(default_factory=dict)
+    """Of a rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """Where checks run."""
+
+    device: str
+    """gpu or cpu."""
+    cache: Path
+    """Folder of compiled programs, shared by all processes."""
+    deadline: float
+    """Of `time.monotonic`: processes that still run then are ended."""
+
+    def start(self, module: Sequence[str], platform: str, log: Path) -> subprocess.Popen[bytes]:
+        """Start a Python module on one platform, its output in a file."""
+        with log.open("wb") as file:
+            return subprocess.Popen(
+                [sys.executable, "-m", *module],
+                cwd=ROOT,
+                env=self._environment(platform),
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+            )
+
+    def _environment(self, platform: str) -> dict[str, str]:
+        paths = [ROOT, *(ROOT / name for name in ("kernels", "sitl_bridge", "experiments"))]
+        known = [path for path in [os.environ.get("PYTHONPATH")] if path]
+        found = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([*map(str, paths), *known]),
+            "JAX_PLATFORMS": "cpu" if platform == "cpu" else "cuda",
+            "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
+            "JAX_COMPILATION_CACHE_DIR": str(self.cache),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+            "TF_CPP_MIN_LOG_LEVEL": "1",
+        }
+        if platform == "cpu":
+            found["XLA_FLAGS"] = REFERENCE_FLAGS
+        return found
+
+    def finish(self, process: subprocess.Popen[bytes]) -> bool:
+        """Wait for a process; return whether it ended before the deadline."""
+        try:
+            process.wait(max(0.0, self.deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            return False
+        return True
+
+
+def compute(machine: Machine, name: str, platform: str, out: Path) -> str | None:
+    """Run `tools.gpu_check.work` to its end.
+
+    Returns:
+        Empty if it ended well, None if time was up, else the last lines of its output.
+    """
+    log = out.with_suffix(".log")
+    process = machine.start(["tools.gpu_check.work", name, str(out)], platform, log)
+    if not machine.finish(process):
+        return None
+    return "" if process.returncode == 0 else _tail(log, process.returncode)
+
+
+def run_check(machine: Machine, name: str) -> Outcome:
+    """Compute one check on both platforms at once, and compare."""
+    begun, check = time.monotonic(), CHECKS[name]
+
+    def ended(status: str, reason: str = "") -> Outcome:
+        seconds = round(time.monotonic() - begun, 1)
+        return Outcome(name=name, status=status, seconds=seconds, reason=reason)
+
+    if missing := [package for package in check.needs if not importlib.util.find_spec(package)]:
+        return ended("skipped", f"{', '.join(missing)} is not installed")
+    with tempfile.TemporaryDirectory() as folder:
+        outs = {"device": Path(folder, "device.npz"), "cpu": Path(folder, "cpu.npz")}
+        platforms = {"device": machine.device, "cpu": "cpu"}
+        if not check.compared:
+            del outs["cpu"]
+        with ThreadPoolExecutor(len(outs)) as both:
+            made = {
+                side: both.submit(compute, machine, name, platforms[side], out)
+                for side, out in outs.items()
+            }
+        said = {side: future.result() for side, future in made.items()}
+        if any(text for text in said.values()):
+            return ended("failed", "; ".join(f"{s}: {text}" for s, text in said.items() if text))
+        if None in said.values():
+            return ended("unfinished", "time was up")
+        arrays = {side: dict(np.load(out)) for side, out in outs.items()}
+    if not check.compared:
+        return ended("passed")
+    faults, notes = differences(arrays["device"], arrays["cpu"], check.bounds)
+    return ended("failed" if faults else "passed", "; ".join(faults or notes))
+
+
+def run_tests(machine: Machine) -> Outcome:
+    """Run the tests that are marked for a GPU."""
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder, "pytest.log")
+        arguments = [
+            "pytest",
+            "-q",
+            "-m",
+            "gpu",
+            "-p",
+            "no:cacheprovider",
+            "tests/angler_mjx/engines",
+        ]
+        process = machine.start(arguments, machine.device, log)
+        in_time = machine.finish(process)
+        text = _tail(log, process.returncode)
+    seconds = round(time.monotonic() - begun, 1)
+    if not in_time:
+        return Outcome(name=TESTS, status="unfinished", seconds=seconds, reason="time was up")
+    status = "passed" if process.returncode == 0 else "failed"
+    if status == "passed" and " passed" not in text:
+        status = "skipped"
+    return Outcome(name=TESTS, status=status, seconds=seconds, reason=text.splitlines()[-1])
+
+
+def run_side_by_side(
+    machine: Machine, names: Sequence[str], jobs: int, report: Callable[[Outcome], None]
+) -> None:
+    """Run checks, ``jobs`` processes at once; none begins after the deadline.
+
+    Args:
+        machine: where.
+        names: in the order of beginning.
+        jobs: processes, two of each check.
+        report: called with each outcome, from this thread.
+    """
+    waiting = list(names)
+    with ThreadPoolExecutor(max(1, jobs // 2)) as pool:
+        running: set[Any] = set()
+        while running or waiting:
+            while waiting and len(running) < max(1, jobs // 2):
+                if time.monotonic() >= machine.deadline:
+                    waiting.clear()
+                    break
+                name = waiting.pop(0)
+                call = run_tests if name == TESTS else None
+                running.add(
+                    pool.submit(call, machine) if call else pool.submit(run_check, machine, name)
+                )
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                report(future.result())
+
+
+def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> Outcome:
+    """Measure the rate of a workload alone, and judge it by the stored row."""
+    from tools.gpu_check.workloads import judge
+
+    begun = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "row.json")
+        text = compute(machine, name, machine.device, out)
+        row = json.loads(out.read_text()) if text == "" else {}
+    seconds = round(time.monotonic() - begun, 1)
+    if text is None:
+        return Outcome(name=name, status="unfinished", seconds=seconds, reason="time was up")
+    if text:
+        return Outcome(name=name, status="failed", seconds=seconds, reason=text)
+    status, reason = judge(row, dict(known) if known else None)
+    return Outcome(name=name, status=status, seconds=seconds, reason=reason, row=row)
+
+
+def _tail(log: Path, code: int) -> str:
+    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
+    return "\n".join(lines[-12:]) or f"exit status {code} without a word"

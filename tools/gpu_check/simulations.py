@@ -1,0 +1,62 @@
+"""Flights of small worlds: what was sampled, planned and flown, as arrays to compare."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from tools.gpu_check.comparing import Bound
+
+ROUNDING = "float32 rounds differently, and near ties and near misses are decided by it"
+
+BOUNDS = {
+    "start_m": Bound(atol=1e-4, why=ROUNDING),
+    "goal_m": Bound(atol=1e-4, why=ROUNDING),
+    "planned": Bound(fraction=0.95, axes=2, why=ROUNDING),
+    "plan_m": Bound(atol=1e-2, fraction=0.85, axes=2, why=ROUNDING),
+    "early_m": Bound(atol=1e-2, fraction=0.85, axes=2, why=ROUNDING),
+    "outcome": Bound(fraction=0.85, axes=2, why=ROUNDING),
+}
+"""Of robots [world, robot]; cells must be equal."""
+
+
+def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
+    """Simulate every world of a scenario to its horizon.
+
+    Args:
+        scenario: name of a shipped one.
+        **changes: as of `load_scenario`; tables are merged.
+
+    Returns:
+        Cells, starts, goals, plans [world, robot, ...], positions after the first segment and
+        outcomes [world, robot]; waypoints of plans only where a planner made them.
+    """
+    from angler_mjx.control import plans
+    from angler_mjx.scenario.scenario import load_scenario
+    from angler_mjx.simulator.simulator import Simulator
+
+    loaded = load_scenario(scenario, **{"time": {}, **changes})
+    simulator = Simulator(loaded, tile=loaded.worlds)
+    try:
+        simulator.compile()
+        worlds = simulator.worlds()
+        state = simulator.reset(worlds)
+        early = None
+        for _ in range(simulator.segments):
+            state, _, _ = simulator.advance(worlds, state)
+            if early is None:
+                early = np.array(state.vehicles.p)
+        jax.block_until_ready(state)
+    finally:
+        simulator.close()
+    environment = worlds.environment
+    arrays = {
+        "cells": environment.grid.occupied,
+        "start_m": environment.start_m,
+        "goal_m": environment.goal_m,
+        "early_m": early,
+        "outcome": state.tally.outcome,
+    }
+    if simulator.planner is not None:
+        arrays |= {"planned": worlds.planned, "plan_m": plans.points_m(worlds.path)}
+    return {name: np.asarray(array) for name, array in arrays.items()}

@@ -1,0 +1,34 @@
+"""One computation in a process of its own: ``python -m tools.gpu_check.work NAME OUT``."""
+
+import json
+import sys
+from pathlib import Path
+
+
+def main(name: str, out: Path) -> None:
+    """Compute a check on JAX's default device, or describe that device.
+
+    Args:
+        name: of a check, ``rate/WORKLOAD``, or ``about``.
+        out: file to write: arrays of a check (.npz), JSON of the others.
+    """
+    if name == "about":
+        from angler_mjx.runs.provenance import describe_environment
+        from angler_mjx.speed.roofline import driver
+
+        out.write_text(json.dumps({**describe_environment(), "driver": driver()}))
+        return
+    if name.startswith("rate/"):
+        from tools.gpu_check.workloads import measure
+
+        out.write_text(json.dumps(measure(name.removeprefix("rate/"))))
+        return
+    import numpy as np
+
+    from tools.gpu_check.checks import CHECKS
+
+    np.savez(out, **CHECKS[name].run())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

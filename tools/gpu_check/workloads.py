@@ -1,0 +1,84 @@
+"""Workloads of `angler bench`, and their medians against stored ones of the same card."""
+
+import json
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SIZES = {"dynamics": 65536}
+"""Worlds in one call where they are not `WORLDS`."""
+WORLDS = 1024
+TINY = 2
+"""Worlds on a CPU, where only the script itself is tested."""
+LOSS = 0.10
+"""Loss of a rate that is named."""
+STORED = Path(__file__).parents[2] / "benchmarks" / "gpu_medians.json"
+
+
+def measure(workload: str) -> dict[str, Any]:
+    """Measure one workload of `angler bench` to its end.
+
+    Returns:
+        The row as a mapping.
+
+    Raises:
+        RuntimeError: the workload was refused.
+    """
+    import jax
+
+    from angler_mjx.speed import measuring
+    from angler_mjx.speed.workloads import Request, cases
+
+    is_cpu = jax.default_backend() == "cpu"
+    worlds = TINY if is_cpu else SIZES.get(workload, WORLDS)
+    robots = (1,) if is_cpu else ()
+    with tempfile.TemporaryDirectory() as folder:
+        request = Request(
+            workloads=(workload,), worlds=(worlds,), robots=robots, folder=Path(folder)
+        )
+        (row,) = measuring.run(cases(request), lambda case: None)
+    if row.refused is not None:
+        raise RuntimeError(row.refused)
+    return asdict(row)
+
+
+def end(workload: str) -> dict[str, np.ndarray]:
+    """Run a workload to its end beside others: no rate is taken from it."""
+    row = measure(workload)
+    return {"has_number": np.array([row["median"] > 0])}
+
+
+def stored(device: str, path: Path = STORED) -> dict[str, dict[str, Any]]:
+    """Medians of a card by workload; empty where none are stored."""
+    if not path.is_file():
+        return {}
+    medians: dict[str, dict[str, Any]] = json.loads(path.read_text()).get(device, {})
+    return medians
+
+
+def store(device: str, rows: dict[str, dict[str, Any]], path: Path = STORED) -> None:
+    """Write medians of a card by workload, beside those of other cards and workloads."""
+    known = json.loads(path.read_text()) if path.is_file() else {}
+    known[device] = {**known.get(device, {}), **rows}
+    path.write_text(json.dumps(known, indent=2, sort_keys=True) + "\n")
+
+
+def judge(row: dict[str, Any], known: dict[str, Any] | None) -> tuple[str, str]:
+    """Return a status, ``passed``, ``slower`` or ``skipped``, and its reason.
+
+    Args:
+        row: measured.
+        known: stored row of the same card and workload, if any.
+    """
+    rate = f"{row['median']:.3e} {row['unit']}"
+    if known is None:
+        return "skipped", f"{rate}; no median of this card is stored: --store writes it"
+    different = [name for name in ("worlds", "robots", "unit") if row[name] != known[name]]
+    if different:
+        return "skipped", f"{rate}; the stored median has another {', '.join(different)}"
+    ratio = row["median"] / known["median"]
+    when = f"{ratio:.3f} of {known['median']:.3e} ({known['date']}, {known['commit']})"
+    return ("slower" if ratio < 1.0 - LOSS else "passed"), f"{rate}, {when}"
