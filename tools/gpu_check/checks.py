@@ -53,9 +53,10 @@ FAST = {"record_hz": 1.0}
 
 
 def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> Check:
+    """Fly a scenario on the fused engine, with its default kernels, unless changes say another."""
     return Check(
         name=f"flight/{name}",
-        run=partial(simulations.fly, scenario, **changes),
+        run=partial(simulations.fly, scenario, **{"engine": "fused", **changes}),
         bounds=simulations.BOUNDS,
         covers=frozenset({f"scenario:{scenario}", *covers}),
     )
@@ -75,7 +76,7 @@ def _flights() -> list[Check]:
     }
     anew: dict[str, Any] = {"replan_hz": 0.5, "knows": {"obstacles": "observed"}}
     few = {"samples": 64}
-    deliver = {"task": {"allocation": "nearest"}}
+    nearest = {"task": {"allocation": "nearest"}}
     return [
         _flight("reef_fleet", "reef_fleet", triton, **reef),
         _flight("reef_fleet-xla", "reef_fleet", {"engine:fused/xla"}, kernels="xla", **reef),
@@ -89,7 +90,7 @@ def _flights() -> list[Check]:
         ),
         _flight("routes", "reef_survey", {"policy:routes"}, **brief),
         _flight("delivery", "corridor_delivery", set(), **brief),
-        _flight("delivery-nearest", "corridor_delivery", set(), **brief, **deliver),
+        _flight("delivery-mjx", "corridor_delivery", set(), engine="mjx", **brief, **nearest),
         *(
             _flight(
                 f"replanning-{name}",
