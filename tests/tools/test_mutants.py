@@ -1,13 +1,16 @@
 """The tool that puts faults into the code: which it chooses, what it runs, what it makes of it."""
 
 import contextlib
+import json
 import os
+import shutil
+import subprocess
 import textwrap
 from pathlib import Path
 
 import pytest
 
-from tools.mutants import inside, relevance, report, trying
+from tools.mutants import inside, relevance, report, stored, trying
 from tools.mutants.trees import Ran, StoppedError, Tree
 
 CODE = '''
@@ -248,6 +251,113 @@ def test_equivalent_mutants_do_not_count_and_survivors_are_shown(tmp_path):
     assert "a/b/z.py:1" in text
     assert "a/b/y.py:1" not in text
     assert "2 of the sample not tried yet" in text
+
+
+LOW = "angler_mjx/rooms/low.py"
+ZIP = """\
+--- angler_mjx/rooms/low.py
++++ angler_mjx/rooms/low.py
+@@ -21,5 +21,5 @@
+     if a < b:
+         raise ValueError(f"{a} is less than {b - 7} by {b - a}", 8)
+-    for x, y in zip([a], [b], strict=True):
++    for x, y in zip([], [b], strict=True):
+         a = x + y
+     return jnp.where(a > 0, jnp.minimum(a, b), -b)"""
+SUM = """\
+--- angler_mjx/rooms/low.py
++++ angler_mjx/rooms/low.py
+@@ -23,3 +23,3 @@
+     for x, y in zip([a], [b], strict=True):
+-        a = x + y
++        a = x - y
+     return jnp.where(a > 0, jnp.minimum(a, b), -b)"""
+
+
+def stored_list(folder, *diffs, file=LOW):
+    row = {"room": "angler_mjx/rooms", "commit": "c", "seed": 0, "file": file, "line": 1}
+    rows = [row | {"operator": "Any", "diff": diff} for diff in diffs]
+    path = folder / "list.jsonl"
+    path.write_text("".join(json.dumps(one) + "\n" for one in rows))
+    return path
+
+
+@pytest.mark.skipif(shutil.which("patch") is None, reason="needs patch")
+def test_a_stored_mutant_is_what_patch_makes_of_its_diff(tree, tmp_path):
+    """Lines were put above it, and one of its context was edited, since it was stored."""
+    path = tree / LOW
+    path.write_text("SIZE = 2\n\n" + path.read_text().replace("if a < b:", "if b > a:"))
+    loaded = stored.load(tree, stored_list(tmp_path, ZIP, SUM))
+    assert [one.line for one in loaded.mutants] == [25, 26]
+    assert loaded.rooms == ("angler_mjx/rooms",)
+    assert not loaded.gone
+    for one, diff in zip(loaded.mutants, (ZIP, SUM), strict=True):
+        made = tmp_path / "made.py"
+        shutil.copy(path, made)
+        subprocess.run(["patch", "-s", made], input=diff + "\n", text=True, check=True)
+        assert one.code == made.read_text()
+        assert (one.file, one.operator) == (LOW, "Any")
+    assert len({one.name for one in loaded.mutants}) == 2
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        pytest.param("a = x + y", "a = y + x", id="edited"),
+        pytest.param(
+            "-b)\n", "-b)\n\n\ndef twin(x, y):\n    if x:\n        a = x + y\n", id="same"
+        ),
+    ],
+)
+def test_a_row_is_gone_when_its_lines_do_not_stand_once(tree, tmp_path, old, new):
+    path = tree / LOW
+    text = path.read_text().replace(old, new)
+    # Without its context and moved, the line has to be the only one of its text.
+    path.write_text(
+        "\n" + text.replace("strict=True", "strict=False").replace("return jnp", "return  jnp")
+    )
+    loaded = stored.load(tree, stored_list(tmp_path, SUM))
+    assert loaded.gone == [f"{LOW}:1"]
+    assert not loaded.mutants
+
+
+def test_a_row_whose_lines_stand_twice_is_that_of_the_line_that_was_stored(tree, tmp_path):
+    path = tree / LOW
+    text = path.read_text()
+    path.write_text(text + text[text.index("def least") :])
+    assert [one.line for one in stored.load(tree, stored_list(tmp_path, SUM)).mutants] == [24]
+
+
+def test_a_row_of_a_removed_file_is_gone_and_in_no_count(tree, tmp_path):
+    loaded = stored.load(tree, stored_list(tmp_path, SUM, file="angler_mjx/rooms/old.py"))
+    text = report.report(loaded.rooms, [], len(loaded.mutants), {}, loaded.gone)
+    assert "1 of the list gone, in no count: angler_mjx/rooms/old.py:1." in text
+    assert "| all | 0 |" in text
+    assert "not tried yet" not in text
+
+
+@pytest.mark.parametrize(
+    ("text", "folders", "said"),
+    [
+        ("{", None, "list.jsonl:1: not JSON"),
+        ('{"room": "a"}', None, "list.jsonl:1: 'file' is missing"),
+        (None, ["angler_mjx/nowhere"], "no row of angler_mjx/nowhere"),
+    ],
+)
+def test_a_list_that_cannot_be_read_is_refused(tree, tmp_path, text, folders, said):
+    path = stored_list(tmp_path, SUM)
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(stored.ListError, match=said):
+        stored.load(tree, path, folders)
+
+
+def test_the_stored_list_of_the_project_is_read_with_its_ten_rooms():
+    root = Path(__file__).parents[2]
+    loaded = stored.load(root, root / "tools/mutants/samples/ten_rooms.jsonl")
+    assert len(loaded.rooms) == 10
+    assert len(loaded.mutants) + len(loaded.gone) == 200
+    assert len(loaded.gone) < 100
 
 
 TEST_SIZE = """

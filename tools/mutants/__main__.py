@@ -10,7 +10,7 @@ from typing import Any
 
 import tyro
 
-from tools.mutants import report, trying
+from tools.mutants import report, stored, trying
 from tools.mutants.mutant import Mutant
 from tools.mutants.relevance import Imports
 
@@ -33,8 +33,12 @@ class Options:
     """Mutants."""
     seed: int = 0
     """Of the sample. Same tree, same folders, same seed: same mutants."""
-    folders: tuple[str, ...] = FOLDERS
-    """Folders whose modules are mutated."""
+    folders: tuple[str, ...] | None = None
+    """Folders whose modules are mutated; with --stored, rooms of the list. Left out: engines,
+    physics, control, planning, scenarios, runs and storage, or all rooms of the list."""
+    stored: Path | None = None
+    """Try the mutants of this list (JSON lines) instead of a sample; --sample and --seed do
+    nothing."""
     workers: int = max(1, (os.cpu_count() or 1) // 2)
     """Copies of the tree, each with its share of the processors."""
     nearest: int | None = None
@@ -55,18 +59,12 @@ class Options:
 
 def main(options: Options) -> int:
     """Run as told."""
+    if options.workers < 1:
+        return _refuse(f"--workers {options.workers}: must be at least 1")
     try:
-        from tools.mutants.places import sample
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
-            raise
-        return _refuse(f"{error.name} is missing; install the extra `mutants`")
-    if wrong := [folder for folder in options.folders if not (ROOT / folder).is_dir()]:
-        return _refuse(f"there is no folder {', '.join(wrong)} in {ROOT}")
-    for name in ("sample", "workers"):
-        if getattr(options, name) < 1:
-            return _refuse(f"--{name} {getattr(options, name)}: must be at least 1")
-    mutants = sample(ROOT, options.folders, options.sample, options.seed)
+        folders, mutants, gone = _mutants(options)
+    except ValueError as error:
+        return _refuse(str(error))
     if options.list:
         imports = Imports(ROOT)
         for one in mutants:
@@ -77,11 +75,34 @@ def main(options: Options) -> int:
     known = _known(options)
     rows = [known[one.name] for one in mutants if one.name in known]
     reasons = report.equivalents(Path(__file__).with_name("equivalent.toml"))
-    text = report.report(options.folders, rows, len(mutants) - len(rows), reasons)
+    text = report.report(folders, rows, len(mutants) - len(rows), reasons, gone)
     print(text)
     if rows:
         (options.out / "report.md").write_text(text + "\n")
     return 0
+
+
+def _mutants(options: Options) -> tuple[Sequence[str], list[Mutant], list[str]]:
+    """Return the folders of the report, the mutants, and the rows of a list that are gone.
+
+    Raises:
+        ValueError: a folder or the extra is missing, the sample is empty, or see `stored.load`.
+    """
+    if options.stored is not None:
+        listed = stored.load(ROOT, options.stored, options.folders)
+        return listed.rooms, listed.mutants, listed.gone
+    folders = FOLDERS if options.folders is None else options.folders
+    if wrong := [folder for folder in folders if not (ROOT / folder).is_dir()]:
+        raise ValueError(f"there is no folder {', '.join(wrong)} in {ROOT}")
+    if options.sample < 1:
+        raise ValueError(f"--sample {options.sample}: must be at least 1")
+    try:
+        from tools.mutants.places import sample
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
+            raise
+        raise ValueError(f"{error.name} is missing; install the extra `mutants`") from None
+    return folders, sample(ROOT, folders, options.sample, options.seed), []
 
 
 def _refuse(why: str) -> int:

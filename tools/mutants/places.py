@@ -1,8 +1,6 @@
 """Where faults can be put, and a random sample of them."""
 
 import ast
-import difflib
-import hashlib
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators.operator import Operator
 
-from tools.mutants.mutant import Mutant
+from tools.mutants.mutant import Mutant, changed
 from tools.mutants.operators import families
 
 _TRIES = 20
@@ -83,17 +81,13 @@ def _mutant(
         after = mutate_code(before, known[operator], occurrence)
         if after is None or not _is_other_python(before, after):
             continue
-        fault = f"{place.file}\0{operator}\0{occurrence}\0{before}"
-        diff = difflib.unified_diff(
-            before.splitlines(), after.splitlines(), place.file, place.file, lineterm="", n=2
-        )
-        return Mutant(
-            name=hashlib.sha256(fault.encode()).hexdigest()[:12],
+        return changed(
             file=place.file,
+            before=before,
+            after=after,
             line=place.start[0],
             operator=operator,
-            diff="\n".join(diff),
-            code=after,
+            fault=str(occurrence),
         )
     return None
 

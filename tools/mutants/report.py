@@ -39,6 +39,7 @@ def report(
     rows: Sequence[dict[str, Any]],
     missing: int,
     reasons: Mapping[tuple[str, str], str],
+    gone: Sequence[str] = (),
 ) -> str:
     """Markdown: a table by folder, then the survivors with their diffs.
 
@@ -47,6 +48,8 @@ def report(
         rows: results.
         missing: mutants of the sample that were not tried yet.
         reasons: see `equivalents`.
+        gone: ``file:line`` of rows of a stored list whose lines no longer stand in their file;
+            they are in no count.
     """
     kinds = ("caught", "stuck", "equivalent", "survived")
     lines = [f"| folder | mutants | {' | '.join(kinds)} | share (95 %) |", "|---|" + "---|" * 6]
@@ -62,6 +65,8 @@ def report(
         lines.append(f"| {folder} | {' | '.join(map(str, [len(of), *count.values()]))} | {rate} |")
     if missing:
         lines += ["", f"{missing} of the sample not tried yet."]
+    if gone:
+        lines += ["", f"{len(gone)} of the list gone, in no count: {', '.join(gone)}."]
     for row in rows:
         if row["outcome"] == "survived" and not _let_pass(row):
             lines += _survivor(row)
