@@ -59,7 +59,7 @@ def _report(verdict: "Verdict") -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.testing.referee import QUANTITIES
+    from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
 
     for one in verdict.differences[:SHOWN]:
         print(one.line())
@@ -78,8 +78,9 @@ def _report(verdict: "Verdict") -> None:
         title=f"{verdict.run}: {verdict.worlds} worlds, {verdict.robots} robots, "
         f"sampled {verdict.sampled}",
     )
-    for name, unit in QUANTITIES.items():
-        count = verdict.counts[name]
+    units = {**QUANTITIES, **TASK_QUANTITIES}
+    for name, count in verdict.counts.items():
+        unit = units[name]
         numbers = (count.exact, count.bounded, count.unchecked, count.undecided, count.disagrees)
         unit = "of it" if name == "energy_j" else unit
         largest = f"{count.largest:.2g} {unit}" if unit and count.exact else ""

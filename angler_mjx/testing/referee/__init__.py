@@ -10,11 +10,11 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import bounding, judging
-from angler_mjx.testing.referee.findings import QUANTITIES, Count, Finding, Verdict
+from angler_mjx.testing.referee.findings import QUANTITIES, TASK_QUANTITIES, Count, Finding, Verdict
 from angler_mjx.testing.referee.record import Run, open_run, worlds
 from angler_mjx.testing.referee.scene import Scene
 
-__all__ = ["QUANTITIES", "Count", "Finding", "Verdict", "judge"]
+__all__ = ["QUANTITIES", "TASK_QUANTITIES", "Count", "Finding", "Verdict", "judge"]
 
 
 def judge(

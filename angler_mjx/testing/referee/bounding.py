@@ -35,6 +35,7 @@ def judge(scene: Scene, robot: int) -> list[Finding]:
     else:
         tell.unchecked("failure_place_m", SPARSE)
     tell.record(int(np.searchsorted(world.step, step)))
+    tell.task()
     return tell.found
 
 

@@ -24,6 +24,15 @@ QUANTITIES = {
 """What is judged of each robot, and its unit. ``record``: whether the trajectory itself can be:
 the start, robots at rest that have failed, and the outcome beside each sample."""
 
+TASK_QUANTITIES = {
+    "jobs_done": "",
+    "task_progress": "",
+    "task_completed_s": "s",
+    "task": "",
+}
+"""The same of runs with a task. ``task``: whether what the trajectories hold of it can be: who did
+which job and when, goods that robots carry, cells that were seen and when."""
+
 PATH_M, ENERGY_SHARE, CLEARANCE_M, IMPACT_MPS = 1e-2, 1e-3, 1e-5, 1e-4
 """Tolerances of what is checked exactly. Outcomes, pairs and times are to be equal."""
 
@@ -113,7 +122,7 @@ class Verdict:
     def add(self, findings: Iterable[Finding]) -> None:
         """Count findings."""
         for one in findings:
-            count = self.counts[one.quantity]
+            count = self.counts.setdefault(one.quantity, Count())
             setattr(count, one.how, getattr(count, one.how) + 1)
             if one.result == "agrees":
                 count.largest = max(count.largest, one.deviation)

@@ -24,6 +24,8 @@ NUMBERS = (
     "failure_z_m",
     "impact_speed_mps",
 )
+TASK_NUMBERS = ("jobs_done", "task_progress", "task_completed_s")
+"""The same of runs with a task."""
 WORDS = ("vehicle", "parameter_set", "outcome", "failure_pair")
 """Columns of ``episodes.parquet`` that are judged."""
 
@@ -43,21 +45,27 @@ def reading(what: Path) -> Iterator[None]:
         raise ConfigError(f"{what}: cannot be judged: {what_else}") from error
 
 
-def read_rows(path: Path, robots: int) -> dict[int, list[Row]]:
+def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, list[Row]]:
     """Results of each world, a row for each of so many robots.
+
+    Args:
+        path: of ``episodes.parquet``.
+        robots: of each world.
+        has_task: whether the run has a task, whose columns are read too.
 
     Raises:
         ConfigError: the file is damaged, or a world has other rows.
     """
+    numbers = NUMBERS + TASK_NUMBERS if has_task else NUMBERS
     with reading(path):
         drawn = [name for name in ("variant",) if name in pq.read_schema(path).names]
-        table = pq.read_table(path, columns=["world", "robot", *WORDS, *NUMBERS, *drawn])
+        table = pq.read_table(path, columns=["world", "robot", *WORDS, *numbers, *drawn])
         table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
         columns: dict[str, Any] = {
             "world": table["world"].to_numpy(),
             "robot": table["robot"].to_numpy(),
             **{name: table[name].to_pylist() for name in WORDS},
-            **{name: _numbers(table[name], name) for name in NUMBERS},
+            **{name: _numbers(table[name], name) for name in numbers},
             **{name: table[name].to_pylist() for name in drawn},
         }
     found: dict[int, list[Row]] = {}

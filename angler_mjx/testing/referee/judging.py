@@ -50,6 +50,7 @@ def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
     _touch(tell, scene, episode, end)
     tell.place(end.outcome, scene.world.p[end.state, robot])
     tell.record(end.state)
+    tell.task()
     return tell.found
 
 

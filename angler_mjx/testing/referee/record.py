@@ -10,7 +10,7 @@ import zarr
 from numpy.typing import NDArray
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.referee import vehicles
+from angler_mjx.testing.referee import teamwork, vehicles
 from angler_mjx.testing.referee.folder import Row, read_copies, read_json, read_rows, reading
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.vehicles import Robot
@@ -44,8 +44,8 @@ class Run:
     goal_tolerance_m: float
     breakdowns_s: tuple[float, float] | None
     """Between which times robots may break down; None where none can."""
-    by_task: bool
-    """Whether a task says who has reached, and not the distance to a goal."""
+    task: teamwork.Rules | None
+    """Rules of the task that says who has reached; None where the distance to a goal does."""
     robots: tuple[Robot, ...]
     variants: Sequence[Mapping[str, Any]]
     """Of ``variants.json``, by number; empty where vehicles are as their files say."""
@@ -58,6 +58,11 @@ class Run:
     whole_us: bool
     """Whether commands were stored as whole microseconds, and not as they were."""
     group: Any
+
+    @property
+    def by_task(self) -> bool:
+        """Whether a task says who has reached, and not the distance to a goal."""
+        return self.task is not None
 
     def robot(self, number: int, row: Row) -> Robot:
         """The robot of a row, as it was drawn for its world."""
@@ -87,7 +92,12 @@ class World:
     pwm_us: Floats
     """[T, R, n] or [T - 1, R, n]: the last state may come after all commands."""
     place: Mapping[str, Any]
-    """What stands still: arrays of the world's environment by name."""
+    """What stands still: arrays of the world's environment by name, and of its task."""
+    target: NDArray[np.int64]
+    """[T, R] place of the task that each robot goes to, or [T - 1, R] as ``pwm_us``; -1: it stays,
+    or there is no task."""
+    carrying: NDArray[np.int64]
+    """The same of the goods that it carries; -1: none."""
 
     @property
     def low_m(self) -> Floats:
@@ -116,6 +126,9 @@ PLACE = (
     "obstacles/exists",
 )
 
+
+OF_TASK = ("task/place_m", "task/exists", "task/by", "task/done_at_s")
+OF_SURVEY = ("task/cells", "task/seen_at_s")
 
 _STEPS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
 """Keys of the scenario's ``[store]`` by which states are rounded."""
@@ -156,7 +169,7 @@ def open_run(path: Path) -> Run:
             "horizon_steps": round(float(timing["horizon_s"]) / dt),
             "goal_tolerance_m": float(config["goal_tolerance_m"]),
             "planned_worlds": int(config["worlds"]),
-            "by_task": config.get("task", {}).get("type", "goal") != "goal",
+            "task": teamwork.rules(config),
             "breakdowns_s": _breakdowns_s(config.get("breakdowns", {}), float(timing["horizon_s"])),
         }
     drawn: Sequence[Mapping[str, Any]] = ()
@@ -170,7 +183,7 @@ def open_run(path: Path) -> Run:
         path=path,
         robots=robots,
         variants=drawn,
-        rows=read_rows(path / "episodes.parquet", len(robots)),
+        rows=read_rows(path / "episodes.parquet", len(robots), has_task=facts["task"] is not None),
         one_scene=_is_one_scene(path / "summary.json"),
         whole_us=whole,
         group=group,
@@ -230,6 +243,10 @@ def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
             kept = ["step", "p_m", "q", "nu", "outcome", *moving]
             ends = {name: read(f"end/{name}") for name in kept}
         place = {name: read(f"environment/{name}") for name in PLACE}
+        if run.task is not None:
+            stored |= {name: read(f"task/{name}") for name in ("target", "carrying")}
+            once = OF_TASK + (OF_SURVEY if run.task.kind == "survey" else ())
+            place |= {name: read(name) for name in once}
     for index in chosen:
         with reading(where):
             yield _world(
@@ -254,11 +271,12 @@ def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]
         step = np.append(step, int(end["step"]))
         rest = {**{name: np.zeros(tail) for name, tail in bodies.items()}, **end}
         for name in states:
-            if name != "pwm_us":
+            if name in rest:
                 states[name] = np.concatenate([states[name], rest[name][None]])
     robots = len(run.robots)
     if states["p_m"].shape[1] != robots:
         raise ConfigError(f"holds {states['p_m'].shape[1]} robots, config.json has {robots}")
+    nothing = np.full((count, robots), -1)
     return World(
         index=index,
         step=step,
@@ -270,4 +288,6 @@ def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]
         obstacle_q=states["obstacle_q"].astype(float),
         pwm_us=states["pwm_us"].astype(float),
         place=place,
+        target=states.get("target", nothing).astype(np.int64),
+        carrying=states.get("carrying", nothing).astype(np.int64),
     )

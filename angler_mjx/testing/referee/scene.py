@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.testing.referee import contacts
+from angler_mjx.testing.referee import contacts, teamwork
 from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, Ints, Near, Pairs
 from angler_mjx.testing.referee.folder import Row
 from angler_mjx.testing.referee.geometry import Floats, rotate
@@ -57,12 +57,47 @@ class Scene:
 
     @cached_property
     def to_goal_m(self) -> Floats:
-        """[T, R] distance to the goal less the tolerance: arrived below zero; inf without one."""
+        """[T, R] distance to the goal less the tolerance: arrived below zero.
+
+        Of a run with a task -inf from when nothing is left for a robot, else inf.
+        """
         if self.run.by_task:
-            return np.full(self.world.p.shape[:2], np.inf)
+            finished = np.full(self.world.p.shape[1], teamwork.NEVER)
+            if self.task is not None and self.shows_finish:
+                finished = self.task.finished_step
+            return np.where(self.world.step[:, None] >= finished, -np.inf, np.inf)
         goal = np.asarray(self.world.place["goal_m"], float)
         gap: Floats = np.linalg.norm(self.world.p - goal, axis=2) - self.run.goal_tolerance_m
         return gap
+
+    @cached_property
+    def task(self) -> teamwork.Judged | None:
+        """What is judged of the task; None without one, or where no sample shows each look."""
+        rules, world = self.run.task, self.world
+        if rules is None or rules.period % self.run.every:
+            return None
+        looks = slice(0, len(world.pwm_us), rules.period // self.run.every)
+        return teamwork.judge(
+            rules,
+            teamwork.Record(
+                step=world.step[: len(world.pwm_us)][looks],
+                dt_s=self.run.control_dt_s,
+                p=world.p[: len(world.pwm_us)][looks],
+                q=world.q[: len(world.pwm_us)][looks],
+                running=world.outcome[: len(world.pwm_us)][looks] == 0,
+                target=world.target[looks],
+                carrying=world.carrying[looks],
+                place=world.place,
+                low_m=world.low_m,
+                band_m=self.place_m,
+            ),
+        )
+
+    @property
+    def shows_finish(self) -> bool:
+        """Whether the record shows when a robot has nothing left to do."""
+        rules, judged = self.run.task, self.task
+        return rules is not None and rules.is_told_all and judged is not None and not judged.doubt
 
     @cached_property
     def outside_m(self) -> Floats:
@@ -107,7 +142,7 @@ class Scene:
 
     def unseen(self, step: int) -> set[str]:
         """Outcomes that can come after so many control steps without that a trajectory shows it."""
-        found = {"reached"} if self.run.by_task else set[str]()
+        found = {"reached"} if self.run.by_task and not self.shows_finish else set[str]()
         if self.run.breakdowns_s is not None:
             earliest, latest = self.run.breakdowns_s
             end_s, slack = step * self.run.control_dt_s, 1e-6 * max(1.0, latest)

@@ -4,13 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.testing.referee.findings import Finding, How, Result, Value
+from angler_mjx.testing.referee.findings import TASK_QUANTITIES, Finding, How, Result, Value
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.record import OUTCOMES
 from angler_mjx.testing.referee.scene import FAILED, Scene
+from angler_mjx.testing.referee.teamwork import NEVER
 
 TIME_ULPS = 4.0
 """Times are sums and products of two float32."""
+
+PROGRESS = 1e-6
+"""A fraction of jobs or cells, in float32."""
 
 PLACE_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
 
@@ -125,6 +129,50 @@ class Telling:
             stored=_point(stored),
             judged=None if outcome == "reached" else _point(p),
             deviation=apart if np.isfinite(apart) else float("inf"),
+        )
+
+    def task(self) -> None:
+        """How far the task of the world was, and whether what was stored of it can be."""
+        scene, judged = self._scene, self._scene.task
+        if scene.run.task is None:
+            return
+        if judged is None:
+            for name in TASK_QUANTITIES:
+                self.unchecked(name, "no sample shows every look at the task")
+            return
+        how: How = "bounded" if judged.is_bounded else "exact"
+        completed_s = judged.completed_step * scene.run.control_dt_s
+        if judged.completed_step == NEVER:
+            completed_s = np.nan
+        rounding = TIME_ULPS * float(np.spacing(np.float32(max(np.nan_to_num(completed_s), 1.0))))
+        self._of_task("jobs_done", how, float(judged.jobs_done[self._robot]), 0.0)
+        self._of_task("task_progress", "exact", judged.progress, PROGRESS)
+        self._of_task("task_completed_s", "exact", completed_s, rounding)
+        faults = judged.faults if self._robot == 0 else []
+        result: Result = "agrees"
+        if faults:
+            result = "undecided" if judged.doubt else "disagrees"
+        note = "; ".join([*faults, *([judged.doubt] if faults and judged.doubt else [])])
+        self._say("task", how, result, stored=None, judged=None, note=note)
+
+    def _of_task(self, quantity: str, how: How, judged: float, tolerance: float) -> None:
+        """A number of a task: one that differs is undecided where rounding can have turned it."""
+        stored, scene = float(self.row[quantity]), self._scene
+        doubt = scene.task.doubt if scene.task is not None else ""
+        same = stored == judged or (np.isnan(stored) and np.isnan(judged))
+        apart = 0.0 if same else abs(stored - judged)
+        result: Result = "agrees"
+        if not apart <= tolerance:
+            result = "undecided" if doubt else "disagrees"
+        self._say(
+            quantity,
+            how,
+            result,
+            stored=stored,
+            judged=judged,
+            deviation=float(apart) if np.isfinite(apart) else float("inf"),
+            tolerance=tolerance,
+            note="" if result == "agrees" else doubt,
         )
 
     def record(self, end: int) -> None:

@@ -61,6 +61,12 @@ class Flight:
     """[T + 1, O, 3]; from the balls' velocities if left out."""
     fleet: tuple = field(default=({"vehicle": "bluerov2_heavy"},))
     """Entries of the config, one a robot; the last one for all that follow."""
+    task: dict = field(default_factory=dict)
+    """The table of the config; without a task there is none."""
+    task_once: dict = field(default_factory=dict)
+    """What is stored of the task once, by name."""
+    task_over_time: dict = field(default_factory=dict)
+    """And of each state, [T + 1, R]."""
 
     def positions(self):
         """[T + 1, O, 3] of the obstacles."""
@@ -120,6 +126,8 @@ def write(path, flight: Flight, *, every=1, with_end=True, whole_us=False, world
         "horizon_s": steps * DT_S,
     }
     config = {"time": timing, "fleet": fleet, "goal_tolerance_m": 0.3, "worlds": count}
+    if flight.task:
+        config["task"] = flight.task
     path.mkdir()
     (path / "config.json").write_text(json.dumps(config))
     (path / "summary.json").write_text(json.dumps({"worlds_done": count, "tile": 2}))
@@ -148,6 +156,10 @@ def write(path, flight: Flight, *, every=1, with_end=True, whole_us=False, world
     if with_end:
         put("end/outcome", flight.outcome[steps], np.uint8)
         put("end/step", steps, np.int32)
+    for name, values in flight.task_once.items():
+        put(f"task/{name}", values, np.asarray(values).dtype)
+    for name, values in flight.task_over_time.items():
+        put(f"task/{name}", values[:steps:every], np.int16)
     occupied = np.zeros(CELLS, bool)
     for cell in flight.rock:
         occupied[cell] = True

@@ -16,6 +16,7 @@ from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.tasks.history import History
 from angler_mjx.tasks.spec import TaskSpec
+from angler_mjx.testing import referee
 from angler_mjx.viewing import replay, scene
 
 rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -145,6 +146,14 @@ def test_a_run_tells_when_cells_were_seen(run):
         assert len(found) / np.sum(cells > 0) == pytest.approx(told)
         counts.append(len(found))
     assert len(set(counts)) > 8  # it goes on all the time
+
+
+def test_the_referee_judges_the_survey_as_it_was_flown(run):
+    """Samples are looks: cells, coverage and completion come out exactly."""
+    verdict = referee.judge(run.path)
+    assert [one.line() for one in verdict.differences] == []
+    exact = {name: verdict.counts[name].exact for name in ("task_progress", "task_completed_s")}
+    assert exact == {"task_progress": 2, "task_completed_s": 2}
 
 
 @pytest.mark.parametrize("t", [0.0, 3.2, 7.5, 11.0])

@@ -321,6 +321,12 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
     assert "| breaking | none | more than 2 |" in page or "| breaking | none | 1 or more |" in page
 
 
+def test_a_batch_is_made_of_whole_tiles(source):
+    assert running.tile_of(asking.read(source)) == 2  # the scenario's
+    with pytest.raises(ConfigError, match=r"budget\.batch = 3: must be whole tiles of 2 worlds"):
+        running.tile_of(asking.read(source, batch=3, most_worlds=6))
+
+
 def test_every_interval_names_its_level(source):
     """Of 14 sizes each may be accepted wrongly with 1 / 14 of half of 10 %, excluded with half."""
     given = asking.read(source)

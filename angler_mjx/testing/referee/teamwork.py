@@ -1,0 +1,379 @@
+"""The task of one world, worked out anew from where its robots were at each look.
+
+What is done is judged: places visited, goods taken and brought, cells seen, when that was enough,
+and which robots had nothing left. Where robots were sent is their own decision and is taken as
+stored. docs/tasks.md defines the rules.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.testing.referee.geometry import Floats
+from angler_mjx.testing.referee.sight import Cells, Eye, Flags, seen
+
+NEVER = 2**31
+"""Control step of what does not happen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What ``config.json`` says of a task."""
+
+    kind: str
+    tolerance_m: float
+    period: int
+    """Control steps from one look to the next."""
+    is_shared: bool
+    is_ordered: bool
+    returns: bool
+    """Whether robots finish at their starts."""
+    goods_return: bool
+    """Whether goods of a robot that ended lie where they were taken from again."""
+    coverage: Fraction
+    surface: str
+    half_angle_rad: float
+    range_m: float
+    is_told_all: bool
+    """Whether every robot knows at once what is done."""
+
+
+def rules(config: Mapping[str, Any]) -> Rules | None:
+    """Return the rules of a run; None where each robot has a goal of its own."""
+    table = config.get("task", {})
+    kind = table.get("type", "goal")
+    if kind == "goal":
+        return None
+    return Rules(
+        kind=kind,
+        tolerance_m=float(table["tolerance_m"]),
+        period=round(float(table["look_s"]) / float(config["time"]["control_dt_s"])),
+        is_shared=bool(table.get("shared", True)),
+        is_ordered=bool(table.get("ordered", False)),
+        returns=table["after"] == "return",
+        goods_return=table.get("dropped") == "back",
+        coverage=Fraction(str(table.get("coverage", 1))),
+        surface=str(table.get("of", "")),
+        half_angle_rad=float(np.radians(table.get("half_angle_deg", 0.0))),
+        range_m=float(table.get("range_m", 0.0)),
+        is_told_all=config.get("acoustics", {}).get("model", "perfect") == "perfect",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What was stored of a world at its looks: K looks, R robots, M jobs, P places."""
+
+    step: NDArray[np.int64]
+    """[K] control steps before each look."""
+    dt_s: float
+    p: Floats
+    """[K, R, 3] in W."""
+    q: Floats
+    """[K, R, 4]"""
+    running: Flags
+    """[K, R]"""
+    target: NDArray[np.int64]
+    """[K, R] place that each robot is sent to by each look; -1: it stays."""
+    carrying: NDArray[np.int64]
+    """[K, R] goods that each robot carries after it; -1: none."""
+    place: Mapping[str, Any]
+    """What stands still, and what was stored of the task once."""
+    low_m: Floats
+    band_m: float
+    """Distances that differ from the tolerance by less can be turned by rounding."""
+
+    @property
+    def jobs(self) -> int:
+        """M."""
+        return len(self.place["task/exists"])
+
+    @property
+    def exists(self) -> Flags:
+        """Bool [M]."""
+        exists: Flags = np.asarray(self.place["task/exists"]).astype(bool)
+        return exists
+
+    def look_at(self, time_s: Floats) -> NDArray[np.int64]:
+        """Return the look of each time; K for NaN, -1 for a time that is none of a look."""
+        steps = np.nan_to_num(np.asarray(time_s, float) / self.dt_s, nan=-1.0)
+        at = np.searchsorted(self.step, np.round(steps).astype(np.int64))
+        known = np.append(self.step, -1)[np.minimum(at, len(self.step))]
+        fits = np.abs(known - steps) < 1e-3
+        return np.where(np.isnan(time_s), len(self.step), np.where(fits, at, -1)).astype(np.int64)
+
+
+@dataclass(kw_only=True)
+class Judged:
+    """What the referee says of a task."""
+
+    jobs_done: NDArray[np.int64]
+    """[R] jobs, or places where every robot visits all."""
+    progress: float
+    completed_step: int
+    finished_step: NDArray[np.int64]
+    """[R] control steps after which a robot that still ran has reached; `NEVER`."""
+    is_bounded: bool = False
+    """Whether who did which job is taken from the record where it can be so."""
+    doubt: str = ""
+    """What rounding can have turned."""
+    faults: list[str] = field(default_factory=list)
+    """What was stored of the task and cannot be."""
+
+
+def judge(rule: Rules, record: Record) -> Judged:
+    """Judge the task of a world."""
+    apart = np.linalg.norm(record.p[:, :, None] - record.place["task/place_m"], axis=3)
+    near = (apart <= rule.tolerance_m) & record.running[..., None]
+    if rule.kind == "deliver":
+        judged = _delivered(rule, record, near)
+    elif rule.kind == "survey":
+        judged = _surveyed(rule, record, apart, near)
+    else:
+        judged = _toured(rule, record, near)
+    close = (np.abs(apart - rule.tolerance_m) < record.band_m) & record.running[..., None]
+    if close.any():
+        look, robot, place = np.argwhere(close)[0]
+        judged.doubt = (
+            f"robot {robot} is {apart[look, robot, place] - rule.tolerance_m:.2g} m beyond "
+            f"tolerance_m of place {place} at {record.step[look] * record.dt_s:g} s"
+        )
+    return judged
+
+
+def _first(true: Flags) -> NDArray[np.int64]:
+    """Return the first look [...] at which flags [K, ...] are set; K for none."""
+    first: NDArray[np.int64] = np.where(true.any(axis=0), true.argmax(axis=0), len(true))
+    return first
+
+
+def _step(record: Record, look: int) -> int:
+    return int(record.step[look]) if look < len(record.step) else NEVER
+
+
+def _finished(rule: Rules, record: Record, near: Flags, is_over: Flags) -> NDArray[np.int64]:
+    """Return after how many control steps each robot has reached [R].
+
+    Args:
+        rule: of the task.
+        record: of the world.
+        near: bool [K, R, P].
+        is_over: bool [K, R] whether nothing is left for it.
+    """
+    robots = near.shape[1]
+    if rule.returns:
+        home = near.shape[2] - robots + np.arange(robots)
+        is_over = is_over & near[:, np.arange(robots), home]
+    looks = _first(is_over & record.running)
+    return np.array([min(_step(record, look) + 1, NEVER) for look in looks], np.int64)
+
+
+def _credit(by: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
+    """Return how many jobs each robot did [R]."""
+    return np.bincount(by[by >= 0], minlength=robots).astype(np.int64)
+
+
+def _toured(rule: Rules, record: Record, near: Flags) -> Judged:
+    near = near.copy()
+    looks, robots, jobs = *near.shape[:2], record.jobs
+    at = near[:, :, :jobs]
+    if rule.is_shared:
+        done = np.logical_or.accumulate(at.any(axis=1), axis=0)
+        first = _first(done)
+        by = np.array([at[k, :, j].argmax() if k < looks else -1 for j, k in enumerate(first)])
+        is_over = np.broadcast_to(done.all(axis=1)[:, None], (looks, robots))
+        jobs_done, progress = _credit(by, robots), done[-1].mean()
+        complete = _first(done.all(axis=1))
+    else:
+        visited = np.zeros((looks, robots, jobs), bool)
+        before = np.zeros((robots, jobs), bool)
+        for k in range(looks):
+            next_one = np.arange(jobs) == before.argmin(axis=1)[:, None]
+            before = before | (at[k] & (next_one | (not rule.is_ordered)))
+            visited[k] = before
+        is_over = visited.all(axis=2)
+        jobs_done, progress = visited[-1].sum(axis=1), visited[-1].mean()
+        complete = _first(is_over.all(axis=1))
+        done = visited.all(axis=1)
+        last_come = visited & ~np.concatenate([np.zeros((1, robots, jobs), bool), visited[:-1]])
+        first = _first(done)
+        by = np.array(
+            [last_come[k, :, j].argmax() if k < looks else -1 for j, k in enumerate(first)]
+        )
+    judged = Judged(
+        jobs_done=jobs_done,
+        progress=float(progress),
+        completed_step=_step(record, int(complete)),
+        finished_step=_finished(rule, record, near, is_over),
+    )
+    _compare_jobs(record, judged, by, first)
+    return judged
+
+
+def _compare_jobs(
+    record: Record, judged: Judged, by: NDArray[np.int64], first: NDArray[np.int64]
+) -> None:
+    """Hold who did which job and at which look against what was stored, [M] each."""
+    stored_by = np.asarray(record.place["task/by"])
+    stored = record.look_at(record.place["task/done_at_s"])
+    for job in np.flatnonzero((stored_by != by) | (stored != first))[:3]:
+        when = [_time(record, int(x)) for x in (stored[job], first[job])]
+        judged.faults.append(
+            f"job {job}: stored by robot {stored_by[job]} {when[0]}, judged by robot {by[job]} "
+            f"{when[1]}"
+        )
+
+
+def _time(record: Record, look: int) -> str:
+    if look < 0:
+        return "at no look"
+    return "never" if look >= len(record.step) else f"at {record.step[look] * record.dt_s:g} s"
+
+
+def _delivered(rule: Rules, record: Record, near: Flags) -> Judged:
+    looks, robots, jobs = *near.shape[:2], record.jobs
+    begin, end = near[:, :, :jobs], near[:, :, jobs : 2 * jobs]
+    numbers = np.arange(jobs)
+    carries = np.full(robots, -1)
+    by, first = np.full(jobs, -1), np.full(jobs, looks)
+    done, lost = np.zeros(jobs, bool), np.zeros(jobs, bool)
+    is_over, complete = np.zeros((looks, robots), bool), looks
+    faults: list[str] = []
+    sent = np.full(robots, -1)
+    for k in range(looks):
+        running = record.running[k]
+        holds = carries[:, None] == numbers
+        brings = holds & end[k]
+        lost |= (holds & ~running[:, None]).any(axis=0) & (not rule.goods_return)
+        carries = np.where(running & ~brings.any(axis=1), carries, -1)
+        lie = ~(done | lost | (holds & running[:, None]).any(axis=0))
+        come = begin[k] & (sent[:, None] == numbers) & lie & (carries < 0)[:, None]
+        for job in np.flatnonzero(come.any(axis=0)):
+            carries[come[:, job].argmax()] = job
+        new = brings.any(axis=0) & ~done
+        by[new], first[new] = brings[:, new].argmax(axis=0), k
+        done |= new
+        complete = min(complete, k) if done.all() else complete
+        is_over[k] = (done | lost).all() & (carries < 0)
+        for robot in np.flatnonzero(record.carrying[k] != carries)[: 1 if not faults else 0]:
+            faults.append(
+                f"robot {robot} is stored with goods {record.carrying[k, robot]} "
+                f"{_time(record, k)}, judged {carries[robot]}"
+            )
+        sent = record.target[k]
+    judged = Judged(
+        jobs_done=_credit(by, robots),
+        progress=float(done.mean()),
+        completed_step=_step(record, complete),
+        finished_step=_finished(rule, record, near, is_over),
+        faults=faults,
+    )
+    _compare_jobs(record, judged, by, first)
+    return judged
+
+
+def _surveyed(rule: Rules, record: Record, apart: Floats, near: Flags) -> Judged:
+    """Judge a survey: cells by sight, viewpoints as far as the record says what is theirs."""
+    looks, robots, jobs = *near.shape[:2], record.jobs
+    cells, faults = np.argwhere(record.place["task/cells"] > 0), _no_surface(rule, record)
+    sure, can = _views(rule, record, cells)
+    stored = record.look_at(np.asarray(record.place["task/seen_at_s"])[tuple(cells.T)])
+    was_seen = record.place["task/cells"][tuple(cells.T)] == 2
+    first = _first(sure)
+    fits = (stored <= first) & (stored >= 0) & (was_seen == (stored < looks))
+    is_seen = np.pad(can, ((0, 1), (0, 0)), constant_values=True)
+    fits &= is_seen[np.clip(stored, 0, looks), np.arange(len(cells))]
+    for one in np.flatnonzero(~fits)[:3]:
+        faults.append(
+            f"cell {tuple(map(int, cells[one]))}: stored as seen "
+            f"{_time(record, int(stored[one]))}, judged {_time(record, int(first[one]))}"
+        )
+    when = np.where(fits, stored, first)
+    count = np.array([np.sum(when <= k) for k in range(looks)])
+    total = max(len(cells), 1)
+    required = -(-rule.coverage.numerator * total // rule.coverage.denominator)
+    complete = _first(count >= required)
+    by, done = _viewpoints(record, apart[:, :, :jobs], near[:, :, :jobs], faults)
+    over = (done[None] <= np.arange(looks)[:, None]) | ~record.exists
+    is_over = over.all(axis=1) | (np.arange(looks) >= complete)
+    return Judged(
+        jobs_done=_credit(by, robots),
+        progress=float(count[-1] / total),
+        completed_step=_step(record, int(complete)),
+        finished_step=_finished(
+            rule, record, near, np.broadcast_to(is_over[:, None], (looks, robots))
+        ),
+        is_bounded=True,
+        faults=faults,
+    )
+
+
+def _views(rule: Rules, record: Record, cells: Cells) -> tuple[Flags, Flags]:
+    """Return which cells some robot sees at each look, for sure and possibly, bool [K, n]."""
+    eye = Eye(
+        half_angle_rad=rule.half_angle_rad,
+        range_m=rule.range_m,
+        occupied=np.asarray(record.place["grid/occupied"]).astype(bool),
+        low_m=record.low_m,
+        edge_m=float(record.place["grid/cell_m"]),
+    )
+    sure, can = (np.zeros((len(record.step), len(cells)), bool) for _ in range(2))
+    for k, robot in np.argwhere(record.running):
+        one = seen(eye, record.p[k, robot], record.q[k, robot], cells)
+        sure[k] |= one[0]
+        can[k] |= one[1]
+    return sure, can
+
+
+def _no_surface(rule: Rules, record: Record) -> list[str]:
+    """Return what is wrong with the cells that are to be seen: each is water at a surface."""
+    rock = np.asarray(record.place["grid/occupied"]).astype(bool)
+    cells = np.asarray(record.place["task/cells"]) > 0
+    height = record.low_m[2] + float(record.place["grid/cell_m"]) * (np.arange(rock.shape[2]) + 0.5)
+    water = ~rock & (height > float(record.place["floor_z_m"]))
+    lowest = water & (np.cumsum(water, axis=2) == 1)
+    wide, beside = np.pad(rock, 1), np.zeros_like(rock)
+    for axis in range(3):
+        for step in (-1, 1):
+            beside |= np.roll(wide, step, axis)[1:-1, 1:-1, 1:-1]
+    allowed = {"floor": lowest, "rock": beside & ~rock, "both": lowest | (beside & ~rock)}
+    wrong = np.argwhere(cells & ~allowed[rule.surface])
+    return [f"cell {tuple(map(int, cell))} is no water at what is surveyed" for cell in wrong[:3]]
+
+
+def _viewpoints(
+    record: Record, apart: Floats, near: Flags, faults: list[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return who did each job [M] and the look at which it was over [M], as far as can be judged.
+
+    Which cells are a viewpoint's is not stored. A job is over once a robot looked from its
+    viewpoint; before that it is credited to the nearest robot whose episode goes on.
+
+    Args:
+        record: of the world.
+        apart: [K, R, M] distances to viewpoints.
+        near: bool [K, R, M].
+        faults: to be added to.
+    """
+    looks = len(record.step)
+    by = np.where(record.exists, np.asarray(record.place["task/by"]), -1)
+    done = np.where(record.exists, record.look_at(record.place["task/done_at_s"]), looks)
+    at_point = _first(near.any(axis=1))
+    for job in np.flatnonzero(record.exists):
+        k, robot = int(done[job]), int(by[job])
+        known = "" if k <= at_point[job] else f"a robot was there {_time(record, at_point[job])}"
+        if 0 <= k < looks and not known:
+            away = np.where(record.running[k], apart[k, :, job], np.inf)
+            if robot < 0 or away[robot] > away.min() + record.band_m:
+                known = f"robot {away.argmin()} was nearest of those under way"
+        if k < 0 or (k == looks) != (robot < 0):
+            known = "no robot can have done it then"
+        if known:
+            faults.append(f"job {job}: stored by robot {robot} {_time(record, k)}: {known}")
+            by[job] = near[at_point[job], :, job].argmax() if at_point[job] < looks else -1
+            done[job] = at_point[job]
+    return by, done
