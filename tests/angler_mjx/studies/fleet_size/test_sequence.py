@@ -73,15 +73,13 @@ def test_narrow_confidence_errs_but_no_more_than_it_says():
     assert 0.6 <= np.mean(found) < 1.0
 
 
-@pytest.mark.parametrize("probability", [0.5, 0.9])
-def test_other_probabilities_are_asked_for_as_well(probability):
-    """Sizes that were not flown yet stand in the way of none."""
-    rng = np.random.default_rng(5)
-    p = rising(9, 1.5)
-    rule = span(24, probability=probability, within=0)
-    truth = int(np.flatnonzero(p >= probability)[0]) + 1
-    found = [answer(rule, study(rule, p, rng, 128)[0]) for _ in range(12)]
-    assert sum(one.low <= truth <= (one.high or truth) for one in found) >= 11
+def test_a_size_that_was_never_flown_is_tried_beside_one_that_stays_open():
+    """4 robots are open after half of their worlds: the size `within` above is flown next."""
+    rule = span(8, probability=0.9, most_worlds=400)
+    counts = {0: (0, 100), 1: (0, 100), 2: (0, 200), 3: (182, 200), 7: (100, 100)}
+    assert rule.verdict(*counts[3]) == 0
+    assert rule.verdict(*counts[7]) == 1
+    assert wanted(rule, counts) == [4]
 
 
 def test_a_steep_span_takes_few_sizes_and_worlds():
