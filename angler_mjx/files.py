@@ -94,7 +94,7 @@ def named(path: Path | str) -> str:
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """Read a text file.
+    """Read a text file in UTF-8; a byte order mark at its beginning is no part of the text.
 
     Raises:
         ConfigError: the file is missing, unreadable, not UTF-8, or larger than ``most_bytes``.
@@ -107,7 +107,7 @@ def read_text(path: Path, most_bytes: int) -> str:
                 f"{named(path)}: has more than {most_bytes / 2**20:g} MiB; "
                 "this is no file of the kind that is read here"
             )
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a name with a zero byte
         if isinstance(error, ConfigError):
             raise

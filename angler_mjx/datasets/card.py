@@ -139,7 +139,8 @@ def text(
         "```",
         "",
         "Without this package: `index.parquet` has a row an episode; `runs/*/trajectories.zarr` "
-        "are Zarr v3 groups (xarray opens them), `runs/*/episodes.parquet` has a row a robot. "
+        "are Zarr v3 groups (xarray opens them; arrays stored in steps need `pip install "
+        "'zarr[cast-value-rs]>=3.4'`), `runs/*/episodes.parquet` has a row a robot. "
         "`sha256sum -c sha256sums.txt` and `angler dataset verify PATH` judge it.",
         "",
         "## Splits",

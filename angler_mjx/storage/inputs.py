@@ -264,7 +264,7 @@ def _keep(place: Path, found: _Found, data: bytes, names: set[str]) -> Input:
 
 def _pointed(vehicle: _Found, model: str) -> bytes:
     """A vehicle file that names another thruster file, and is the same else."""
-    text = vehicle.data.decode("utf-8")
+    text = vehicle.data.decode("utf-8-sig")
     wanted = tomllib.loads(text)
     wanted["rotor"]["model"] = model
     for found in _MODEL.finditer(text):

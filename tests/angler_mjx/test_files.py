@@ -115,6 +115,14 @@ def test_large_endless_missing_and_named_oddly(tmp_path):
     assert r"a\x1b[31m\nb.toml: cannot be read" in str(caught.value)
 
 
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path):
+    # As Windows' Notepad writes files: its mark would be part of the first name.
+    for name, text in (("a.toml", "count = 3\n"), ("a.json", '{"count": 3}'), ("a.txt", "count 3")):
+        (tmp_path / name).write_bytes(b"\xef\xbb\xbf" + text.encode())
+    assert read_toml(tmp_path / "a.toml") == read_json(tmp_path / "a.json") == {"count": 3}
+    assert read_text(tmp_path / "a.txt", 100).split() == ["count", "3"]
+
+
 def test_a_file_of_another_kind_is_not_told_fault_by_fault():
     message = told({f"key_{i}": 1 for i in range(30)})
     assert message.count("\n") == 21

@@ -15,6 +15,7 @@ from angler_kernels.gridded_field import gridded
 from angler_mjx.draws import children
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel, absolute, named
+from angler_mjx.quantities import FASTEST_MPS
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
 from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
@@ -135,9 +136,22 @@ class GridConfig(FileModel):
         try:
             self._places()
             self.starts_s(0.0)
+            self._require_slow()
         except ValueError as error:
             raise ValueError(f"{error} ({named(self.file)})") from error
         return self
+
+    def _require_slow(self) -> None:
+        """Require that the scaled field is no faster than other currents may be."""
+        values, scale = self.field.values, self.scale
+        factor = np.array([1.0, 1.0, scale.depth / scale.space], np.float32)
+        squares = np.square(values * factor[: values.shape[-1]])
+        fastest = scale.speed * float(np.sqrt(np.sum(squares, axis=-1).max()))
+        if fastest > FASTEST_MPS:
+            raise ValueError(
+                f"scale: makes {fastest:g} m/s of the file's water; no faster than "
+                f"{FASTEST_MPS:g} m/s, give a smaller speed"
+            )
 
     @property
     def field(self) -> ocean.Field:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,9 @@ class BathymetryConfig(FileModel):
     """NetCDF file by the CF conventions; see `docs/ocean.md`."""
     variable: str | None = None
     """Name of the sea floor's depth or height in it; found by its standard_name if left out."""
+    positive: Literal["up", "down"] | None = None
+    """Whether its numbers are heights ("up") or depths ("down"); for files that do not say it by a
+    standard_name or ``positive`` of the variable."""
     latitude: Span | None = None
     """From where to where worlds lie, as in a current of type "grid"; not beside one."""
     longitude: Span | None = None
@@ -56,7 +59,7 @@ class BathymetryConfig(FileModel):
     @property
     def floor(self) -> ocean.Floor:
         """The file's."""
-        return ocean.load_floor(self.file, self.variable)
+        return ocean.load_floor(self.file, self.variable, self.positive)
 
     @cached_property
     def places(self) -> Places:

@@ -1,9 +1,10 @@
 """NetCDF files by the CF conventions: variables by their standard names, axes in units of ours.
 
-Only this module knows xarray. See cfconventions.org, version 1.11, chapters 3 (units and standard
-names), 4 (axes) and 5 (coordinates).
+Only this module knows xarray. See cfconventions.org, version 1.11, chapters 2.5 (missing values), 3
+(units and standard names), 4 (axes) and 5 (coordinates, grid mappings).
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +14,15 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, UnsupportedError, shown, size
 from angler_mjx.files import named
+from angler_mjx.world.ocean.missing import find_missing
 
 EXTRA = "pip install 'angler-mjx[ocean]'"
 
 MOST_BYTES = 2**28
 """Of one field in memory, as float32: programs hold a copy each."""
+
+_REASON = 400
+"""Characters of another library's message that are repeated."""
 
 AXES = ("y", "x", "depth", "time")
 """Names of the axes here, in the order of every array."""
@@ -27,11 +32,21 @@ _STANDARD = {
     "longitude": "x",
     "projection_y_coordinate": "y",
     "projection_x_coordinate": "x",
-    "depth": "depth",
-    "height": "depth",
-    "altitude": "depth",
+    **dict.fromkeys(("depth", "depth_below_geoid", "height", "altitude"), "depth"),
+    "height_above_mean_sea_level": "depth",
+    "height_above_geopotential_datum": "depth",
+    "height_above_reference_ellipsoid": "depth",
     "time": "time",
 }
+_HEIGHTS = ("height", "altitude")
+"""Beginnings of the standard names of vertical axes that count upwards."""
+_FOREIGN = (
+    "grid_latitude",
+    "grid_longitude",
+    "projection_y_angular_coordinate",
+    "projection_x_angular_coordinate",
+)
+"""Standard names of axes in degrees that are no latitudes and longitudes."""
 _LETTERS = {"X": "x", "Y": "y", "Z": "depth", "T": "time"}
 _NAMES = {
     **{name: "y" for name in ("lat", "latitude", "y")},
@@ -43,6 +58,10 @@ _DEGREES = {
     **dict.fromkeys(("degrees_north", "degree_north", "degrees_n", "degree_n"), "y"),
     **dict.fromkeys(("degrees_east", "degree_east", "degrees_e", "degree_e"), "x"),
 }
+_REGRID = (
+    "first turn its components to east and north (of a rotated pole: cdo rotuvb), then interpolate "
+    "them to one-dimensional latitude and longitude (cdo remapbil); docs/ocean.md says how"
+)
 METRES = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1e3}
 PER_SECOND = {
     **dict.fromkeys(("m s-1", "m/s", "m s^-1", "m s**-1", "m.s-1", "ms-1", "meter/second"), 1.0),
@@ -56,21 +75,8 @@ PER_SECOND = {
 EASTWARD = ("eastward_sea_water_velocity", "sea_water_x_velocity")
 NORTHWARD = ("northward_sea_water_velocity", "sea_water_y_velocity")
 UPWARD = ("upward_sea_water_velocity",)
-FLOOR = (
-    "sea_floor_depth_below_sea_level",
-    "sea_floor_depth_below_sea_surface",
-    "sea_floor_depth_below_mean_sea_level",
-    "sea_floor_depth_below_geoid",
-    "sea_floor_depth",
-)
-HEIGHT = (
-    "height_above_mean_sea_level",
-    "height_above_reference_ellipsoid",
-    "height_above_geoid",
-    "surface_altitude",
-    "altitude",
-)
-"""Heights of the ground: GEBCO's files have the sea floor negative in them."""
+NORTH_OR_Y, EAST_OR_X = ("northward", "y_velocity"), ("eastward", "x_velocity")
+"""Words of the standard names of components along each axis."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +102,8 @@ class Wanted:
     name: str | None
     """In the file, where that is given; else it is found by its standard name."""
     standard: tuple[str, ...]
+    words: tuple[str, ...] = ()
+    """Of which its standard name, where the file has one, holds one at least; any name if empty."""
     needed: bool = True
     """Whether the file must have it."""
 
@@ -107,8 +115,10 @@ class Read:
     parts: tuple[np.ndarray, ...]
     """[y, x, depth, time] each; m/s, or m; NaN where nothing is known."""
     axes: Mapping[str, Axis]
-    standard: tuple[str, ...]
-    """Their standard names; empty where there is none."""
+    names: tuple[str, ...]
+    """Of the variables in the file."""
+    attributes: tuple[Mapping[str, str], ...]
+    """Of the variables, as text."""
 
 
 def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Read:
@@ -123,16 +133,19 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
         ConfigError: there is no such file, or it cannot be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    with _opened(path) as data:
-        chosen = [_chosen(path, data, one) for one in wanted]
+    with _opened(path) as stored:
+        data = _decoded(path, stored)
+        chosen = [_chosen(path, data, variable) for variable in wanted]
         arrays = [data[name] for name in chosen if name is not None]
-        axes = _axes(path, data, arrays[0])
-        for one in arrays[1:]:
-            if set(one.dims) != set(arrays[0].dims):
+        axes = _axes(path, stored, data, arrays[0])
+        for array in arrays[1:]:
+            if set(array.dims) != set(arrays[0].dims):
                 raise ConfigError(
-                    f"{named(path)}: {arrays[0].name} and {one.name} stand on different axes, "
-                    f"{_said(arrays[0])} and {_said(one)}; interpolate them to one grid first"
+                    f"{named(path)}: {arrays[0].name} and {array.name} stand on different axes, "
+                    f"{_said(arrays[0])} and {_said(array)}; interpolate them to one grid first"
                 )
+        for array in arrays:
+            _require_frame(path, data, array, axes)
         count = 4 * len(arrays) * int(np.prod(arrays[0].shape))
         if count > MOST_BYTES:
             raise ConfigError(
@@ -140,19 +153,23 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
                 "that programs hold: take fewer depths or times, or a smaller area"
             )
         try:
-            parts = tuple(_laid(array, axes) * _unit(path, array, units) for array in arrays)
+            parts = tuple(
+                _laid(_masked(path, stored[array.name], array), axes) * _unit(path, array, units)
+                for array in arrays
+            )
         except (OSError, RuntimeError) as error:
             raise ConfigError(f"{named(path)}: is damaged ({error}); fetch it again") from error
     none = {kind: Axis(knots=np.zeros(1)) for kind in ("depth", "time")}
     return Read(
         parts=parts,
-        axes={**none, **{kind: one for kind, (_, one) in axes.items()}},
-        standard=tuple(str(array.attrs.get("standard_name", "")) for array in arrays),
+        axes={**none, **{kind: axis for kind, (_, axis) in axes.items()}},
+        names=tuple(str(array.name) for array in arrays),
+        attributes=tuple({k: str(v) for k, v in array.attrs.items()} for array in arrays),
     )
 
 
 def _opened(path: Path) -> Any:
-    """The file as a dataset, nothing read yet."""
+    """Open the file as a dataset of stored values: packed, with fill values, times as numbers."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
@@ -169,27 +186,50 @@ def _opened(path: Path) -> Any:
             "of CDF-5 and other formats make one with nccopy -k nc4"
         )
     try:
+        import cftime  # noqa: F401
         import h5netcdf  # noqa: F401
         import h5py  # noqa: F401
         import xarray
     except ImportError as error:
         raise UnsupportedError(
-            f"{named(path)}: files of ocean models need xarray, h5netcdf and h5py: {EXTRA}"
+            f"{named(path)}: files of ocean models need xarray, h5netcdf, h5py and cftime: {EXTRA}"
         ) from error
     try:
-        data = xarray.open_dataset(path, engine=engine, decode_times=False)
+        return xarray.open_dataset(path, engine=engine, mask_and_scale=False, decode_times=False)
     except (ValueError, OSError, KeyError, RuntimeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ConfigError(f"{named(path)}: cannot be read as NetCDF ({reason})") from error
+        raise ConfigError(f"{named(path)}: cannot be read as NetCDF ({_reason(error)})") from error
+
+
+def _decoded(path: Path, stored: Any) -> Any:
+    """Return a dataset with unpacked values, NaN for fill values; times stay numbers."""
+    import xarray
+
     try:
-        return xarray.decode_cf(data, mask_and_scale=False, decode_timedelta=False)
-    except (ValueError, OverflowError) as error:
-        data.close()
-        reason = str(error).splitlines()[0].partition(". Try")[0]
-        raise ConfigError(
-            f"{named(path)}: its times cannot be read ({reason}): they must be in the standard "
-            'calendar, with units as in "hours since 2024-01-01"'
-        ) from error
+        with warnings.catch_warnings():  # several fill values: all of them are missing
+            warnings.simplefilter("ignore", xarray.SerializationWarning)
+            return xarray.decode_cf(stored, decode_times=False)
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError(f"{named(path)}: cannot be read as NetCDF ({_reason(error)})") from error
+
+
+def _masked(path: Path, stored: Any, array: Any) -> Any:
+    """Return a variable with NaN for whatever is missing by its attributes.
+
+    Args:
+        path: of the file.
+        stored: the variable as the file has it.
+        array: the same unpacked.
+    """
+    try:
+        missing = find_missing(np.asarray(stored.values), stored.attrs)
+    except ValueError as error:
+        raise ConfigError(f"{named(path)}: {array.name}: {error}") from error
+    return array.astype(np.float64).where(~missing) if missing.any() else array
+
+
+def _reason(error: BaseException) -> str:
+    """Return the message of another library on one line."""
+    return " ".join(str(error).split())[:_REASON] or type(error).__name__
 
 
 def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
@@ -201,6 +241,12 @@ def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
             raise ConfigError(
                 f"{named(path)}: {key} = {shown(name)}: no variable of this file; there is "
                 f"{', '.join(about) or 'none'}"
+            )
+        standard = str(about[name])
+        if standard and one.words and not any(word in standard for word in one.words):
+            raise ConfigError(
+                f"{named(path)}: {key} = {shown(name)}: has the standard_name {standard}, must be "
+                f"as in {' or '.join(one.standard)}; name another variable"
             )
         return name
     for wanted in one.standard:
@@ -220,18 +266,22 @@ def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
     )
 
 
-def _axes(path: Path, data: Any, array: Any) -> dict[str, tuple[str, Axis]]:
+def _axes(path: Path, stored: Any, data: Any, array: Any) -> dict[str, tuple[str, Axis]]:
     """Dimension and knots of each axis of a variable, by our name of the axis."""
     found: dict[str, tuple[str, Axis]] = {}
     for dim in map(str, array.dims):
         if dim not in data.variables:
-            flat = [str(one) for one in array.coords if array.coords[one].ndim == 2]
-            why = "its places are given by two-dimensional coordinates" if flat else "no coordinate"
+            flat = [str(name) for name in array.coords if array.coords[name].ndim == 2]
+            if flat:
+                raise ConfigError(
+                    f"{named(path)}: dimension {dim} of {array.name} has no coordinate of its own, "
+                    f"only two-dimensional ones ({', '.join(flat)}): {_REGRID}"
+                )
             raise ConfigError(
-                f"{named(path)}: dimension {dim} of {array.name} has {why}: give a file with "
-                "one-dimensional latitude, longitude, depth and time (cdo remapbil makes one)"
+                f"{named(path)}: dimension {dim} of {array.name} has no coordinate: give a file "
+                "with one-dimensional latitude, longitude, depth and time"
             )
-        kind = _kind(dim, data[dim])
+        kind = _kind(path, dim, data[dim])
         if kind is None:
             if data.sizes[dim] == 1:
                 continue
@@ -244,7 +294,7 @@ def _axes(path: Path, data: Any, array: Any) -> dict[str, tuple[str, Axis]]:
                 f"{named(path)}: {found[kind][0]} and {dim} of {array.name} are both {kind}; "
                 "give them their standard_name"
             )
-        found[kind] = (dim, _knots(path, kind, dim, data[dim]))
+        found[kind] = (dim, _knots(path, kind, dim, _masked(path, stored[dim], data[dim])))
     for kind, name in (("y", "latitude"), ("x", "longitude")):
         if kind not in found:
             raise ConfigError(f"{named(path)}: {array.name} has no {name}, only {_said(array)}")
@@ -256,27 +306,29 @@ def _axes(path: Path, data: Any, array: Any) -> dict[str, tuple[str, Axis]]:
     return found
 
 
-def _kind(dim: str, coordinate: Any) -> str | None:
+def _kind(path: Path, dim: str, coordinate: Any) -> str | None:
+    """Return our name of an axis; None if nothing that is understood says it."""
     about = coordinate.attrs
-    if np.issubdtype(coordinate.dtype, np.datetime64):
-        return "time"
     units = str(about.get("units", "")).lower()
-    ways = (
-        _STANDARD.get(str(about.get("standard_name", ""))),
-        _DEGREES.get(units),
-        _LETTERS.get(str(about.get("axis", "")).upper()),
-        _NAMES.get(dim.lower()),
-    )
-    return next((way for way in ways if way is not None), None)
+    standard = str(about.get("standard_name", "")).lower()
+    if standard in _FOREIGN:
+        raise ConfigError(
+            f"{named(path)}: {dim} is a {standard}, no latitude or longitude: {_REGRID}"
+        )
+    if " since " in units:
+        return "time"
+    if standard or units in _DEGREES:
+        return _STANDARD.get(standard, _DEGREES.get(units))
+    return _LETTERS.get(str(about.get("axis", "")).upper(), _NAMES.get(dim.lower()))
 
 
 def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> Axis:
-    """Knots of one axis in our units, rising where they may be turned round."""
+    """Return the knots of one axis in our units, rising where they may be turned round."""
     if kind == "time":
         return _times(path, dim, coordinate)
     values = np.asarray(coordinate.values, np.float64)
     units = str(coordinate.attrs.get("units", "")).strip().lower()
-    degrees = kind != "depth" and (units in _DEGREES or units in ("degrees", "degree"))
+    degrees = kind != "depth" and _is_degrees(path, kind, dim, coordinate)
     if not degrees:
         if units not in METRES:
             raise ConfigError(
@@ -289,25 +341,121 @@ def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> Axis:
     if degrees and kind == "x":
         values = np.unwrap(values, period=360.0)
     _require_rising(path, dim, values, either=True)
+    largest = {"y": 90.0, "x": 720.0}.get(kind, np.inf) if degrees else np.inf
+    if np.abs(values).max() > largest:
+        raise ConfigError(
+            f"{named(path)}: {dim} goes from {values.min():g} to {values.max():g} degrees; "
+            "correct it, or its units"
+        )
     return Axis(knots=np.sort(values), degrees=degrees, turned=values[0] > values[-1])
 
 
+def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
+    """Return whether a horizontal axis is one of latitudes or longitudes.
+
+    Raises:
+        ConfigError: it is in degrees, and nothing says that it is latitude or longitude.
+    """
+    about = coordinate.attrs
+    units = str(about.get("units", "")).strip().lower()
+    if units not in ("degrees", "degree", *_DEGREES):
+        return False
+    beginning = {"y": "lat", "x": "lon"}[kind]
+    names = (dim, str(about.get("long_name", "")), str(about.get("standard_name", "")))
+    is_named = any(name.lower().startswith(beginning) for name in names)
+    if _DEGREES.get(units, kind) != kind or not (units in _DEGREES or is_named):
+        raise ConfigError(
+            f"{named(path)}: {dim} has the units {shown(units)}: true latitudes have "
+            f"degrees_north, longitudes degrees_east; say so in the file (ncatted), or: {_REGRID}"
+        )
+    return True
+
+
+def _require_frame(path: Path, data: Any, array: Any, axes: Mapping[str, tuple[str, Axis]]) -> None:
+    """Require that a variable's axes and components are east and north, or both of one plane.
+
+    Raises:
+        ConfigError: they are not, or the file does not say it.
+    """
+    (y, axis), (x, _) = axes["y"], axes["x"]
+    mapping = _grid_mapping(path, data, array, is_needed=not axis.degrees)
+    if mapping not in (None, "latitude_longitude" if axis.degrees else "transverse_mercator"):
+        raise ConfigError(
+            f"{named(path)}: {array.name} stands on the grid mapping {mapping}: {_REGRID}"
+        )
+    if axis.degrees:
+        return
+    flat = [str(name) for name in array.coords if array.coords[name].ndim == 2]
+    if mapping is None and flat:
+        raise ConfigError(
+            f"{named(path)}: {y} and {x} are in metres of a map projection that it does not "
+            f"describe (grid_mapping): {_REGRID}"
+        )
+    standard = str(array.attrs.get("standard_name", ""))
+    is_projected = mapping is not None or "standard_name" in {**data[y].attrs, **data[x].attrs}
+    if is_projected and ("eastward" in standard or "northward" in standard):
+        raise ConfigError(
+            f"{named(path)}: {array.name} is {standard}, and {y} and {x} are those of a map "
+            "projection, not east and north: interpolate it to latitude and longitude "
+            "(cdo remapbil)"
+        )
+
+
+def _grid_mapping(path: Path, data: Any, array: Any, *, is_needed: bool) -> str | None:
+    """Return the grid_mapping_name of a variable; None if it has none.
+
+    Args:
+        path: of the file.
+        data: of the file.
+        array: the variable.
+        is_needed: whether a mapping that the variable names must be in the file.
+    """
+    about = array.attrs.get("grid_mapping", array.encoding.get("grid_mapping"))
+    if about is None:
+        return None
+    name = str(about).split(":")[0].strip()
+    attributes = data[name].attrs if name in data.variables else {}
+    mapping = attributes.get("grid_mapping_name")
+    if mapping is None and is_needed:
+        raise ConfigError(
+            f"{named(path)}: {array.name} has the grid mapping {shown(name)}, which the file does "
+            "not describe by a grid_mapping_name; give a file that does"
+        )
+    return None if mapping is None else str(mapping)
+
+
 def _upward(coordinate: Any, values: np.ndarray) -> bool:
-    """Whether a vertical axis counts upwards: as it says, else by its sign."""
+    """Return whether a vertical axis counts upwards: as it says, else by its sign."""
     positive = str(coordinate.attrs.get("positive", "")).lower()
     if positive in ("up", "down"):
         return positive == "up"
-    if coordinate.attrs.get("standard_name") in ("height", "altitude"):
+    if str(coordinate.attrs.get("standard_name", "")).startswith(_HEIGHTS):
         return True
     return bool(np.all(values <= 0.0) and np.any(values < 0.0))
 
 
 def _times(path: Path, dim: str, coordinate: Any) -> Axis:
-    values = coordinate.values
+    """Return the knots of a time axis, s after the first.
+
+    Raises:
+        ConfigError: they are missing, fall, or are in no calendar whose days are those of UTC.
+    """
+    import xarray
+
+    about = {key: shown(str(coordinate.attrs.get(key, ""))) for key in ("units", "calendar")}
+    rule = 'times must be as in "hours since 2024-01-01", in the standard calendar'
+    try:
+        numbers = xarray.Dataset({dim: coordinate.variable})
+        values = xarray.decode_cf(numbers, decode_timedelta=False)[dim].values
+    except (ValueError, OverflowError, TypeError) as error:
+        raise ConfigError(
+            f"{named(path)}: {dim} has the units {about['units']} and cannot be read "
+            f"({_reason(error.__cause__ or error)}): {rule}"
+        ) from error
     if not np.issubdtype(values.dtype, np.datetime64):
         raise ConfigError(
-            f"{named(path)}: {dim} has the units {shown(str(coordinate.attrs.get('units', '')))}: "
-            'times must say theirs as in "hours since 2024-01-01", in the standard calendar'
+            f"{named(path)}: {dim} has the units {about['units']} and the calendar "
+            f"{about['calendar']}: {rule}"
         )
     if np.any(np.isnat(values)):
         raise ConfigError(f"{named(path)}: {dim} has missing times; cut them off")

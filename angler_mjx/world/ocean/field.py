@@ -18,6 +18,7 @@ from scipy import ndimage
 from angler_kernels.gridded_field import FEW, Axis
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named
+from angler_mjx.quantities import FASTEST_MPS
 from angler_mjx.world.ocean import cf
 from angler_mjx.world.ocean.cf import Wanted
 
@@ -125,12 +126,13 @@ def stamp(path: str) -> tuple[int, int]:
 def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]) -> Field:
     u, v, w = names
     wanted = (
-        Wanted(key="u", name=u, standard=cf.EASTWARD),
-        Wanted(key="v", name=v, standard=cf.NORTHWARD),
-        Wanted(key="w", name=w, standard=cf.UPWARD, needed=False),
+        Wanted(key="u", name=u, standard=cf.EASTWARD, words=cf.EAST_OR_X),
+        Wanted(key="v", name=v, standard=cf.NORTHWARD, words=cf.NORTH_OR_Y),
+        Wanted(key="w", name=w, standard=cf.UPWARD, words=("upward",), needed=False),
     )
     read = cf.read(Path(path), wanted, cf.PER_SECOND)
     values = np.stack(read.parts, axis=-1)
+    _require_slow(path, read, values)
     wet = np.all(np.isfinite(values), axis=(3, 4))
     if not wet.any():
         raise ConfigError(
@@ -150,6 +152,37 @@ def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, st
         begin="" if time.begin is None else str(time.begin.astype("datetime64[s]")),
         source=path,
         names=names,
+    )
+
+
+def _require_slow(path: str, read: cf.Read, values: np.ndarray) -> None:
+    """Require that no velocity is faster than those of other currents.
+
+    Args:
+        path: of the file.
+        read: axes and names of the components.
+        values: [y, x, depth, time, component] m/s; NaN where missing.
+
+    Raises:
+        ConfigError: one is; says where and when.
+    """
+    speed = np.sqrt(np.sum(np.square(values), axis=-1))
+    fast = speed > FASTEST_MPS
+    if not fast.any():
+        return
+    at = tuple(int(i) for i in np.argwhere(fast)[0])
+    y, x, depth, time = (read.axes[kind].knots[i] for kind, i in zip(cf.AXES, at, strict=True))
+    place = f"latitude {y:g}, longitude {x:g}" if read.axes["y"].degrees else f"y {y:g}, x {x:g} m"
+    begin = read.axes["time"].begin
+    if begin is not None:
+        moment = (begin + np.timedelta64(round(time), "s")).astype("datetime64[s]")
+        place = f"{moment}, {place}"
+    component = int(np.argmax(np.abs(values[at])))
+    raise ConfigError(
+        f"{named(path)}: {read.names[component]} = {values[at][component]:g} m/s at {place}, "
+        f"depth {depth:g} m: no water is faster than {FASTEST_MPS:g} m/s (the fastest tidal stream "
+        "makes 10 m/s); if the number stands for land, name it as _FillValue in the file "
+        "(ncatted), else correct units or scale_factor"
     )
 
 

@@ -13,9 +13,38 @@ import numpy as np
 from angler_kernels.gridded_field import Axis, locate
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import named
+from angler_mjx.quantities import FARTHEST_M
 from angler_mjx.world.ocean import cf
 from angler_mjx.world.ocean.cf import Wanted
 from angler_mjx.world.ocean.field import carried_on, even_axis, stamp
+
+DEPTH = (
+    "sea_floor_depth_below_sea_level",
+    "sea_floor_depth_below_sea_surface",
+    "sea_floor_depth_below_mean_sea_level",
+    "sea_floor_depth_below_geoid",
+    "sea_floor_depth_below_geopotential_datum",
+    "sea_floor_depth_below_reference_ellipsoid",
+    "sea_floor_depth",
+    "depth",
+)
+HEIGHT = (
+    "height_above_mean_sea_level",
+    "height_above_reference_ellipsoid",
+    "height_above_geopotential_datum",
+    "height_above_geoid",
+    "bedrock_altitude",
+    "surface_altitude",
+    "ground_level_altitude",
+    "altitude",
+    "height",
+)
+"""Standard names of sea floors that are positive downwards, and upwards as GEBCO's."""
+_DIRECTIONS = {
+    **dict.fromkeys(("depth", "deptho", "sea_floor_depth"), "down"),
+    **dict.fromkeys(("elevation", "altitude", "height"), "up"),
+}
+"""By names of variables, where no attribute says it."""
 
 LAND_M = -1e4
 """Depth that stands for land: no cell of any world is above it."""
@@ -48,23 +77,24 @@ class Floor:
         return made.hexdigest()
 
 
-def load_floor(path: str, variable: str | None) -> Floor:
-    """The sea floor of a file, read once for as long as the file stays as it is.
+def load_floor(path: str, variable: str | None, positive: str | None = None) -> Floor:
+    """Read the sea floor of a file, once for as long as the file stays as it is.
 
     Args:
         path: of a NetCDF file.
-        variable: its name in it, if it is given.
+        variable: its name in the file; None if its standard_name says which it is.
+        positive: "up" for heights, "down" for depths; None if the file says it.
 
     Raises:
         ConfigError: there is no such file, or it is none that can be used; says why.
         UnsupportedError: what reads it is not installed.
     """
-    return _load(path, stamp(path), variable)
+    return _load(path, stamp(path), variable, positive)
 
 
 @lru_cache(maxsize=8)
-def _load(path: str, _: tuple[int, int], variable: str | None) -> Floor:
-    below = Wanted(key="variable", name=variable, standard=(*cf.FLOOR, *cf.HEIGHT))
+def _load(path: str, _: tuple[int, int], variable: str | None, positive: str | None) -> Floor:
+    below = Wanted(key="variable", name=variable, standard=(*DEPTH, *HEIGHT))
     read = cf.read(Path(path), (below,), cf.METRES)
     depth = read.parts[0]
     if depth.shape[2] > 1 or depth.shape[3] > 1:
@@ -72,13 +102,14 @@ def _load(path: str, _: tuple[int, int], variable: str | None) -> Floor:
             f"{named(path)}: a sea floor has no depths and no times; take one of them"
         )
     depth = depth[:, :, 0, 0]
-    if read.standard[0] in cf.HEIGHT:
+    if _direction(path, read, depth, positive) == "up":
         depth = -depth
+    _require_shallow(path, read, depth)
     wet = np.isfinite(depth) & (depth > 0.0)
     if not wet.any():
         raise ConfigError(
-            f"{named(path)}: its sea floor lies nowhere below the surface; depths are positive "
-            "downwards, heights have the standard_name height_above_mean_sea_level"
+            f"{named(path)}: its sea floor ({read.names[0]}) lies nowhere below the surface; give "
+            'another variable or area, or say positive = "up" of heights, "down" of depths'
         )
     y, x = read.axes["y"], read.axes["x"]
     if min(len(y.knots), len(x.knots)) < 2:
@@ -87,6 +118,59 @@ def _load(path: str, _: tuple[int, int], variable: str | None) -> Floor:
         depth[:, :, None, None, None], wet[:, :, None], (y.knots, x.knots), y.degrees
     )
     return Floor(depth_m=whole[:, :, 0, 0, 0], wet=wet, knots=(y.knots, x.knots), degrees=y.degrees)
+
+
+def _direction(path: str, read: cf.Read, values: np.ndarray, positive: str | None) -> str:
+    """Return the direction in which a sea floor is positive, "up" or "down".
+
+    Args:
+        path: of the file.
+        read: name and attributes of the variable.
+        values: of the variable, m.
+        positive: direction that the scenario says; None if it does not.
+
+    Raises:
+        ConfigError: nothing says it, the file says both, or the scenario says the other.
+    """
+    name, attributes = read.names[0], read.attributes[0]
+    standard = attributes.get("standard_name", "")
+    by_name = "down" if standard in DEPTH else "up" if standard in HEIGHT else None
+    by_attribute = attributes.get("positive", "").lower()
+    said = {by_name, by_attribute} & {"up", "down"} or {_DIRECTIONS.get(name.lower())} - {None}
+    if positive is not None:
+        if said == {"up", "down"} - {positive}:
+            raise ConfigError(
+                f"{named(path)}: {name} is positive {said.pop()} by its attributes or name; leave "
+                f'out positive = "{positive}", or correct the file (ncatted)'
+            )
+        return positive
+    if len(said) == 1:
+        return str(said.pop())
+    if not said and not (np.any(values > 0.0) and np.any(values < 0.0)):
+        return "up" if np.any(values < 0.0) else "down"  # the other way round all of it is land
+    why = (
+        f"has the standard_name {standard} and positive = {by_attribute}, which contradict each "
+        "other"
+        if said
+        else "has values of both signs and does not say whether it is a depth or a height"
+    )
+    raise ConfigError(
+        f'{named(path)}: {name} {why}; say positive = "down" of depths, "up" of heights'
+    )
+
+
+def _require_shallow(path: str, read: cf.Read, depth: np.ndarray) -> None:
+    """Require that no depth or height [y, x], m, is beyond those of files."""
+    far = np.argwhere(np.abs(depth) > FARTHEST_M)
+    if not len(far):
+        return
+    i, j = far[0]
+    y, x = read.axes["y"].knots[i], read.axes["x"].knots[j]
+    raise ConfigError(
+        f"{named(path)}: {read.names[0]} is {abs(depth[i, j]):g} m at y {y:g}, x {x:g}: no ground "
+        f"lies {FARTHEST_M:g} m deep or high; if the number stands for missing values, name it as "
+        "_FillValue in the file (ncatted), else correct units or scale_factor"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

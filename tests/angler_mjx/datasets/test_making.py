@@ -55,6 +55,7 @@ def test_what_is_made_is_whole(made):
     assert "- here: `variants` 3; `mass` [0.97, 1.03]; `thrust` [0.9, 1.0]" in text
     assert "test_there" in text
     assert "6 flights" in text
+    assert "pip install 'zarr[cast-value-rs]" in text, "plain readers need it for arrays in steps"
 
 
 def test_rows_say_what_the_runs_say(made):
