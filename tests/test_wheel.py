@@ -37,6 +37,7 @@ OF_EXTRAS = {
     "grain": "learn",
     "gymnasium": "learn",
     "h5netcdf": "ocean",
+    "cftime": "ocean",
     "h5py": "export",
     "minari": "export",
     "numba": "plan",
