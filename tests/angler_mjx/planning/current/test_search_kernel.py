@@ -1,6 +1,7 @@
 """Least costs as a GPU program, against Dijkstra's algorithm and the batch's own sweeps."""
 
 import heapq
+import itertools
 from functools import partial
 
 import jax
@@ -59,6 +60,22 @@ def test_costs_are_those_of_dijkstra_and_of_the_sweeps_of_a_batch_to_the_last_bi
         known = by_dijkstra(of, goal)
         assert np.array_equal(one >= search.FAR, np.isinf(known))
         assert np.allclose(one[one < search.FAR], known[one < search.FAR], rtol=1e-5)
+
+
+def test_ways_cost_what_the_search_says_from_every_cell() -> None:
+    cost, goal = costs_of_a_maze(4), (0, 6, 2)
+    value = search.costs_to_goal(jnp.array(cost[None]), jnp.array([goal], jnp.int32))[0]
+    starts = np.array(list(np.ndindex(SHAPE)), np.int32)
+    follow = jax.vmap(lambda start: search.way(jnp.array(cost), value, start, 40))
+    cells, reached = map(np.asarray, follow(jnp.array(starts)))
+    known = by_dijkstra(cost, goal)
+    assert np.array_equal(reached, np.isfinite(known[tuple(starts.T)]))
+    assert reached.sum() > 200
+    numbers = {tuple(step): number for number, step in enumerate(search.STEPS.tolist())}
+    for way, start in zip(cells[reached], starts[reached], strict=True):
+        steps = itertools.pairwise(way)
+        total = sum(float(cost[numbers[tuple(b - a)]][tuple(a)]) for a, b in steps if any(b - a))
+        assert total == pytest.approx(known[tuple(start)], rel=1e-5)
 
 
 def test_cells_without_a_way_are_far() -> None:
