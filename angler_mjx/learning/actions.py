@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from angler_kernels import quaternion
 from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
@@ -120,13 +121,23 @@ def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> 
 
 
 def check(action: Any, shape: tuple[int, ...]) -> None:
-    """Refuse actions of another shape.
+    """Refuse actions of another shape, and numbers that are not finite where values are known.
 
     Raises:
-        ConfigError: says which it is and which it must be.
+        ConfigError: says which it is and which it must be; of a number, where it stands.
     """
     if jnp.shape(action) != shape:
         raise ConfigError(
             f"action has the shape {list(jnp.shape(action))}: must be {list(shape)}, for "
             "[world, robot, number]"
+        )
+    if isinstance(action, jax.core.Tracer):
+        return
+    values = np.asarray(action)
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        index = tuple(bad[0].tolist())
+        raise ConfigError(
+            f"action{list(index)} = {values[index]}: must be a finite number, as must all of "
+            f"[world, robot, number]; {len(bad)} of {values.size} are not"
         )

@@ -5,7 +5,8 @@ SAME_STEP): the observation is then that of the new world, ``info["final_obs"]``
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -19,8 +20,8 @@ from angler_mjx.learning import bank as banks
 from angler_mjx.learning.actions import Action
 from angler_mjx.learning.bank import Bank
 from angler_mjx.learning.observations import Part, Sight
+from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome, SimSpec, WorldState
 from angler_mjx.simulator.simulator import Simulator
 
@@ -114,7 +115,8 @@ class FleetEnv:
 
         Args:
             state: from `reset` or the step before.
-            action: [W, R, size], clipped to -1 to 1.
+            action: [W, R, size], clipped to -1 to 1. A robot whose action holds a number that is
+                not finite ends as `diverged` in this step, with a finite reward.
 
         Returns:
             The state, observations [W, R, size], rewards [W, R], whether each world terminated
@@ -122,18 +124,26 @@ class FleetEnv:
             before) bool [W], and info: ``final_obs`` [W, R, size], of worlds that go on the same as
             the observations; ``reward_terms`` by name [W, R]; of the world before any replacing
             ``outcome`` int32 [W, R], ``energy_j`` [W, R], ``aim_distance_m`` [W, R], ``time_s``
-            [W], ``row`` int32 [W].
+            [W], ``row`` int32 [W]; ``clipped`` and ``not_finite`` int32 [W, R], how many numbers
+            of each action were beyond -1 to 1, or not finite.
 
         Raises:
-            ConfigError: the action has another shape.
+            ConfigError: the action has another shape, or, outside of compiled functions, a number
+                that is not finite.
         """
         actions.check(action, self.action_shape)
         rules, before = self.rules, state.flight
-        wanted = jnp.clip(jnp.asarray(action, state.action.dtype), -1.0, 1.0)
+        raw = jnp.asarray(action, state.action.dtype)
+        finite = jnp.isfinite(raw)
+        wanted = jnp.where(finite, jnp.clip(raw, -1.0, 1.0), 0.0)
         aim_m, yaw = self._aim(state.row)
         scaled = wanted * jnp.asarray(rules.action.range, wanted.dtype)
-        command = rules.action.make(scaled, before.vehicles, aim_m, yaw)
-        after, sample = rules.engine.control_step(
+        estimate, _ = self._estimate(before, state.row)
+        # A robot without a sound action gets no command at all: NaN, which it diverges by.
+        sound = jnp.all(finite, axis=-1, keepdims=True)
+        scaled = jnp.where(sound, scaled, jnp.nan)
+        command = rules.action.make(scaled, estimate, aim_m, yaw)
+        after, _ = rules.engine.control_step(
             rules.spec,
             self.fleet,
             self.bank.worlds,
@@ -143,6 +153,7 @@ class FleetEnv:
             laid=self.bank.laid,
             steps=rules.action_repeat,
         )
+        after = _with_finite_energy(after, before)
         reward, terms = rewards.of(
             rules.weights,
             rewards.Step(
@@ -155,7 +166,7 @@ class FleetEnv:
                 dt_s=rules.spec.control_dt_s * rules.action_repeat,
             ),
         )
-        seen = self._see(after, state.row, wanted, sample.belief)
+        seen = self._see(after, state.row, wanted)
         terminated = jnp.all(after.tally.outcome != Outcome.RUNNING, axis=1)
         truncated = (after.step >= rules.horizon) & ~terminated
         now = EnvState(flight=after, row=state.row, action=wanted, key=state.key)
@@ -168,6 +179,8 @@ class FleetEnv:
             "aim_distance_m": jnp.sqrt(jnp.sum((after.vehicles.p - aim_m) ** 2, axis=-1)),
             "time_s": after.step * rules.spec.control_dt_s,
             "row": state.row,
+            "clipped": jnp.sum(finite & (jnp.abs(raw) > 1.0), axis=-1, dtype=jnp.int32),
+            "not_finite": jnp.sum(~finite, axis=-1, dtype=jnp.int32),
         }
         return now, observation, reward, terminated, truncated, info
 
@@ -211,15 +224,24 @@ class FleetEnv:
         place = there.goal_m if self.rules.aim == "goal" else there.start_m
         return place[rows], there.start_yaw_rad[rows]
 
-    def _see(
-        self, state: WorldState, rows: jax.Array, action: jax.Array, belief: Belief | None
-    ) -> jax.Array:
+    def _estimate(self, state: WorldState, rows: jax.Array) -> tuple[Any, Any]:
+        """Return the robots' own motion and the current [W, R, 3], m/s in W, at a state's time.
+
+        Both are the truth, or what the instruments of that time give: the same that the
+        controllers use in the control step that begins with this state.
+        """
+        t = state.step * self.rules.spec.control_dt_s
+        flow = observations.flow_at(self.bank.worlds, rows, state.vehicles.p, t)
+        if not self.rules.spec.instrumented:
+            return state.vehicles, flow
+        worlds = jax.tree.map(lambda leaf: leaf[rows], self.bank.worlds)
+        read = jax.vmap(partial(senses.step, self.rules.spec))
+        _, belief = read(worlds, state.senses, state.step, state.vehicles, flow)
+        return belief, belief.flow
+
+    def _see(self, state: WorldState, rows: jax.Array, action: jax.Array) -> jax.Array:
         aim_m, yaw = self._aim(rows)
-        told: Any = state.vehicles if belief is None else belief
-        flow = None if belief is None else belief.flow
-        if flow is None:
-            t = state.step * self.rules.spec.control_dt_s
-            flow = observations.flow_at(self.bank.worlds, rows, state.vehicles.p, t)
+        told, flow = self._estimate(state, rows)
         sight = Sight(
             worlds=self.bank.worlds,
             rows=rows,
@@ -231,6 +253,14 @@ class FleetEnv:
             action=action,
         )
         return observations.see(self.rules.parts, sight)
+
+
+def _with_finite_energy(after: WorldState, before: WorldState) -> WorldState:
+    """Return the state with the energy of before where a command that is no number made it NaN."""
+    energy = jnp.where(
+        jnp.isfinite(after.tally.energy_j), after.tally.energy_j, before.tally.energy_j
+    )
+    return replace(after, tally=replace(after.tally, energy_j=energy))
 
 
 @jax.jit
@@ -345,7 +375,7 @@ def _with_first_observations(env: FleetEnv) -> FleetEnv:
     def look(env: FleetEnv) -> jax.Array:
         rows = jnp.arange(env.bank.count, dtype=jnp.int32)
         still = jnp.zeros((env.bank.count, env.robots, env.rules.action.size))
-        return env._see(env.bank.begun, rows, still, None)
+        return env._see(env.bank.begun, rows, still)
 
     seen = jax.jit(look)(env)
     return FleetEnv(

@@ -21,7 +21,10 @@ NEAREST = 3
 REACH_M = 10.0
 """How far robots and obstacles are seen; who is farther stands at this distance, ahead."""
 WINDOW = np.array(list(product((-1, 0, 1), repeat=3)), np.int32)
-"""The cells around a robot, in the order in which they are told."""
+"""Points around a robot in F, edges of a cell, in the order in which they are told."""
+LAYOUT = 2
+"""Version of the meaning of observations, to be stored with learned weights: parts of the same name
+in another layout are other numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +52,12 @@ class Sight:
         q = self.told.q.reshape(*self.told.q.shape[:2], *(1,) * (vector.ndim - 3), 4)
         turn = jnp.vectorize(quaternion.rotate_inverse, signature="(4),(3)->(3)")
         turned: jax.Array = turn(q, vector)
+        return turned
+
+    def in_world(self, offsets: jax.Array) -> jax.Array:
+        """Return offsets [n, 3] from each robot in F, along the axes of W, [W, R, n, 3]."""
+        turn = jax.vmap(quaternion.rotate, (None, 0))
+        turned: jax.Array = jax.vmap(jax.vmap(turn, (0, None)), (0, None))(self.told.q, offsets)
         return turned
 
 
@@ -101,21 +110,19 @@ def obstacles(sight: Sight) -> jax.Array:
     at, index, near = _nearest(sight, to, seen)
     radius = jax.vmap(jax.vmap(bounding_radius))(body.kind[sight.rows], body.size_m[sight.rows])
     spread = jnp.broadcast_to(radius[:, None], to.shape[:-1])
-    if to.shape[2]:
-        size = jnp.take_along_axis(spread, index, axis=2)
-        size = jnp.pad(jnp.where(near, size, 0.0), ((0, 0), (0, 0), (0, NEAREST - size.shape[2])))
-    else:
-        size = jnp.zeros((*to.shape[:2], NEAREST), to.dtype)
+    size = jnp.take_along_axis(spread, index, axis=2)
+    size = jnp.pad(jnp.where(near, size, 0.0), ((0, 0), (0, 0), (0, NEAREST - size.shape[2])))
     return jnp.concatenate([at, size[..., None]], axis=-1).reshape(*to.shape[:2], -1)
 
 
 def cells(sight: Sight) -> jax.Array:
-    """[27] 1 where the cell is rock or outside, of 3 x 3 x 3 around the robot, along W's axes."""
+    """[27] 1 where a point is in rock or outside: 3 x 3 x 3 points in F, edges of a cell apart."""
     grid = sight.worlds.environment.grid
     shape = np.array(grid.occupied.shape[1:])
     origin, size = grid.origin_m[sight.rows], grid.cell_m[sight.rows]
-    at = jnp.floor((sight.told.p - origin[:, None]) / size[:, None, None]).astype(jnp.int32)
-    at = at[:, :, None] + WINDOW
+    offset = sight.in_world(jnp.asarray(WINDOW, sight.told.p.dtype))
+    at = (sight.told.p - origin[:, None]) / size[:, None, None]
+    at = jnp.floor(at[:, :, None] + offset).astype(jnp.int32)
     outside = jnp.any((at < 0) | (at >= shape), axis=-1)
     x, y, z = jnp.moveaxis(jnp.clip(at, 0, shape - 1), -1, 0)
     rock = grid.occupied[sight.rows[:, None, None], x, y, z]

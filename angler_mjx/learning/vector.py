@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import observations
+from angler_mjx.learning.actions import check
 from angler_mjx.learning.environment import EnvState, FleetEnv
 
 type Numbers = np.ndarray[Any, Any]
@@ -23,7 +24,8 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
     """Worlds side by side, replaced in the step in which they end.
 
     Where any ended, ``info["final_obs"]`` and ``info["final_info"]`` hold what they ended with, and
-    ``info["_final_obs"]`` and ``info["_final_info"]`` bool [W] say which worlds these are.
+    ``info["_final_obs"]`` and ``info["_final_info"]`` bool [W] say which worlds these are. Every
+    other entry has such a mask too, which is False of worlds that were replaced.
     """
 
     def __init__(self, env: FleetEnv) -> None:
@@ -41,6 +43,7 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         self.action_space = batch_space(self.single_action_space, env.worlds)
         self.metadata = {
             "autoreset_mode": AutoresetMode.SAME_STEP,
+            "observation_layout": observations.LAYOUT,
             "units": {part.name: part.unit for part in env.rules.parts},
             "action_unit": env.rules.action.unit,
             "action_range": env.rules.action.range,
@@ -74,23 +77,32 @@ class FleetVectorEnv(VectorEnv[Numbers, Numbers, Numbers]):
         """One control step of all worlds.
 
         Raises:
-            ConfigError: nothing was reset yet, or the actions have another shape.
+            ConfigError: nothing was reset yet, or the actions have another shape, or a number that
+                is not finite.
         """
         if self._state is None:
             raise ConfigError("step: the environment was not reset; call reset first")
+        wanted = np.asarray(actions, np.float32)
+        check(wanted, self._env.action_shape)
         self._state, seen, reward, terminated, truncated, info = self._step(
-            self._env, self._state, np.asarray(actions, np.float32)
+            self._env, self._state, wanted
         )
         now = jax.device_get((seen, reward, terminated, truncated, info))
         seen, reward, terminated, truncated, info = now
         final = np.array(info.pop("final_obs"), np.float32)
         ended = terminated | truncated
-        told: dict[str, Any] = {
-            **info,
-            **{f"_{name}": np.ones(self.num_envs, bool) for name in info},
-        }
+        told = _masked(info, ~ended)
         if ended.any():
             told |= {"final_obs": final, "_final_obs": ended}
-            told |= {"final_info": info, "_final_info": ended}
+            told |= {"final_info": _masked(info, ended), "_final_info": ended}
         total = reward.sum(axis=1)
         return np.array(seen, np.float32), total, terminated, truncated, told
+
+
+def _masked(info: dict[str, Any], worlds: Numbers) -> dict[str, Any]:
+    """Return info with a mask bool [W] beside each entry, in dictionaries of it too."""
+    masked: dict[str, Any] = {}
+    for name, value in info.items():
+        masked[name] = _masked(value, worlds) if isinstance(value, dict) else value
+        masked[f"_{name}"] = worlds.copy()
+    return masked

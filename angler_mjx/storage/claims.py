@@ -34,7 +34,7 @@ class Claim:
     out: Path
     """The name that it will have."""
     building: Path
-    """Where it is built."""
+    """Absolute path where it is built: libraries resolve relative paths each in its own way."""
     flag: str
     """How a person named it, for messages."""
     handle: int | None
@@ -138,7 +138,7 @@ def claim(
         ) from error
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return Claim(out=out, building=building, flag=flag, handle=handle)
+    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
 
 
 def require_none(
@@ -216,7 +216,7 @@ def reclaim(out: Path, *, flag: str = "--resume", what: str = "run") -> Claim | 
             out.mkdir()
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return Claim(out=out, building=building, flag=flag, handle=handle)
+    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
 
 
 def require_name(out: Path, *, flag: str) -> None:

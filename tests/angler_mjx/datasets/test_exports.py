@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -191,6 +192,27 @@ def test_minari_reads_what_it_was_given(made, every, tmp_path, monkeypatch):
         np.testing.assert_array_equal(episode.actions, flight.action[:-1])
         assert episode.terminations[-1] != episode.truncations[-1]
         assert episode.truncations[-1] == (flight.outcome == "timeout")
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning:minari")
+@pytest.mark.parametrize("to", writing.FORMATS)
+def test_a_relative_folder_holds_what_an_absolute_one_does(made, tmp_path, monkeypatch, to):
+    if to == "minari":
+        pytest.importorskip("minari", reason="Minari is not installed")
+    monkeypatch.delenv("MINARI_DATASETS_PATH", raising=False)
+    absolute = written(made, tmp_path, to)
+    (tmp_path / "home").mkdir()
+    monkeypatch.chdir(tmp_path / "home")
+    relative = writing.export(made, Path("out"), to=to, tell=silent)
+    assert relative == Path("out")
+    files = [
+        {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+        for folder in (absolute, relative)
+    ]
+    assert files[0] == files[1]
+    assert files[0]
+    assert {file.name for file in tmp_path.iterdir()} == {to, "home"}
+    assert [file.name for file in Path().iterdir()] == ["out"]
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+from scipy.spatial.transform import Rotation
 
-from angler_mjx.control.commands import BodyTwist
+from angler_mjx.control.commands import BodyTwist, PoseTarget
+from angler_mjx.control.stack import wants_flow
 from angler_mjx.errors import ConfigError
-from angler_mjx.learning import rewards
+from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning.environment import FleetEnv, make
+from angler_mjx.learning.observations import Sight
 from angler_mjx.learning.vector import FleetVectorEnv
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.state import Outcome
 from angler_mjx.simulator.simulator import Simulator
 
 WORLDS, STEPS = 4, 20
@@ -188,6 +193,7 @@ def test_gymnasium_sees_a_vector_env_that_compiles_once(env):
         ({"horizon": 1000}, "horizon = 1000"),
         ({"worlds": 0}, "worlds = 0"),
         ({"scale": (1.0,)}, "has 6 numbers"),
+        ({"scale": (1.0,) * 5 + (-1.0,)}, "has 6 numbers"),
     ],
 )
 def test_wrong_names_are_refused(simulator, env, wrong, message):
@@ -199,6 +205,286 @@ def test_a_wrong_shape_is_refused(env):
     state, _ = env.reset()
     with pytest.raises(ConfigError, match=r"must be \[4, 2, 6\]"):
         env.step(state, jnp.zeros((4, 6)))
+
+
+def test_the_bank_has_as_many_worlds_as_are_named(env):
+    assert env.bank.count == 6
+
+
+ALL = ("velocity", "upright", "goal", "heading", "depth", "current", "robots", "obstacles")
+ALL = (*ALL, "cells", "action")
+NOISY = TEXT.replace("count = 2\n", 'count = 2\nestimate = "noisy"\n') + (
+    "[world.obstacles.dynamic]\ncount = 2\n"
+)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        "noisy",
+        pytest.param("ekf", marks=pytest.mark.nightly(by="the same of noisy, in this file")),
+    ],
+)
+def instrumented(request, tmp_path_factory):
+    """Robots with instruments, whose stages use the current."""
+    path = tmp_path_factory.mktemp("instrumented") / "s.toml"
+    path.write_text(NOISY.replace('"noisy"', f'"{request.param}"'))
+    simulator = Simulator(load_scenario(path))
+    kinds = [name for name in ALL if name != "current" or wants_flow(simulator.spec.stages)]
+    return make(simulator, worlds=WORLDS, bank=5, observe=kinds, action="waypoint")
+
+
+@pytest.fixture(scope="module")
+def stepped(instrumented):
+    """States, observations, what the controllers used next, the action and its result; thrice."""
+
+    @jax.jit
+    def fly(env, state, command):
+        return env.rules.engine.control_step(
+            env.rules.spec, env.fleet, env.bank.worlds, state.flight, command, rows=state.row
+        )
+
+    go = jax.jit(FleetEnv.step)
+    state, seen = instrumented.reset()
+    rows = []
+    for _ in range(3):
+        p, yaw = state.flight.vehicles.p, jnp.zeros((WORLDS, 2))
+        still = PoseTarget(position_m=p, velocity_mps=jnp.zeros_like(p), yaw_rad=yaw)
+        used = fly(instrumented, state, still)[1].belief
+        after = go(instrumented, state, jnp.full(instrumented.action_shape, 0.1))
+        by = {
+            name: fly(instrumented, state, waypoint(told))[0]
+            for name, told in (("belief", used), ("truth", state.flight.vehicles))
+        }
+        rows.append((state, parts_of(instrumented, seen), used, after[0], by))
+        state, seen = after[:2]
+    return rows
+
+
+def waypoint(told):
+    """The command of an action of 0.1 from a pose: 0.2 m and 0.314 rad on, level."""
+    yaw = Rotation.from_quat(np.asarray(told.q)[..., [1, 2, 3, 0]].reshape(-1, 4))
+    yaw = yaw.as_euler("ZYX")[:, 0].reshape(WORLDS, 2)
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = np.stack([0.2 * (c - s), 0.2 * (s + c), np.full_like(c, 0.2)], axis=-1)
+    place = jnp.asarray(np.asarray(told.p) + level, told.p.dtype)
+    return PoseTarget(
+        position_m=place,
+        velocity_mps=jnp.zeros_like(place),
+        yaw_rad=jnp.asarray(yaw + 0.1 * np.pi, place.dtype),
+    )
+
+
+def parts_of(env, seen):
+    """Parts of an observation by name."""
+    ends = np.cumsum([part.size for part in env.rules.parts])
+    assert ends[-1] == seen.shape[-1]
+    pieces = np.split(np.asarray(seen), ends[:-1], axis=-1)
+    return {part.name: piece for part, piece in zip(env.rules.parts, pieces, strict=True)}
+
+
+def turned(q, vector):
+    """Vectors of W in F by SciPy, for quaternions wxyz."""
+    turn = Rotation.from_quat(np.asarray(q)[..., [1, 2, 3, 0]].reshape(-1, 4))
+    return turn.inv().apply(np.asarray(vector).reshape(-1, 3)).reshape(*np.shape(q)[:-1], 3)
+
+
+def test_every_observation_is_what_the_controllers_use_in_the_next_step(stepped):
+    """From the first one on, which is no truth."""
+    for state, seen, belief, *_ in stepped:
+        np.testing.assert_allclose(seen["velocity"], belief.nu, atol=1e-5)
+        np.testing.assert_allclose(seen["depth"][..., 0], belief.p[..., 2], atol=1e-5)
+        assert np.abs(seen["velocity"] - state.flight.vehicles.nu).max() > 1e-3
+
+
+def test_others_are_seen_at_the_time_of_the_observation(instrumented, stepped):
+    for state, seen, belief, *_ in stepped:
+        p, q = belief.p, belief.q
+        to = np.asarray(state.flight.vehicles.p)[:, ::-1] - np.asarray(p)
+        far = np.linalg.norm(to, axis=-1, keepdims=True) >= 10.0
+        wanted = np.where(far, [10.0, 0.0, 0.0], turned(q, to))
+        np.testing.assert_allclose(seen["robots"][..., :3], wanted, atol=1e-4)
+        goal = np.asarray(instrumented.bank.worlds.environment.goal_m)[np.asarray(state.row)]
+        np.testing.assert_allclose(seen["goal"], turned(q, goal - np.asarray(p)), atol=1e-4)
+
+
+def test_a_waypoint_lies_from_where_the_robot_takes_itself_to_be(stepped):
+    for _, _, _, after, by in stepped:
+        thrust = np.asarray(after.flight.vehicles.thrust)
+        np.testing.assert_allclose(thrust, by["belief"].vehicles.thrust, atol=1e-3)
+        assert np.abs(thrust - by["truth"].vehicles.thrust).max() > 0.05
+
+
+def test_a_first_observation_has_no_action_and_every_part_its_size(instrumented, stepped):
+    seen = stepped[0][1]
+    np.testing.assert_array_equal(seen["action"], 0.0)
+    sizes = {name: part.shape[-1] for name, part in seen.items()}
+    sizes.pop("current", None)
+    assert sizes == {
+        **{"velocity": 6, "upright": 3, "goal": 3, "heading": 2, "depth": 1, "robots": 9},
+        **{"obstacles": 12, "cells": 27, "action": 4},
+    }
+    norm = np.linalg.norm(seen["heading"], axis=-1)
+    np.testing.assert_allclose(norm, 1.0, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def sight(env):
+    """Truth of worlds with random rock, robots at its edges and turned anywhere."""
+    rng = np.random.default_rng(0)
+    worlds = env.bank.worlds
+    grid = worlds.environment.grid
+    shape = np.array(grid.occupied.shape[1:])
+    rock = rng.random(grid.occupied.shape) < 0.3
+    worlds = replace(
+        worlds,
+        environment=replace(worlds.environment, grid=replace(grid, occupied=jnp.asarray(rock))),
+    )
+    rows = jnp.array([3, 0, 5, 1])
+    index = rng.integers(0, shape, (WORLDS, 2, 3))
+    index[0] = shape - 1  # the last cell of each axis
+    cell, origin = np.asarray(grid.cell_m)[rows], np.asarray(grid.origin_m)[rows]
+    p = origin[:, None] + (index + rng.uniform(0.3, 0.7, index.shape)) * cell[:, None, None]
+    q = Rotation.random(2 * WORLDS, rng=1).as_quat()[:, [3, 0, 1, 2]].reshape(WORLDS, 2, 4)
+    begun = env.bank.begin(rows)
+    vehicles = replace(begun.vehicles, p=jnp.asarray(p), q=jnp.asarray(q))
+    return Sight(
+        worlds=worlds,
+        rows=rows,
+        state=replace(begun, vehicles=vehicles),
+        told=vehicles,
+        flow=jnp.zeros_like(vehicles.p),
+        aim_m=vehicles.p,
+        aim_yaw_rad=jnp.zeros((WORLDS, 2)),
+        action=jnp.zeros((WORLDS, 2, 6)),
+    )
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_cells_lie_in_the_frame_of_the_robot(sight, level):
+    """Ahead first, by turning each point by SciPy and looking it up."""
+    q = np.asarray(sight.told.q)
+    if level:  # a heading of 90 degrees: what is ahead lies along y of W
+        q = np.broadcast_to([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)], q.shape)
+    told = replace(sight.told, q=jnp.asarray(q))
+    seen = observations.cells(replace(sight, told=told))
+    grid = sight.worlds.environment.grid
+    for w, row in enumerate(np.asarray(sight.rows)):
+        rock = np.asarray(grid.occupied)[row]
+        for r in range(2):
+            turn = Rotation.from_quat(q[w, r][[1, 2, 3, 0]])
+            for i, offset in enumerate(np.ndindex(3, 3, 3)):
+                point = np.asarray(sight.told.p)[w, r] + turn.apply(np.array(offset) - 1.0) * float(
+                    grid.cell_m[row]
+                )
+                at = np.floor((point - np.asarray(grid.origin_m)[row]) / float(grid.cell_m[row]))
+                at = at.astype(int)
+                inside = (at >= 0).all() and (at < rock.shape).all()
+                assert seen[w, r, i] == (not inside or rock[tuple(at)])
+
+
+def test_numbers_are_clipped_to_bounds_that_are_those_of_the_space(sight):
+    parts = observations.chosen(ALL, 6)
+    told = replace(sight.told, p=sight.told.p.at[..., 2].set(-2000.0))
+    seen = observations.see(parts, replace(sight, told=told, aim_m=told.p + 500.0))
+    low, high = observations.bounds(parts)
+    assert ((seen >= low) & (seen <= high)).all()
+    at = [part.name for part in parts for _ in range(part.size)].index
+    assert low[at("depth")] == -1000.0
+    np.testing.assert_array_equal(seen[..., at("depth")], -1000.0)
+    assert high[at("goal")] == 100.0
+    assert high[at("robots")] == 10.0
+
+
+def test_nobody_farther_than_ten_metres_is_seen(sight):
+    identity = jnp.zeros_like(sight.told.q).at[..., 0].set(1.0)
+    for away, wanted in ((9.7, 9.7), (10.3, None)):
+        p = sight.told.p.at[:, 1].set(sight.told.p[:, 0] + jnp.array([0.0, 0.0, -away]))
+        vehicles = replace(sight.told, p=p, q=identity)
+        here = replace(sight, told=vehicles, state=replace(sight.state, vehicles=vehicles))
+        first = observations.robots(here)[:, 0, :3]
+        expected = [10.0, 0.0, 0.0] if wanted is None else [0.0, 0.0, -wanted]
+        np.testing.assert_allclose(first, np.broadcast_to(expected, first.shape), atol=1e-4)
+        np.testing.assert_array_equal(
+            observations.obstacles(here).reshape(WORLDS, 2, 3, 4)[..., 3], 0.0
+        )
+
+
+def test_ranges_of_actions_are_those_of_the_docs():
+    ranges = {name: actions.named(name, 3).range for name in actions.KINDS}
+    assert ranges == {
+        "plan": (),
+        "waypoint": (2.0, 2.0, 2.0, pytest.approx(np.pi)),
+        "pose": (2.0, 2.0, 2.0, pytest.approx(np.pi)),
+        "twist": (1.0,) * 6,
+        "wrench": (80.0, 80.0, 80.0, 15.0, 15.0, 15.0),
+        "pwm": (400.0,) * 3,
+    }
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf])
+def test_a_robot_whose_action_is_no_number_diverges_and_rewards_are_finite(env, step, number):
+    state, _ = env.reset()
+    action = np.zeros(env.action_shape, np.float32)
+    action[1, 0, 2], action[2, 1, 0] = number, 7.0
+    state, seen, reward, terminated, _, info = step(env, state, action)
+    wanted = np.zeros((WORLDS, 2))
+    wanted[1, 0] = Outcome.DIVERGED
+    np.testing.assert_array_equal(info["outcome"], wanted)
+    for _ in range(2):
+        assert np.isfinite(seen).all()
+        assert np.isfinite(reward).all()
+        assert all(np.isfinite(term).all() for term in info["reward_terms"].values())
+        assert np.isfinite(info["energy_j"]).all()
+        state, seen, reward, terminated, _, info = step(env, state, np.zeros_like(action))
+    assert not terminated.any()
+
+
+def test_numbers_that_are_clipped_or_not_finite_are_counted(env, step):
+    state, _ = env.reset()
+    action = np.zeros(env.action_shape, np.float32)
+    action[1, 0, 2:4], action[2, 1, :3] = np.nan, [1.5, -1.0, -7.0]
+    info = step(env, state, action)[-1]
+    assert np.argwhere(info["not_finite"]).tolist() == [[1, 0]]
+    assert np.argwhere(info["clipped"]).tolist() == [[2, 1]]
+    assert (info["not_finite"][1, 0], info["clipped"][2, 1]) == (2, 2)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_numbers_on_the_host_that_are_not_finite_are_refused(env, number):
+    vector = FleetVectorEnv(env)
+    vector.reset()
+    wrong = np.zeros(env.action_shape, np.float32)
+    wrong[1, 0, 2] = number
+    with pytest.raises(ConfigError, match=rf"action\[1, 0, 2\] = {number}: must be a finite"):
+        vector.step(wrong)
+    state, _ = env.reset()
+    with pytest.raises(ConfigError, match="1 of 48 are not"):
+        env.step(state, wrong)
+
+
+def test_infos_are_those_that_gymnasiums_wrappers_read(env):
+    """Its own wrappers count episodes and make one dictionary a world of the infos."""
+    plain = FleetVectorEnv(env)
+    vector = DictInfoToList(RecordEpisodeStatistics(FleetVectorEnv(env)))
+    plain.reset(seed=1)
+    vector.reset(seed=1)
+    gained, ended = np.zeros(WORLDS), 0
+    for _ in range(STEPS):
+        action = np.full(env.action_shape, 0.2, np.float32)
+        _, reward, terminated, truncated, _ = plain.step(action)
+        *_, infos = vector.step(action)
+        gained += reward
+        for w in np.flatnonzero(terminated | truncated):
+            ended += 1
+            assert infos[w]["episode"]["r"] == pytest.approx(gained[w], rel=1e-4)
+            assert infos[w]["episode"]["l"] == STEPS
+            assert infos[w]["final_info"]["time_s"] == pytest.approx(1.0)
+            assert "time_s" not in infos[w]  # of the world that replaced it
+        for w in np.flatnonzero(~(terminated | truncated)):
+            assert infos[w]["reward_terms"].keys() == REWARD.keys()
+            assert "final_info" not in infos[w]
+    assert ended == WORLDS
 
 
 def test_every_default_reward_is_a_term():
