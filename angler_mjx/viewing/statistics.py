@@ -186,7 +186,8 @@ def _touch_histogram(axes: Axes, values: np.ndarray, arrived: np.ndarray, label:
     axes.set(xlabel=label, ylabel="robots", xlim=(0.0, high))
     axes.grid(axis="y")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.legend(loc="upper right")
+    # Above the panel: inside, it would cover bars.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
 def times(episodes: pa.Table, name: str, horizon_s: float) -> Figure:

@@ -126,7 +126,8 @@ def _figure(results: Results, width_in: float, height_in: float) -> Figure:
 
 def _said(results: Results) -> str:
     given_up = int(np.sum(results.runs.counted & ~results.runs.asked))
-    less = f"; {given_up:,} of {len(results.runs):,} runs not asked: their planner was given up"
+    total = int(np.sum(results.runs.counted))
+    less = f"; {given_up:,} of {total:,} runs count as failures, as their planner was given up"
     return f"Wilson's 95 %; hollow: under {FEW} runs{less if given_up else ''}"
 
 

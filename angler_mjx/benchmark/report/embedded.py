@@ -12,6 +12,8 @@ from angler_mjx.benchmark.report.reading import MEASURES, Results
 from angler_mjx.viewing import style
 
 _DIGITS = 4
+_COST_DIGITS = 7
+"""The page compares costs: its ratios must agree with ``comparisons.csv`` to four digits."""
 _MOST_FAILURES = 20_000
 
 
@@ -36,7 +38,7 @@ def data(results: Results) -> dict[str, Any]:
         "planned": runs["planned"].astype(int).tolist(),
         "success": runs["success"].astype(int).tolist(),
         "bin": bins.of.tolist(),
-        **{name: [rounded(x) for x in runs[name]] for name in COSTS},
+        **{name: [rounded(x, _COST_DIGITS) for x in runs[name]] for name in COSTS},
     }
     return {
         "about": results.about,

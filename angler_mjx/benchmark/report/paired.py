@@ -4,7 +4,10 @@ The difference of two success rates has Newcombe's interval for paired data (Sta
 17, 1998, 2635-2650, method 10: Wilson's intervals of both rates, joined with the correlation of
 the pairs), and the exact p of McNemar's test: two-sided binomial on the problems that one of the
 two alone solved. Ratios of costs are medians over problems that both solved, with percentiles of
-a bootstrap that draws whole worlds (Efron and Tibshirani 1993), always with the same seed.
+a bootstrap that resamples whole worlds (Efron and Tibshirani 1993), always with the same seed.
+
+The report's page computes the same ratios for any selection of its reader. Both sides resample by
+one generator, so that the page and ``comparisons.csv`` show one interval.
 """
 
 import csv
@@ -22,6 +25,9 @@ from angler_mjx.storage.intervals import wilson
 RATIOS = {"planning_s": "planned", "makespan_s": "success", "energy_j": "success"}
 """Costs whose ratios are taken, and what both must have done."""
 RESAMPLES = 1000
+_SEED = 1
+_STEP, _MASK = 0x6D2B79F5, 0xFFFFFFFF
+"""Increment and word of the generator mulberry32, which JavaScript computes alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,31 +148,37 @@ def mcnemar(only_first: int, only_second: int) -> float:
 
 
 def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:
-    """Median ratio with its bootstrap interval.
+    """Return the median ratio with its 95 % percentile bootstrap interval.
 
     Args:
         logs: [n] logarithms of ratios.
-        world: int [n] the world of each; worlds are drawn whole.
+        world: int [n] the world of each; whole worlds are resampled.
     """
     if len(logs) == 0:
         return Ratio(median=math.nan, low=math.nan, high=math.nan, pairs=0)
-    order = np.argsort(logs)
+    order = np.argsort(logs, kind="stable")
     ordered, of = logs[order], np.unique(world, return_inverse=True)[1][order]
-    worlds = int(of.max()) + 1
-    random = np.random.default_rng(0)
-    drawn = random.multinomial(worlds, np.full(worlds, 1 / worlds), RESAMPLES)
-    medians = [_middle(ordered, counts[of]) for counts in drawn]
-    low, high = np.exp(np.quantile(medians, [0.025, 0.975]))
+    counts = _resample(int(of.max()) + 1, RESAMPLES)[:, of]
+    ends = np.cumsum(counts, axis=1)
+    total = ends[:, -1:]
+    lower = ordered[np.sum(ends <= (total - 1) // 2, axis=1)]
+    upper = ordered[np.sum(ends <= total // 2, axis=1)]
+    low, high = np.exp(np.quantile((lower + upper) / 2, [0.025, 0.975]))
     median = float(np.exp(np.median(logs)))
     return Ratio(median=median, low=float(low), high=float(high), pairs=len(logs))
 
 
-def _middle(ordered: np.ndarray, counts: np.ndarray) -> float:
-    """Median of sorted values that stand there so many times each."""
-    ends = np.cumsum(counts)
-    n = ends[-1]
-    at = np.searchsorted(ends, [(n - 1) // 2, n // 2], side="right")
-    return float(ordered[at].mean())
+def _resample(worlds: int, times: int) -> np.ndarray:
+    """Return how often each world is chosen in each resample, int [times, worlds].
+
+    mulberry32 (T. Ettinger, public domain): its state is a counter, so all numbers come at once.
+    """
+    state = (_SEED + np.arange(1, times * worlds + 1, dtype=np.uint64) * _STEP) & _MASK
+    mixed = ((state ^ (state >> 15)) * (state | 1)) & _MASK
+    mixed = ((mixed + ((mixed ^ (mixed >> 7)) * (mixed | 61) & _MASK)) & _MASK) ^ mixed
+    chosen = (((mixed ^ (mixed >> 14)) / 2**32) * worlds).astype(np.int64)
+    row = np.repeat(np.arange(times), worlds)
+    return np.bincount(row * worlds + chosen, minlength=times * worlds).reshape(times, worlds)
 
 
 def table(results: Results) -> str:

@@ -1,6 +1,7 @@
 """Success rates: of cells, by team and by density, with Wilson's 95 % intervals.
 
-Rates count only runs that were asked. Each run is a world of its own, so runs of one planner and
+Rates count only the rows that a mask selects: in the table of cells those that a planner got, in
+charts also those it did not get because it had been given up, which count as failures. Each run is a world of its own, so runs of one planner and
 team are independent; Wilson's interval (JASA 22, 1927) holds as it is.
 """
 
@@ -21,12 +22,12 @@ _MOST_BINS = 6
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
-    """A share of the runs that were asked."""
+    """Fraction of the selected runs that are hits."""
 
     count: int
     asked: int
     closed: int
-    """Runs of the same kind that were not asked."""
+    """Runs of the same kind outside the mask."""
     low: float
     high: float
 
@@ -42,7 +43,7 @@ class Rate:
 
 
 def rate(hit: np.ndarray, asked: np.ndarray) -> Rate:
-    """Share of the asked rows that are hit.
+    """Return the fraction of the selected rows that are hits.
 
     Args:
         hit: bool [n].

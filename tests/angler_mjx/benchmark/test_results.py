@@ -1,5 +1,6 @@
 """What a benchmark's results folder holds, against the planners that it asked."""
 
+import json
 import os
 import shutil
 import signal
@@ -15,7 +16,7 @@ import pytest
 from angler_mjx.benchmark import again, running
 from angler_mjx.benchmark import paths as bytes_of
 from angler_mjx.benchmark.store import Store
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 
 from .conftest import Interrupting, rows, workers
 
@@ -162,6 +163,25 @@ def test_the_first_worlds_are_kept_to_be_drawn(folder):
 def test_the_page_and_its_figures_are_made(folder):
     assert (folder / "report.html").stat().st_size > 1000
     assert list((folder / "figures").glob("*.png"))
+
+
+def test_a_finished_folder_records_that_it_is_complete(folder):
+    about = json.loads((folder / "about.json").read_text())
+    assert about["complete"] is True
+    assert [entry["label"] for entry in about["planners"]] == [STRAIGHT, MOODY, LAZY]
+
+
+def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path):
+    full = sqlite3.OperationalError("database or disk is full")
+    with Store(folder / "results.sqlite", only_read=True) as store:
+        assert isinstance(store._named(full), RunError)
+        assert "make room and go on with --resume" in str(store._named(full))
+        locked = store._named(sqlite3.OperationalError("database is locked"))
+        assert isinstance(locked, ConfigError)
+    damaged = tmp_path / "results.sqlite"
+    damaged.write_bytes(b"no database at all" * 100)
+    with pytest.raises(ConfigError, match="no database of a benchmark, or it is damaged"):
+        Store(damaged, only_read=True)
 
 
 def test_a_finished_or_foreign_folder_is_not_gone_on_with(source, folder, tmp_path):

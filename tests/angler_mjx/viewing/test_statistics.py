@@ -86,6 +86,17 @@ def test_of_a_task_its_completion_is_drawn_first():
     assert "name: 60 % of tasks completed, 60 % of robots did their part" in titles
 
 
+def test_legends_of_histograms_cover_no_bar(episodes):
+    figure = statistics.distances(episodes, "name")
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        legend = axes.get_legend().get_window_extent()
+        bars = [patch.get_window_extent() for patch in axes.patches if patch.get_height() > 0]
+        assert bars
+        assert not any(legend.overlaps(bar) for bar in bars)
+        assert legend.y1 <= figure.bbox.y1
+
+
 def test_histograms_hold_every_robot(episodes):
     figure = statistics.distances(episodes, "name")
     assert len(figure.axes) == 2

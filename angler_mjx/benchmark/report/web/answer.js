@@ -20,7 +20,7 @@ function drawAnswer() {
     if (found.lines.length < 2 || !found.problems) continue;
     const best = (line) => line.ratios.filter((r) => r === 1).length;
     const first = found.lines.reduce((a, b) => (best(b) > best(a) ? b : a));
-    say(names[first.planner], ` ${words} most often: best on ${percent(best(first) / found.problems)} of ${found.problems} problems that all were asked.${found.leftOut.length ? ` Nothing known of ${listed(found.leftOut, 4)}.` : ""}`);
+    say(names[first.planner], ` ${words} most often: best on ${percent(best(first) / found.problems)} of ${found.problems} common problems.${found.leftOut.length ? ` Nothing known of ${listed(found.leftOut, 4)}.` : ""}`);
   }
 }
 
@@ -66,7 +66,7 @@ function drawPair() {
   }
   const few = n < data.few ? ` Only ${n} problems: too few to say much.` : "";
   const [x, y] = [names[state.first], names[state.second]];
-  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} were asked no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `${data.judged === "success" ? "Success" : "Planning"} does not tell ${x} and ${y} apart here.${few}`;
+  at("pair-words").textContent = state.first === state.second ? "Choose two different planners." : n === 0 ? `${x} and ${y} have no problem in common here.` : interval[0] > 0 ? `${x} ${JUDGED} more often than ${y} on the same problems.${few}` : interval[1] < 0 ? `${y} ${JUDGED} more often than ${x} on the same problems.${few}` : `${data.judged === "success" ? "Success" : "Planning"} does not tell ${x} and ${y} apart here.${few}`;
   const body = html("tbody");
   for (const [label, value] of lines) body.append(html("tr", {}, html("th", { class: "text", scope: "row" }, label), html("td", {}, value)));
   at("pair").replaceChildren(...(state.first === state.second ? [] : [html("table", {}, body)]));

@@ -23,7 +23,7 @@ function drawRates() {
 function drawProfiles() {
   at("profiles").replaceChildren(...Object.entries(COSTS).map(([cost, [needs, title]]) => {
     const found = profile(rows, state.planners, cost, needs, kept);
-    if (!found.problems) return html("p", { class: "note" }, `${title}: no problem here that is known and was asked of all planners chosen.`);
+    if (!found.problems) return html("p", { class: "note" }, `${title}: no problem here is common to all chosen planners and has a known cost.`);
     const figure = profileChart(`${title}: ${found.problems} common problems`, found, names);
     if (found.leftOut.length) figure.append(html("p", { class: "note" }, `Nothing known of: ${listed(found.leftOut, 14)}.`));
     return figure;

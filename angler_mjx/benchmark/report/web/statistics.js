@@ -33,7 +33,7 @@ function mcnemar(first, second) {
   return Math.min(1, 2 * tail);
 }
 
-// A small generator (mulberry32), so that an interval is the same at every look.
+// mulberry32 with a fixed seed, as in paired.py: one interval here and in comparisons.csv.
 function generator(seed) {
   return () => {
     seed = (seed + 0x6d2b79f5) | 0;
@@ -53,8 +53,8 @@ function medianRatio(logs, worlds, resamples = 1000) {
   const n = logs.length;
   if (n === 0) return null;
   const order = logs.map((_, i) => i).sort((i, j) => logs[i] - logs[j]);
-  const sorted = order.map((i) => logs[i]), number = new Map();
-  for (const w of worlds) if (!number.has(w)) number.set(w, number.size);
+  const sorted = order.map((i) => logs[i]);
+  const number = new Map([...new Set(worlds)].sort((x, y) => x - y).map((w, i) => [w, i]));
   const of = order.map((i) => number.get(worlds[i])), m = number.size;
   const random = generator(1), medians = [], times = new Int32Array(m);
   for (let k = 0; k < resamples; k++) {
@@ -111,7 +111,7 @@ function ratioOf(rows, a, b, cost, needs) {
   return medianRatio(logs, worlds);
 }
 
-// Profiles of a cost over the problems that all planners with a known cost were asked.
+// Profiles of a cost over the problems that count for all planners with a known cost.
 function profile(rows, planners, cost, needs, keep) {
   const asked = planners.map((p) => [p, byProblem(rows, p, keep)]);
   const value = (i) => (rows[needs][i] && rows[cost][i] !== null ? rows[cost][i] : Infinity);
