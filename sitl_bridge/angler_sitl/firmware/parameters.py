@@ -29,8 +29,10 @@ RENAMED = {"GPS1_TYPE": "GPS_TYPE", "SYSID_THISMAV": "MAV_SYSID"}
 """Names of 4.6 and what other versions call them. Both are written; one has to be known."""
 
 LONGEST_NAME = 16
-_MOST_BYTES = 1 << 20
 """Letters of a parameter's name, of MAVLink."""
+_MOST_BYTES = 1 << 20
+_QGROUNDCONTROL_FIELDS, _AUTOPILOT = 5, "1"
+"""Fields of a line of QGroundControl, and MAV_COMP_ID_AUTOPILOT1 in its second one."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3")
 
@@ -99,27 +101,40 @@ def write(path: Path, parameters: Mapping[str, float]) -> None:
 
 
 def read(path: Path) -> dict[str, float]:
-    """Read a parameter file: a name and its value on a line, apart by a comma or by space.
+    """Read a parameter file of MAVProxy, Mission Planner, QGroundControl or `angler tune`.
 
-    So MAVProxy and Mission Planner write them, and `angler tune`; behind ``#`` stands what is for
-    people.
+    MAVProxy and Mission Planner write a name and its value on a line, separated by a comma or by
+    space (``.param``, ``.parm``); QGroundControl writes system, component, name, value and
+    MAV_PARAM_TYPE, separated by tabs (``.params``). Comments begin with ``#``.
+
+    Returns:
+        Values by name, in the firmware's units.
 
     Raises:
-        ConfigError: there is no such file, or a line says something else.
+        ConfigError: there is no such file, or a line is none of these.
     """
-    lines = read_text(path, _MOST_BYTES).splitlines()
     found = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_text(path, _MOST_BYTES).splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
             continue
+        where = f"{named(path)}:{number}: {shown(line.strip())}"
+        if len(words) == _QGROUNDCONTROL_FIELDS:
+            if words[1] != _AUTOPILOT:
+                raise ConfigError(
+                    f"{where}: component {shown(words[1])} is not the autopilot ({_AUTOPILOT}); "
+                    "remove its lines"
+                )
+            words = words[2:4]
         try:
             name, value = words[0], float(words[1])
             usable = len(words) == 2 and math.isfinite(value) and len(name) <= LONGEST_NAME
         except (IndexError, ValueError):
             usable = False
-        if not usable:
-            raise ConfigError(f"{named(path)}:{number}: {shown(line.strip())}: write NAME,VALUE")
+        if not usable or name[0].isdigit():
+            raise ConfigError(
+                f"{where}: write NAME,VALUE, or SYSTEM COMPONENT NAME VALUE TYPE as QGroundControl"
+            )
         found[name] = value
     return found
 

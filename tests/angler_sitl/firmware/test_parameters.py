@@ -1,6 +1,7 @@
 """Parameters: what is written, what the firmware makes of it, and which vehicles it can steer."""
 
 import copy
+import re
 from dataclasses import replace
 
 import pytest
@@ -177,3 +178,52 @@ def test_a_line_that_is_none_is_named(tmp_path, line):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r"none\.param: cannot be read"):
         parameters.read(tmp_path / "none.param")
+
+
+QGROUNDCONTROL = """# Onboard parameters for Vehicle 1
+#
+# Stack: ArduPilot
+# Vehicle: Sub
+# Version: 4.5.5
+# Git Revision: 3f7fbbee
+#
+# Vehicle-Id Component-Id Name Value Type
+1\t1\tACRO_BAL_PITCH\t1.000000000000000000\t9
+1\t1\tANGLE_MAX\t4500\t4
+1\t1\tBATT_SERIAL_NUM\t-1\t6
+"""
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_parameter_file_of_qgroundcontrol_is_read(tmp_path, newline):
+    file = tmp_path / "vehicle.params"
+    file.write_bytes(QGROUNDCONTROL.replace("\n", newline).encode())
+    expected = {"ACRO_BAL_PITCH": 1.0, "ANGLE_MAX": 4500.0, "BATT_SERIAL_NUM": -1.0}
+    assert parameters.read(file) == expected
+
+
+def test_both_files_of_a_tuning_give_the_same_parameters(tmp_path):
+    gains = replace(gain_files.FIRMWARE, PSC_POSXY_P=1.8, ATC_RAT_YAW_I=0.004165)
+    files = {"ardusub.param": gain_files.param, "ardusub.params": gain_files.params}
+    values = []
+    for name, write in files.items():
+        (tmp_path / name).write_text(write(gains, 8, ["tuned"]))
+        values.append(parameters.read(tmp_path / name))
+    assert values[0] == values[1]
+    assert values[0]["PSC_POSXY_P"] == 1.8
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1\t154\tGMB_OFFJNT_X\t0\t9", "component '154' is not the autopilot"),
+        ("1\t1\tANGLE_MAX\tmany\t4", "write NAME,VALUE"),
+        ("1\t1\tANGLE_MAX\t4500", "write NAME,VALUE"),
+        ("1 1", "write NAME,VALUE"),
+    ],
+)
+def test_a_line_that_is_not_understood_is_refused_by_number(tmp_path, line, message):
+    file = tmp_path / "vehicle.params"
+    file.write_text("# comment\n" + line + "\n")
+    with pytest.raises(ConfigError, match=r"vehicle\.params:2: .*" + re.escape(message)):
+        parameters.read(file)
