@@ -49,7 +49,8 @@ def find_missing(stored: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarra
     bounds = list(_bounds(stored.dtype, values.dtype, attributes))
     outside = _outside(values, bounds)
     _require_packed(values, missing, outside, bounds, attributes)
-    return missing | outside
+    absent: np.ndarray = missing | outside
+    return absent
 
 
 @dataclass(frozen=True)
