@@ -5,11 +5,18 @@ raised on the host, before or after a device call, and says what was wrong, wher
 """
 
 import re
+import sysconfig
+import traceback
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 SHOWN = 60
 """Characters of a value that a message repeats."""
+
+RAISED = 300
+"""Characters of an exception's text that a message repeats."""
 
 _ENDLESS = re.compile(r"\S{400,}")
 """A name or value that a message repeats and that nobody would read."""
@@ -36,6 +43,63 @@ class UnsupportedError(AnglerError, NotImplementedError):
 
 class RunError(AnglerError, RuntimeError):
     """A run cannot start or go on: folder, disk, device."""
+
+
+def described(error: BaseException, file: Path | None = None, most: int = RAISED) -> str:
+    """Return type, text and place of an exception that a user's code raised, on one line.
+
+    Args:
+        error: that was caught.
+        file: of the user's code, where it is one file.
+        most: characters of the exception's text.
+
+    Returns:
+        As in "KeyError: 'start' (straight.py:7)": the innermost line of the traceback in a user's
+        file.
+    """
+    name, text = type(error).__name__, " ".join(str(error).split())[:most].rstrip()
+    said = f"{name}: {text}" if text else name
+    line = _innermost(error, file)
+    return said if line is None else f"{said} ({Path(line.filename).name}:{line.lineno})"
+
+
+@contextmanager
+def raised_by(who: str, file: Path | None = None) -> Iterator[None]:
+    """Turn what a user's code raises into one message.
+
+    Args:
+        who: names the code in the message.
+        file: of the code, where it is one file.
+
+    Raises:
+        ConfigError: the code raised an exception; gives its type, text, file and line.
+    """
+    try:
+        yield
+    except AnglerError:
+        raise
+    except Exception as error:  # a user's code may raise any exception
+        raise ConfigError(f"{who} raised {described(error, file)}") from error
+
+
+def _innermost(error: BaseException, file: Path | None) -> traceback.FrameSummary | None:
+    """Return the innermost line in a user's file; that of any code outside angler where none is."""
+    lines = list(traceback.extract_tb(error.__traceback__))
+    if isinstance(error, SyntaxError) and error.filename:
+        lines.append(traceback.FrameSummary(error.filename, error.lineno, ""))
+    outside = [line for line in lines if not _is_of(line.filename, _ANGLER)]
+    in_file = [line for line in lines if file is not None and line.filename == str(file)]
+    by_user = [line for line in outside if not _is_of(line.filename, _LIBRARIES)]
+    return next((found[-1] for found in (by_user, in_file, outside, lines) if found), None)
+
+
+_LIBRARIES = tuple({sysconfig.get_path(key) for key in ("stdlib", "platstdlib", "purelib")})
+_ANGLER = (str(Path(__file__).parent), "<")
+"""Folders of code that is no user's; ``<`` begins the names of code without a file."""
+
+
+def _is_of(filename: str, folders: tuple[str, ...]) -> bool:
+    return filename.startswith(folders)
 
 
 def escaped(text: str, *, keep: str = "\n") -> str:

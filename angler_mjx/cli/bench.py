@@ -113,11 +113,11 @@ def _measure(asked: Any, out: Path) -> None:
 
 def _show(rows: "list[Row]", device: Any) -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.speed.report import complete
 
-    shown = Table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
+    shown = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
     for row in rows:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
@@ -169,11 +169,11 @@ def _compiled(row: "Row") -> str:
 
 def _compare(a: str, b: str, results: Path) -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.speed.compare import compare
 
-    shown = Table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
+    shown = text_table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
     for row in compare(a, b, results):
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
         shown.add_row(

@@ -125,6 +125,8 @@ def fly(
     time_s, wall_s = flown.last.time_s, flown.wall_s
     pace = time_s / max(wall_s, 1e-9)
     print(f"{time_s:.2f} s of the scene in {wall_s:.2f} s ({pace:.1f} times real time)")
+    for reason, count in host_planner.take_failures():
+        print(f"planning in flight failed {count} times: {reason}", file=sys.stderr)
     for i, status in enumerate(flown.last.status):
         refused = f", refused: {status.refused}" if status.refused else ""
         print(f"robot_{i}: {status.outcome.name.lower()}{refused}")

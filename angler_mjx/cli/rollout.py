@@ -94,6 +94,7 @@ def rollout(
         flag,
         knows_given,
         planner_given,
+        require_planned,
         scenario_given,
         scenario_to_fly,
         unseen,
@@ -151,6 +152,8 @@ def rollout(
         _report(run, as_json=json)
     if not run.summary["complete"]:
         sys.exit(130)
+    who = f"planner {run.scenario.planner.name}" if plans is None else f"--plans {plans}"
+    require_planned(run.summary["planning"], who)
 
 
 def figures(
@@ -190,12 +193,17 @@ def figures(
     print(style.save(pictures.draw(what), run / FIGURES / name, palette=128))
 
 
-def replay(run: Annotated[Path, tyro.conf.Positional], world: int | None = None) -> None:
-    """Open the Rerun viewer on one world of a run folder.
+def replay(
+    run: Annotated[Path, tyro.conf.Positional],
+    world: int | None = None,
+    out: Path | None = None,
+) -> None:
+    """Open the Rerun viewer on one world of a run folder, or write that world to a file.
 
     Args:
         run: Run folder.
         world: Index of the world; the worst one if left out.
+        out: Replay file (.rrd) to write instead of opening the viewer; an older one is replaced.
     """
     from angler_mjx.storage.folder import Run
     from angler_mjx.viewing import replay as viewer
@@ -205,7 +213,10 @@ def replay(run: Annotated[Path, tyro.conf.Positional], world: int | None = None)
     done = set(loaded.episodes["world"].to_pylist())
     if chosen not in done:
         raise ConfigError(f"--world {chosen}: {run} holds worlds 0 to {max(done)}")
-    viewer.show(loaded, chosen)
+    if out is None:
+        viewer.show(loaded, chosen)
+        return
+    print(viewer.write(loaded, [chosen], out))
 
 
 def _draw(run: "Run") -> None:
@@ -249,19 +260,25 @@ def _report(run: "Run", *, as_json: bool) -> None:
         print(json.dumps(summary))
         return
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(
+    from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.storage import planned
+
+    table = text_table(
         "outcome",
         "robots",
         "rate",
         "95 % interval, by world",
         title=f"{summary['scenario']}: {summary['worlds_done']} worlds, {summary['robots']} robots",
     )
-    for name, row in summary["outcomes"].items():
-        interval = f"{100 * row['low']:.1f} to {100 * row['high']:.1f} %"
-        table.add_row(name, str(row["count"]), f"{100 * row['rate']:.1f} %", interval)
-    kinds = Table("vehicle / parameter set", "robots", "reached", "95 % interval")
+    planning = summary["planning"]
+    has_plan = {} if planning is None else {"with a plan": planning["robots"]}
+    for part in (has_plan, summary["outcomes"]):
+        for name, row in part.items():
+            interval = f"{100 * row['low']:.1f} to {100 * row['high']:.1f} %"
+            table.add_row(name, str(row["count"]), f"{100 * row['rate']:.1f} %", interval)
+        table.add_section()
+    kinds = text_table("vehicle / parameter set", "robots", "reached", "95 % interval")
     for name, row in summary["by_vehicle"].items():
         reached = row["reached"]
         interval = f"{100 * reached['low']:.1f} to {100 * reached['high']:.1f} %"
@@ -270,6 +287,8 @@ def _report(run: "Run", *, as_json: bool) -> None:
     if "task" in summary:
         console.print(_of_task(summary["task"]), highlight=False)
     console.print(table)
+    for line in [] if planning is None else planned.lines(planning):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(kinds)
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]
     did, time = "arrived", "time to goal"

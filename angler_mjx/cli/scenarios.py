@@ -9,11 +9,11 @@ import tyro
 def list_() -> None:
     """List the shipped scenarios."""
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.scenario.scenario import load_scenario, shipped
 
-    table = Table("scenario", "robots", "description")
+    table = text_table("scenario", "robots", "description")
     for name in shipped():
         scenario = load_scenario(name)
         table.add_row(name, str(len(scenario.members())), scenario.description)

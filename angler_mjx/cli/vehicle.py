@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 def list_() -> None:
     """List the shipped vehicles and their parameter sets."""
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.vehicles.library import available, load
 
-    table = Table("vehicle", "thrusters", "parameter sets (default first)", "description")
+    table = text_table("vehicle", "thrusters", "parameter sets (default first)", "description")
     for name in available():
         config = load(name)
         others = [key for key in config.parameter_sets if key != config.default_set]

@@ -57,8 +57,8 @@ def verify(
 
 def _report(verdict: "Verdict") -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
 
     for one in verdict.differences[:SHOWN]:
@@ -67,7 +67,7 @@ def _report(verdict: "Verdict") -> None:
         print(f"... and {more} more; --json holds all of them")
     if verdict.finished_worlds < verdict.planned_worlds:
         print(f"{verdict.finished_worlds} of {verdict.planned_worlds} worlds have results")
-    table = Table(
+    table = text_table(
         "quantity",
         "exact",
         "bounded",

@@ -10,16 +10,16 @@ nobody who does not use it.
 
 import hashlib
 import importlib
-import importlib.util
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from angler_mjx.errors import ConfigError, UnsupportedError, shown
+from angler_mjx.errors import ConfigError, UnsupportedError, described, shown
 from angler_mjx.planning.planner import MOST_POINTS
 
 GROUP = "angler_mjx.planners"
@@ -45,6 +45,9 @@ class Reference:
     """Of the class in it."""
     sha256: str | None = None
     """Of the file."""
+    text: bytes | None = field(default=None, repr=False, compare=False)
+    """Of the file when the planner was chosen; every process runs this text, whatever the file
+    holds later."""
 
     @property
     def on_device(self) -> bool:
@@ -134,6 +137,7 @@ def find(name: str) -> Reference:
             module=str(file.resolve()),
             qualname=qualname,
             sha256=hashlib.sha256(data).hexdigest(),
+            text=data,
         )
     place = DEVICE.get(name) or _installed().get(name)
     if place is None:
@@ -198,30 +202,25 @@ def _of_module(reference: Reference) -> Any:
 
 
 def _of_file(reference: Reference) -> Any:
-    """The module of a file, run once in each process; it can import what lies beside it.
+    """Run the text of a file as a module, once in each process; it can import files beside it.
 
-    Another text is another module: who edits a file gets the new one by `find`, and a process that
-    starts later does not plan with another than the rest.
+    Another text is another module. The text is that of the time when the planner was chosen, so a
+    process that starts after an edit, or on a machine without the file, plans as all others do.
     """
-    path = Path(reference.module)
-    data = _bytes(path, reference.name)
-    if hashlib.sha256(data).hexdigest() != reference.sha256:
-        raise ConfigError(f"planner {reference.name}: {path} was edited since it was chosen")
-    name = f"angler_mjx_planner_{path.stem}_{reference.sha256[:16]}"
+    path, text = Path(reference.module), reference.text or b""
+    name = f"angler_mjx_planner_{path.stem}_{str(reference.sha256)[:16]}"
     if name in sys.modules:
         return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError(f"{path}: is no Python file")
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(name)
+    module.__file__ = str(path)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # anybody's code may raise anything; the text says what
+        exec(compile(text, str(path), "exec"), vars(module))
+    except Exception as error:  # a user's code may raise any exception; the message names it
         del sys.modules[name]
-        raise ConfigError(f"{path}: cannot be run ({type(error).__name__}: {error})") from error
+        raise ConfigError(f"{path}: cannot be run ({described(error, path)})") from error
     return module
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.planning.online import host_planner
 from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
@@ -23,7 +24,7 @@ from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator import scenario_policy
 from angler_mjx.simulator.compiling import CompileTime
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims, folder, harvest, results
+from angler_mjx.storage import claims, folder, harvest, planned, results
 from angler_mjx.storage.claims import Claim
 from angler_mjx.storage.harvest import FinishedTile
 from angler_mjx.storage.plans.read import Plans, open_plans
@@ -219,6 +220,7 @@ class _Rollout:
         self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
         self._processes = processes
         self._shape = sizes.shape_of(simulator)
+        self._failures = planned.Failures(self._progress.tell)
         self._recorder: Recorder | None = None
         if self._scenario.time.record_hz > 0:
             self._recorder = Recorder.reopen(
@@ -311,6 +313,8 @@ class _Rollout:
             clock.simulate_s = time.perf_counter() - begun
             writer.close()
             clock.disk_wait_s = writer.waited_s
+            for reason, count in host_planner.take_failures():
+                self._progress.tell(f"planning in flight failed {count} times: {reason}")
         return interrupted
 
     def _write(self, tile: FinishedTile) -> None:
@@ -320,9 +324,9 @@ class _Rollout:
                 arrays = harvest.arrays(tile, self._shape.samples)
                 self._recorder.write(tile.first, arrays, tile.constants.environment)
                 self._recorder.sync(tile.first)
-            rows = results.episode_table(
-                harvest.tile_result(tile), self._sim.labels(), self._scenario.seed
-            )
+            result = harvest.tile_result(tile)
+            self._failures.add(result.world, result.notes)
+            rows = results.episode_table(result, self._sim.labels(), self._scenario.seed)
             folder.write_part(self._building, tile.first, rows)
         except OSError as error:
             kept = (
@@ -373,6 +377,8 @@ class _Rollout:
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
+        for line in planned.lines(summary["planning"] or {"reasons": []}):
+            self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()
         try:

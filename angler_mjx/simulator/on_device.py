@@ -6,7 +6,7 @@ from functools import partial
 
 import jax
 
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, raised_by
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.current import planner as current
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings
@@ -34,10 +34,13 @@ def device_planner(scenario: Scenario, spec: PlannerSpec) -> Callable[[World, Pr
         spec: the planner.
     """
     if not spec.reference.on_device:
-        planner = spec.make()
+        name, file = spec.reference.name, spec.reference.file
+        with raised_by(f"planner {name}: its constructor", file):
+            planner = spec.make()
 
         def batch(worlds: World, problems: Problem) -> Path:
-            path: Path = planner.plan_batch(problems)
+            with raised_by(f"planner {name}: plan_batch", file):
+                path: Path = planner.plan_batch(problems)
             return path
 
         return batch

@@ -282,9 +282,11 @@ def _lock(path: Path, named: str, what: str) -> int:
             free = not _lives(_owner(handle))
         if not free:
             owner = _owner(handle)
+            who = "it has just begun"
+            if {"pid", "host", "since"} <= owner.keys():
+                who = f"{owner['pid']} on {owner['host']}, since {owner['since']}"
             raise ConfigError(
-                f"{named}: another process makes this {what}: {owner.get('pid', 'one')} on "
-                f"{owner.get('host', 'this host')}, since {owner.get('since', 'a moment ago')}; "
+                f"{named}: another process makes this {what}: {who}; "
                 f"wait for it or end it (if it is gone for sure, remove {path})"
             )
         os.ftruncate(handle, 0)

@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 from angler_mjx.sim.state import Outcome, Touched
 from angler_mjx.simulator.hosted import PlanNotes, status_of
 from angler_mjx.storage import intervals
+from angler_mjx.storage import planned as how_planned
 from angler_mjx.storage.columns import EPISODE_SCHEMA, MISSING, SINCE, UNSAID
 
 OUTCOMES = tuple(o.name.lower() for o in Outcome if o is not Outcome.RUNNING)
@@ -278,6 +279,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
 
     Returns:
         Keys ``robots``, ``task`` (of runs with a task), ``outcomes``, ``planned_rate``,
+        ``planning`` (`storage.planned.summarise`; None where robots have a task),
         ``time_to_goal_s``, ``path_length_m``, ``energy_j``, ``min_clearance_m``, ``redraws``,
         ``by_vehicle``.
     """
@@ -301,6 +303,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
         **_of_task(episodes.take(first_rows)),
         "outcomes": rates(episodes),
         "planned_rate": float(planned.mean()) if planned.size else 0.0,
+        "planning": how_planned.summarise(episodes),
         "time_to_goal_s": _quantiles(episodes["time_to_goal_s"]),
         "path_length_m": _quantiles(episodes["path_length_m"]),
         "energy_j": _quantiles(episodes["energy_j"]),

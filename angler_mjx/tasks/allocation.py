@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, raised_by, shown
 from angler_mjx.tasks import pairs
 from angler_mjx.tasks.travel import Travel
 
@@ -150,10 +150,22 @@ def by_name(name: str) -> Allocator:
     if not colon:
         raise ConfigError(f"{shown(name)} shares out no jobs; there are {known}, MODULE:FUNCTION")
     try:
-        found = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{shown(name)}: {error}; there are {known}, MODULE:FUNCTION") from error
+        with raised_by(f"{shown(name)}: the module"):
+            found = getattr(importlib.import_module(module), function)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; there are {known}, MODULE:FUNCTION") from error
     if not callable(found):
         raise ConfigError(f"{shown(name)} is no function")
     allocator: Allocator = found
     return allocator
+
+
+def named_in_errors(name: str) -> Allocator:
+    """Return an allocator as `by_name` does; what it raises names its file and line."""
+    allocator = by_name(name)
+
+    def allocate(view: View) -> jax.Array:
+        with raised_by(f"task.allocation = {shown(name)}: the function"):
+            return allocator(view)
+
+    return allocate

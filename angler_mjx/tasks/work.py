@@ -248,7 +248,7 @@ def _jobs(
         end = task.place_m[job + (spec.jobs if spec.kind == "deliver" else 0)]
         return travel.ways(end[None], jobs)[0]
 
-    allocate = allocation.in_order if spec.ordered else allocation.by_name(spec.allocation)
+    allocate = allocation.in_order if spec.ordered else allocation.named_in_errors(spec.allocation)
 
     def view(
         p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array

@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from angler_mjx.errors import RunError, UnsupportedError
-from angler_mjx.storage.atomic import whole
+from angler_mjx.storage.atomic import replacing
 from angler_mjx.storage.folder import REPLAY, Run
 from angler_mjx.viewing import scene, window
 from angler_mjx.viewing.choose import good_world, worst_world
@@ -18,29 +18,34 @@ if TYPE_CHECKING:
 
 __all__ = ["good_world", "show", "worst_world", "write"]
 
+SERVED_TO = "127.0.0.1"
+"""Address of this machine alone; without ``--bind`` Rerun's server listens on all interfaces."""
+
 _PLAYBACK_SPEED = 4.0
 """Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
 
 
-def write(run: Run, worlds: Sequence[int] | None = None) -> Path:
-    """Write ``replay.rrd`` into a run folder; an older one is replaced.
+def write(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None) -> Path:
+    """Write a replay file; an older one is replaced.
 
     Args:
         run: run folder.
         worlds: global indices; the worst and one good world if left out.
+        out: file to write; ``replay.rrd`` of the run folder if left out.
 
     Raises:
         UnsupportedError: Rerun is not installed.
-        ConfigError: the run stored no trajectories, or does not hold a world.
+        ConfigError: the run stored no trajectories, does not hold a world, or the file cannot be
+            named so.
         RunError: the file cannot be written.
     """
     chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
     rr = _rerun(run, chosen[0])
     scenes = [scene.read(run, world) for world in chosen]
-    path = run.path / REPLAY
+    path = run.path / REPLAY if out is None else out
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
     try:
-        with whole(path) as writing:
+        with replacing(path, flag="--out", force=True) as writing:
             recording.save(writing)
             window.activate(recording, _blueprint(scenes))
             _log(recording, scenes)
@@ -64,10 +69,12 @@ def show(run: Run, world: int) -> None:
     """
     rr = _rerun(run, world)
     if not window.has_display():
+        name = f"world_{world}.rrd"
         raise UnsupportedError(
-            f"no display to open the viewer on; copy {run.path / REPLAY} to a machine with one and "
-            f"open it there with `rerun {REPLAY}`, or serve it from here with "
-            f"`rerun --serve-web {run.path / REPLAY}`"
+            "no display to open the viewer on; write this world to a file with "
+            f"`angler replay {run.path} --world {world} --out {name}`, then open the file on a "
+            f"machine with a display (`rerun {name}`), or serve it to browsers of this machine "
+            f"alone (`rerun --serve-web --bind {SERVED_TO} {name}`)"
         )
     scenes = [scene.read(run, world)]
     recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))

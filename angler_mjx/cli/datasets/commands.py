@@ -97,11 +97,13 @@ def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
 
 def _report(place: Path, found: "Manifest") -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    shown = Table(title=f"{found.name}: {found.episodes:,} episodes")
-    for heading in ("part", "expert", "robots", "worlds", "split"):
-        shown.add_column(heading, justify="right" if heading in ("robots", "worlds") else "left")
+    from angler_mjx.cli.shared.text_table import table as text_table
+
+    title = f"{found.name}: {found.episodes:,} episodes"
+    shown = text_table("part", "expert", "robots", "worlds", "split", fixed=0, title=title)
+    for column in shown.columns[2:4]:
+        column.justify = "right"
     for part in found.parts:
         split = part.split or "by environment"
         shown.add_row(part.path, part.expert, str(part.robots), f"{part.worlds:,}", split)
@@ -218,8 +220,8 @@ def stats(
         json: Print one JSON object instead of tables.
     """
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.datasets.keeping import counting
     from angler_mjx.errors import size
 
@@ -234,20 +236,20 @@ def stats(
         f"{size(found['bytes'])}"
     )
     for column, values in found["by"].items():
-        table = Table(column, "episodes", "whole teams that arrive")
+        table = text_table(column, "episodes", "whole teams that arrive")
         for name, value in values.items():
             table.add_row(name, f"{value['episodes']:,}", f"{100 * value['success']:.1f} %")
         console.print(table)
-    table = Table("robots that ended by", "number", "share")
+    table = text_table("robots that ended by", "number", "share")
     total = sum(found["outcomes"].values())
     for name, count in sorted(found["outcomes"].items(), key=lambda one: -one[1]):
         table.add_row(name, f"{count:,}", f"{100 * count / total:.1f} %")
     console.print(table)
-    table = Table("of episodes", "10 %", "median", "90 %")
+    table = text_table("of episodes", "10 %", "median", "90 %")
     for name, value in found["quantiles"].items():
         table.add_row(name, *(f"{value[key]:.3g}" for key in ("p10", "p50", "p90")))
     console.print(table)
-    table = Table("field", "mean", "standard deviation")
+    table = text_table("field", "mean", "standard deviation")
     for name, value in found["fields"].items():
         table.add_row(name, *(_numbers(value[key]) for key in ("mean", "std")))
     console.print(table)

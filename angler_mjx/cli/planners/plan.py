@@ -2,12 +2,15 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.errors import ConfigError
+
+if TYPE_CHECKING:
+    from angler_mjx.scenario.scenario import Scenario
 
 
 def plan(
@@ -21,6 +24,7 @@ def plan(
     deadline_s: float | None = None,
     points: int | None = None,
     resume: bool = False,
+    debug: int | None = None,
     device: Device | None = None,
     list_: Annotated[bool, tyro.conf.arg(name="list")] = False,
 ) -> None:
@@ -40,6 +44,8 @@ def plan(
         deadline_s: Wall-clock time for each world; the scenario's if left out.
         points: Most way-points of a path; the scenario's if left out.
         resume: Go on with a file that was interrupted.
+        debug: Index of one world to plan alone, in this process: the planner's exception ends the
+            command with its traceback, breakpoint() and python -m pdb work, nothing is written.
         device: Where to draw the worlds; JAX's choice if left out.
         list_: Name the planners there are, and end.
     """
@@ -49,6 +55,7 @@ def plan(
         at_least_one,
         knows_given,
         planner_given,
+        require_planned,
         scenario_to_fly,
     )
     from angler_mjx.planning import register
@@ -62,7 +69,9 @@ def plan(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.storage.planned import lines as planned_lines
     from angler_mjx.storage.plans import write as plan_writer
+    from angler_mjx.storage.plans.read import how_planned
 
     table = {
         **(planner_given(planner, knows=knows_given(knows)) or {}),
@@ -71,6 +80,9 @@ def plan(
     }
     chosen = {key: value for key, value in table.items() if value is not None}
     loaded = scenario_to_fly(scenario, worlds=worlds, seed=seed, planner=chosen or None)
+    if debug is not None:
+        _debug(loaded, debug)
+        return
     place = out or Path("plans") / f"{loaded.name}.zarr"
     count = at_least_one("workers", workers)
     simulator = Simulator(loaded, workers=count)
@@ -90,8 +102,24 @@ def plan(
             sys.exit(130)
         finally:
             simulator.close()
+    planning = how_planned(place)
+    for line in planned_lines(planning):
+        print(line)
     print(f"{planned} of {loaded.worlds * robots} robots have a path")
     print(place)
+    require_planned(planning, f"planner {loaded.planner.name}")
+
+
+def _debug(scenario: "Scenario", world: int) -> None:
+    """Plan one world in this process, and print what each robot got."""
+    from angler_mjx.planning.planner import NoPlan
+    from angler_mjx.simulator import debugging
+
+    for robot, path in enumerate(debugging.plan(scenario, world)):
+        if isinstance(path, NoPlan):
+            print(f"robot {robot}: no path: {path.reason}")
+        else:
+            print(f"robot {robot}: {len(path.time_s)} points, ends at {path.time_s[-1]:.1f} s")
 
 
 def problems(

@@ -1,9 +1,10 @@
 """A scenario as a command line gives it: a file, and flags that replace keys of it."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, get_args
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError, RunError, shown
 from angler_mjx.files import named
 
 if TYPE_CHECKING:
@@ -107,3 +108,23 @@ def at_least_one(key: str, value: int | None) -> int | None:
     if value is not None and value < 1:
         raise ConfigError(f"{flag(key)} {value}: must be at least 1")
     return value
+
+
+def require_planned(planning: Mapping[str, Any] | None, who: str) -> None:
+    """Refuse to end a command as done when its planner raised an exception in every world.
+
+    Args:
+        planning: as `angler_mjx.storage.planned.summarise` returns it.
+        who: planned, for the message.
+
+    Raises:
+        RunError: no world was planned; names the planner, the exception, its file and line.
+    """
+    from angler_mjx.storage import planned
+
+    why = planned.fault(planning)
+    if why is not None:
+        raise RunError(
+            f"{who} {why}; angler plan SCENARIO --planner NAME --debug 0 plans world 0 alone and "
+            "lets the exception through, with its traceback"
+        )

@@ -54,13 +54,11 @@ def doctor(ardusub: Path | None = None, isolate: bool = False) -> None:
 
         isolation.isolate()
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_sitl.firmware.doctor import examine
 
-    table = Table("", "looked at")
-    # Folded: a checksum cut short is of no use.
-    table.add_column("found", overflow="fold")
+    table = text_table("", "looked at", "found")
     marks = {True: "[green]good", False: "[red]fault", None: "[yellow]note"}
     faults = []
     with Console(stderr=True).status("looking"):

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
 from types import TracebackType
-from typing import Self
+from typing import Literal, Self
 
 from rich.console import Console
 from rich.live import Live
@@ -97,7 +97,8 @@ def table(time_s: float, rows: Sequence[Standing]) -> Table:
     """All robots at one time."""
     made = Table(title=f"{time_s:.2f} s", title_justify="left")
     for name in ("robot", "mode", "armed", "EKF", "off m", "clear m", "outcome", "remark"):
-        made.add_column(name, justify="right" if name.endswith(" m") else "left")
+        side: Literal["right", "left"] = "right" if name.endswith(" m") else "left"
+        made.add_column(name, justify=side, overflow="fold")
     for row in rows:
         made.add_row(
             row.name,

@@ -94,12 +94,12 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
         print(text.dumps({**found, "study": str(place)}))
         return
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.studies.fleet_size import report
 
     head, rows = report.answers_table(found)
-    shown = Table(
+    shown = text_table(
         *head,
         title=f"{found['name']}: done within {found['deadline_s']:g} s with a probability of "
         f"{100 * found['probability']:g} %",

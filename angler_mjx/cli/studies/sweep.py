@@ -109,8 +109,8 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
         print(text.dumps({**found, "sweep": str(place)}))
         return
     from rich.console import Console
-    from rich.table import Table
 
+    from angler_mjx.cli.shared.text_table import table as text_table
     from angler_mjx.studies import tables
 
     console = Console()
@@ -119,7 +119,8 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
         titles, (tables.cells_table(found), tables.pairs_table(found)), strict=True
     ):
         for i, (head, rows) in enumerate(tables.to_fit(table, console.width)):
-            shown = Table(*head, title=title if i == 0 else None, title_justify="left")
+            name = title if i == 0 else None
+            shown = text_table(*head, fixed=0, title=name, title_justify="left")
             for row in rows:
                 shown.add_row(*row)
             console.print(shown)

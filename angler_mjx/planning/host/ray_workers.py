@@ -6,7 +6,6 @@ Needs the extra ``ray``. See "Many planners, many machines" in docs/planners.md.
 import pickle
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.host.cluster.carrying import carry
 from angler_mjx.planning.host.cluster.joining import Cluster
 from angler_mjx.planning.host.cluster.runner import ActorRunner
 from angler_mjx.planning.host.queued import QueuedPool
@@ -54,7 +53,7 @@ class RayWorkers(QueuedPool):
 
     def pack(self, planner: PlannerSpec) -> bytes:
         """As `QueuedPool.pack`."""
-        return pickle.dumps(carry(planner))
+        return pickle.dumps(planner)
 
     def pids(self) -> list[int]:
         """Process ids of the actors that are up, each on its machine."""

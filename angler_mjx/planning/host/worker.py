@@ -13,15 +13,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 
+from angler_mjx.errors import AnglerError, described
 from angler_mjx.planning.answers import Answer, answer, failed
 from angler_mjx.planning.host.processes.ending import end_with
 from angler_mjx.planning.planner import Planner
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
-
-CHARACTERS = 300
-"""Of an exception's text that are told."""
 
 
 @dataclass
@@ -30,6 +29,8 @@ class _Kept:
 
     planner: Planner
     most_points: int
+    file: Path | None
+    """Of its class, where it is one of a user's."""
     warm: Callable[[Problem], object] | None
     """Until it was called."""
 
@@ -63,13 +64,6 @@ def main(pipe: int, watch: int) -> None:
             return
 
 
-def told(error: BaseException) -> str:
-    """Type and text of an exception, for a table."""
-    text = " ".join(str(error).split())
-    name = type(error).__name__
-    return f"{name}: {text[:CHARACTERS]}" if text else name
-
-
 def _serve(wire: Connection, kept: dict[bytes, _Kept | _Refused]) -> None:
     """Answers one problem."""
     made_of = wire.recv_bytes()
@@ -89,31 +83,36 @@ def _serve(wire: Connection, kept: dict[bytes, _Kept | _Refused]) -> None:
             made.warm(problem)
         except BaseException as error:
             wire.send(("began",))
-            wire.send(("done", failed(problem.robots, "error", told(error), 0.0)))
+            wire.send(("done", failed(problem.robots, "error", described(error, made.file), 0.0)))
             return
         made.warm, warm_up_s = None, time.perf_counter() - begin
     wire.send(("began",))
-    given = _planned(made.planner, problem, made.most_points)
+    given = _planned(made, problem)
     if warm_up_s:
         given.extras["warm_up_s"] = warm_up_s
     wire.send(("done", given))
 
 
 def _made(made_of: bytes) -> _Kept | _Refused:
+    file = None
     try:
         spec: PlannerSpec = pickle.loads(made_of)
+        file = spec.reference.file
         planner = spec.make()
-        return _Kept(planner, spec.most_points, getattr(planner, "warm_up", None))
+        return _Kept(planner, spec.most_points, file, getattr(planner, "warm_up", None))
+    except AnglerError as error:
+        return _Refused(error)
     except BaseException as error:
-        return _Refused(told(error))
+        return _Refused(described(error, file))
 
 
-def _planned(planner: Planner, problem: Problem, most_points: int) -> Answer:
+def _planned(kept: _Kept, problem: Problem) -> Answer:
     begin = time.perf_counter()
     try:
-        paths = planner.plan(problem)
+        paths = kept.planner.plan(problem)
     except BaseException as error:
-        return failed(problem.robots, "error", told(error), time.perf_counter() - begin)
+        why = described(error, kept.file)
+        return failed(problem.robots, "error", why, time.perf_counter() - begin)
     planning_s = time.perf_counter() - begin
-    extras, progress = (getattr(planner, name, None) for name in ("extras", "progress"))
-    return answer(paths, problem, planning_s, extras, most_points, progress)
+    extras, progress = (getattr(kept.planner, name, None) for name in ("extras", "progress"))
+    return answer(paths, problem, planning_s, extras, kept.most_points, progress)

@@ -4,6 +4,7 @@ It plans in a process of its own, as before a start, and the compiled policy wai
 did not find within its deadline is no plan, and the robots brake and hold.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -44,6 +45,8 @@ def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
     asked: Problem = jax.tree.map(np.asarray, problem)
     workers = _workers(anew)
     answer = workers.take(workers.submit(asked))
+    if answer.status in FAILED:
+        FAILURES[answer.reason] += 1
     start = np.asarray(asked.team.start_m)
     time: Any = np.zeros((asked.robots, anew.points), start.dtype)
     place: Any = np.repeat(start[:, None], anew.points, axis=1)
@@ -56,6 +59,20 @@ def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
                 all_rows[robot, rows:] = all_rows[robot, rows - 1]
             found[robot] = True
     return Trajectory(time_s=time, position_m=place, found=found)
+
+
+FAILED = ("error", "died", "timeout")
+"""Statuses of problems for which the planner raised, or gave no answer in time."""
+
+FAILURES: Counter[str] = Counter()
+"""How often planning failed in flight since the last `take_failures`, by reason."""
+
+
+def take_failures() -> list[tuple[str, int]]:
+    """Return reasons for which planning failed in flight, and how often each; forgets them."""
+    found = FAILURES.most_common()
+    FAILURES.clear()
+    return found
 
 
 _PROCESSES: "dict[HostAnew, Workers]" = {}

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, raised_by
 from angler_mjx.planning import grid
 from angler_mjx.planning.current import planner as current
 from angler_mjx.planning.current.planner import CurrentConfig
@@ -96,11 +96,12 @@ class BatchAnew:
         Raises:
             ConfigError: it gives no `Trajectory`.
         """
-        given = _made(self).plan_batch(_alone(problem))
+        name, file = self.reference.name, self.reference.file
+        with raised_by(f"planner {name}", file):
+            given = _made(self).plan_batch(_alone(problem))
         if not isinstance(given, Trajectory):
             raise ConfigError(
-                f"planner {self.reference.name}: gives {type(given).__name__}; replanning takes a "
-                "Trajectory"
+                f"planner {name}: gives {type(given).__name__}; replanning takes a Trajectory"
             )
         plan: Trajectory = jax.tree.map(lambda leaf: leaf[0], given)
         return plan

@@ -40,7 +40,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.simulator.hosted import PlanNotes, status_of
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims
+from angler_mjx.storage import claims, planned
 from angler_mjx.storage.damage import reading
 
 SCHEMA, SCHEMA_VERSION = "angler_mjx plans", 1
@@ -155,6 +155,27 @@ class Plans:
         return words
 
 
+def how_planned(path: Path) -> dict[str, Any]:
+    """Return how the planning of a file of plans ended, as `angler_mjx.storage.planned` has it."""
+    with reading(path):
+        group = zarr.open_group(path, mode="r")
+        plans = Plans(path=path, group=group, shape=PathShape(points=2))
+        count: Any = group["points"]
+        points = np.asarray(count[:])
+        rows = np.arange(len(points))
+        reason = plans._told("reason", "reasons", rows)
+        status = plans._told("status", "statuses", rows)
+    nothing = np.full(points.shape, "", object)
+    words = nothing if reason is None else reason
+    ended = nothing if status is None else np.repeat(status[:, None], points.shape[1], axis=1)
+    return planned.of_robots(
+        np.repeat(rows, points.shape[1]),
+        (points > 0).reshape(-1),
+        ended.reshape(-1).tolist(),
+        words.reshape(-1).tolist(),
+    )
+
+
 def open_plans(path: Path, scenario: Scenario) -> Plans:
     """A file of plans for the worlds of a scenario.
 
@@ -200,16 +221,25 @@ def _require_same(
         raise ConfigError(
             f"{path}: plans of {robots} robots a world; the fleet of {scenario.name} has {members}"
         )
-    if about.get("seed") != scenario.seed:
+    for key in ("seed", "digest"):
+        if key not in about:
+            raise ConfigError(
+                f"{path}: lacks the attribute {key}; copy it from the file of angler problems that "
+                "the plans were made for"
+            )
+    if about["seed"] != scenario.seed:
         raise ConfigError(
-            f"{path}: plans for seed {shown(about.get('seed'))}, not {scenario.seed}; give "
+            f"{path}: plans for seed {shown(about['seed'])}, not {scenario.seed}; give "
             "--seed, or make plans for this one"
         )
-    if about.get("digest") != scenario.digest():
+    if about["digest"] != scenario.digest():
+        source = "the problems that the plans were made for"
+        if "scenario" in about:
+            source = f"the scenario {shown(about['scenario'])} that the plans were made for"
         raise ConfigError(
-            f"{path}: plans for other problems (digest {shown(str(about.get('digest'))[:12])}, "
-            f"not {scenario.digest()[:12]}): world, fleet, water or horizon of {scenario.name} "
-            f"are not those of {shown(about.get('scenario', 'the scenario they were made for'))}"
+            f"{path}: plans for other problems (digest {shown(str(about['digest'])[:12])}, not "
+            f"{scenario.digest()[:12]}): world, fleet, water or horizon of {scenario.name} differ "
+            f"from those of {source}"
         )
     if worlds < scenario.worlds:
         raise ConfigError(

@@ -1,6 +1,9 @@
 """The door for planners: names, settings, what is asked, and what the docs promise."""
 
+import pickle
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -102,12 +105,26 @@ def test_settings_stand_in_the_table_of_the_planners_name(tmp_path):
             load_scenario(written(tmp_path, table + text))
 
 
+LOADED = """
+import pickle, sys
+kind = pickle.load(sys.stdin.buffer).load()
+print(kind.__name__, callable(kind.plan))
+"""
+
+
 def test_a_file_that_is_edited_is_another_planner(straight):
     before = register.find(f"{straight}:Straight")
     kind = before.load()
+    straight.write_text("edited: no Python\n")
+    with pytest.raises(ConfigError, match=r"straight\.py: cannot be run \(SyntaxError: .*py:1\)"):
+        register.find(f"{straight}:Straight").load()
+    # What was chosen before the edit is made of the text of that time, in any process.
+    there = pickle.dumps(before)
+    made = subprocess.run(
+        [sys.executable, "-c", LOADED], input=there, capture_output=True, check=False
+    )
+    assert made.stdout.decode() == "Straight True\n", made.stderr.decode()
     straight.write_text(SNIPPETS[0] + "\n# edited\n")
-    with pytest.raises(ConfigError, match="was edited since it was chosen"):
-        before.load()
     assert register.find(f"{straight}:Straight").load() is not kind
 
 

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -92,7 +93,11 @@ def test_rows_say_how_each_robot_was_planned(flown, asked):
     for row in rows:
         by_world.setdefault(row["world"], []).append(row)
     assert all(row["plan_status"] == "error" for row in by_world[0])
-    assert all(row["plan_reason"] == "ValueError: no idea" for row in by_world[0])
+    raised = by_world[0][0]["plan_reason"]
+    # The line of the file at which the planner raised.
+    line = 1 + (TEN_LINES + LAME).split("\n").index('            raise ValueError("no idea")')
+    assert raised == f"ValueError: no idea (straight.py:{line})"
+    assert all(row["plan_reason"] == raised for row in by_world[0])
     assert by_world[1][0]["plan_reason"] == "has NaN or infinite points at point 1"
     assert not by_world[1][0]["planned"]
     assert by_world[1][1]["planned"]
@@ -105,6 +110,24 @@ def test_rows_say_how_each_robot_was_planned(flown, asked):
         assert row["late_s"] is None
     inputs = json.loads((flown.path / "inputs" / "inputs.json").read_text())
     assert "planner" in {one["role"] for one in inputs["files"]}
+
+
+def test_a_run_says_how_many_were_planned_and_why_others_were_not(flown, asked):
+    rows = flown.episodes.to_pylist()
+    without = [row for row in rows if not row["planned"]]
+    planning = flown.summary["planning"]
+    assert planning["robots"]["count"] == len(rows) - len(without)
+    assert planning["robots"]["rate"] == pytest.approx(1 - len(without) / len(rows))
+    assert planning["worlds"]["error"] == 1
+    counted = {one["reason"]: (one["robots"], one["worlds"]) for one in planning["reasons"]}
+    told = Counter(row["plan_reason"] for row in without)
+    assert sum(robots for robots, _ in counted.values()) == len(without)
+    raised = next(reason for reason in told if "no idea" in reason)
+    assert counted[raised] == (told[raised], 1)
+    log = (flown.path / "run.log").read_text()
+    assert f"world 0 has no plan: {raised}" in log
+    robots = len(asked.members())
+    assert f"no plan for {robots} robots in 1 world: {raised}" in log
 
 
 def test_what_is_known_of_moving_obstacles(asked, flown):
@@ -205,7 +228,13 @@ def test_a_script_that_does_not_know_this_package(asked, given, tmp_path):
     ("spoil", "said"),
     [
         (lambda group: group.attrs.update(seed=99), "plans for seed 99"),
-        (lambda group: group.attrs.update(digest="0" * 64), "plans for other problems"),
+        (lambda group: group.attrs.update(digest="0" * 64),
+         r"other problems \(digest '000000000000', not \w{12}\): .* differ from those of the "
+         "scenario 'small' that the plans were made for$"),
+        (lambda group: [group.attrs.update(digest="0" * 64), group.attrs.__delitem__("scenario")],
+         "differ from those of the problems that the plans were made for$"),
+        (lambda group: group.attrs.__delitem__("seed"), "lacks the attribute seed; copy it"),
+        (lambda group: group.attrs.__delitem__("digest"), "lacks the attribute digest; copy it"),
         (lambda group: group.attrs.update(schema_version=7), "holds no plans of schema version 1"),
         (lambda group: group.create_array("points", data=np.zeros((9, 1), "i4"), overwrite=True),
          "do not fit each other"),

@@ -128,8 +128,22 @@ def test_without_rerun_it_says_how_to_make_the_replay_later(run, monkeypatch):
 def test_without_a_display_it_says_what_to_do(run, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(UnsupportedError, match="no display"):
+    with pytest.raises(UnsupportedError, match="no display") as caught:
         replay.show(run, 12)
+    words = " ".join(str(caught.value).split())
+    # The file that is named holds the world that was chosen, and its server is not for the network.
+    assert f"angler replay {run.path} --world 12 --out world_12.rrd" in words
+    assert "rerun --serve-web --bind 127.0.0.1 world_12.rrd" in words
+    assert replay.REPLAY not in words
+
+
+def test_a_chosen_world_is_written_to_a_file_of_its_own(run, tmp_path):
+    out = tmp_path / "new" / "world_12.rrd"
+    (run.path / REPLAY).write_text("the worst and a good world")
+    assert replay.write(run, [12], out) == out
+    entities = {chunk.entity_path for chunk in rr.chunk.RrdReader(out).stream().to_chunks()}
+    assert {entity.split("/")[1] for entity in entities if "world" in entity} == {"world_12"}
+    assert (run.path / REPLAY).read_text() == "the worst and a good world"
 
 
 def test_a_run_that_planned_anew_says_which_plans_are_shown(scene):

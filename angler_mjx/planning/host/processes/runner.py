@@ -19,6 +19,11 @@ TRIES = 2
 """Processes that a problem may cost: one may have been killed by somebody else."""
 
 
+def missed(deadline_s: float, how: str) -> str:
+    """Return the reason of a robot whose planner missed its deadline."""
+    return f"the planner missed its deadline of {deadline_s:g} s ({how})"
+
+
 class ProcessRunner(Runner):
     """One worker process after another, and what it plans."""
 
@@ -66,7 +71,8 @@ class ProcessRunner(Runner):
             except TimeoutError:
                 taken = time.perf_counter() - begin
                 self.end()
-                return failed(job.robots, "timeout", f"had to be ended after {taken:.3g} s", taken)
+                late = missed(job.deadline_s, f"ended after {taken:.3g} s")
+                return failed(job.robots, "timeout", late, taken)
             except DiedError as died:
                 taken, how = time.perf_counter() - begin, str(died)
                 self.end()
@@ -75,7 +81,7 @@ class ProcessRunner(Runner):
                 continue
             answer: Answer = given[0]
             if answer.planning_s > limit_s:
-                late = f"took {answer.planning_s:.3g} s; it had {job.deadline_s:g} s"
+                late = missed(job.deadline_s, f"took {answer.planning_s:.3g} s")
                 return failed(job.robots, "timeout", late, answer.planning_s)
             return answer
         return failed(job.robots, "died", f"its process died, {TRIES} times: {how}", taken)

@@ -1,6 +1,7 @@
 """What of planning on a cluster needs no cluster."""
 
 import importlib.util
+import pickle
 import subprocess
 import sys
 
@@ -9,7 +10,6 @@ import pytest
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.planning import register
 from angler_mjx.planning.host.cluster import versions
-from angler_mjx.planning.host.cluster.carrying import carry, unpack
 from angler_mjx.planning.host.cluster.runner import _how
 from angler_mjx.planning.host.ray_workers import RayWorkers
 from angler_mjx.planning.register import PlannerSpec
@@ -24,39 +24,12 @@ def spec(tmp_path):
     return PlannerSpec(reference=register.find(f"{file}:Still"), most_points=5)
 
 
-@pytest.fixture
-def put(tmp_path):
-    (tmp_path / "there").mkdir()
-
-    def put(name, text):
-        (tmp_path / "there" / name).write_bytes(text)
-        return tmp_path / "there" / name
-
-    return put
-
-
-def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec, put, tmp_path):
-    carried = carry(spec)
+def test_a_planner_of_a_file_is_made_where_the_file_is_not(spec):
+    sent = pickle.dumps(spec)
     spec.reference.file.unlink()
-    there = unpack(carried, put)
-    assert there.reference.file.read_text() == TEXT
-    assert there.reference.file.is_relative_to(tmp_path / "there")
+    there = pickle.loads(sent)
     assert (there.settings, there.most_points) == ({}, 5)
     assert there.make().plan(None) == []
-
-
-def test_the_file_that_lies_there_is_used_where_it_is_the_same(spec, put):
-    carried = carry(spec)
-    assert unpack(carried, put) is carried.spec
-    spec.reference.file.write_text("# another\n")
-    assert unpack(carried, put).reference.file.read_text() == TEXT
-
-
-def test_a_file_that_was_edited_is_not_carried_and_is_said_so(spec, put):
-    spec.reference.file.write_text("# another\n")
-    there = unpack(carry(spec), put)
-    with pytest.raises(ConfigError, match="edited since it was chosen"):
-        there.make()
 
 
 def test_other_versions_are_told_by_name():
