@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import jax
+import numpy as np
 
 from angler_mjx.benchmark import flying, folder, planning, questions, scenery, tables
 from angler_mjx.benchmark.columns import POLICY
@@ -26,7 +27,7 @@ from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims
+from angler_mjx.storage import claims, planned
 
 
 class Told(Protocol):
@@ -150,8 +151,9 @@ def report(place: Path) -> Path:
 
 
 def summary(place: Path) -> str:
-    """How the planners of a results folder did, a line each."""
+    """Return how the planners of a results folder did: a line each, and why teams have no plan."""
     with Store(place / FILE, only_read=True) as store:
+        planning = _planning(store)
         rows = store.rows(
             "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
             "min(status) AS least, "
@@ -159,12 +161,43 @@ def summary(place: Path) -> str:
             "FROM runs JOIN plannerConfigs ON plannerConfigs.id = plannerid "
             "GROUP BY plannerid ORDER BY plannerid"
         )
-    return "\n".join(
-        f"{row['name']}: {row['success']} of {row['runs']} teams all arrived"
-        + ("" if STATUS[row["least"]] == POLICY else f", {row['planned']} planned")
-        + (f"; {row['closed']} problems not asked" if row["closed"] else "")
-        for row in rows
-    )
+    lines = []
+    for row in rows:
+        lines.append(
+            f"{row['name']}: {row['success']} of {row['runs']} teams all arrived"
+            + ("" if STATUS[row["least"]] == POLICY else f", {row['planned']} planned")
+            + (f"; {row['closed']} problems not asked" if row["closed"] else "")
+        )
+        lines += [f"  {line}" for line in planned.lines(planning.get(row["name"]), "team")]
+    return "\n".join(lines)
+
+
+def fault(place: Path) -> str | None:
+    """Return why nothing was planned, where every planner raised in every problem; else None."""
+    with Store(place / FILE, only_read=True) as store:
+        faults = [planned.fault(one) for one in _planning(store).values()]
+    return faults[0] if faults and all(faults) else None
+
+
+def _planning(store: Store) -> dict[str, dict[str, Any]]:
+    """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
+    by_planner: dict[str, list[Any]] = {}
+    for row in store.rows(
+        "SELECT name, runs.id AS run, solved, status, plan_reason FROM runs "
+        "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
+        "JOIN words ON words.runid = runs.id ORDER BY runs.id"
+    ):
+        if STATUS[row["status"]] != POLICY:
+            by_planner.setdefault(row["name"], []).append(row)
+    return {
+        name: planned.of_robots(
+            np.array([row["run"] for row in rows]),
+            np.array([bool(row["solved"]) for row in rows]),
+            [STATUS[row["status"]] for row in rows],
+            [row["plan_reason"] for row in rows],
+        )
+        for name, rows in by_planner.items()
+    }
 
 
 def _results(benchmark: Benchmark, place: Path, store: Store, *, complete: bool) -> None:

@@ -125,8 +125,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command.
 
     Exits with 0 when it is done, with 2 and one message on stderr when something given to it cannot
-    be used or a run cannot go on, with 130 when it was interrupted, with 141 when nobody reads what
-    it prints any more, and with 1 after a traceback: a fault of angler's own, to be reported.
+    be used, a run cannot go on or a planner raised in every world, with 130 when it was
+    interrupted, with 141 when nobody reads what it prints any more, and with 1 after a traceback: a
+    fault of angler's own, to be reported, or of a planner that is debugged.
     """
     # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -185,7 +185,8 @@ class PlannerConfig(FileModel):
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""
     points: int = Field(default=32, ge=2, le=MOST_POINTS)
-    """Most way-points of a path; a path of more is none. Part of the result's bytes."""
+    """Most way-points of a path; a planner's path of more is none. Paths of a file of plans
+    (`--plans`) may have up to 1,024, whatever this says. Part of the result's bytes."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each world; a planner that takes a tenth more is ended."""
     knows: KnowsConfig = KnowsConfig()

@@ -6,6 +6,7 @@ cannot follow is refused for that robot alone, which then holds its position whi
 """
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from angler_mjx.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.control.joint_goal import JointGoal
 from angler_mjx.control.stack import Command
+from angler_mjx.sim.knowledge import renamed
 from angler_mjx.sim.state import Outcome
 
 type Floats = NDArray[np.floating[Any]]
@@ -68,8 +70,14 @@ class SceneObstacles:
     """[n, 4] q."""
     kind: NDArray[np.integer[Any]]
     """[n] a kind of `angler_mjx.world.obstacles.types`."""
-    size_m: Floats
-    """[n, 3]."""
+    half_size_m: Floats
+    """[n, 3] as `angler_mjx.sim.knowledge.KnownObstacles.half_size_m`."""
+
+    @property
+    def size_m(self) -> Floats:
+        """[n, 3] the former name of `half_size_m`, with the same meaning."""
+        warnings.warn(renamed(type(self)), DeprecationWarning, stacklevel=2)
+        return self.half_size_m
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -184,7 +184,7 @@ def shown(
             position_m=np.asarray(view.obstacle_p)[rows.which],
             attitude=np.asarray(view.obstacle_q)[rows.which],
             kind=rows.kind,
-            size_m=rows.size_m,
+            half_size_m=rows.size_m,
         ),
         status=status,
     )

@@ -7,6 +7,7 @@ nobody knows, straight on. Time is counted from the observation: that of a plann
 start, that of a policy whenever it acts.
 """
 
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -45,9 +46,9 @@ class KnownObstacles:
 
     kind: Any
     """int32 [n]: 0 sphere, 1 box, 2 capsule."""
-    size_m: Any
-    """[n, 3]: sphere (radius, 0, 0); box half extents; capsule (radius, half length of the axis,
-    0), the axis along the body's z."""
+    half_size_m: Any
+    """[n, 3] m: sphere (radius, 0, 0); box half edges along its own x, y, z; capsule (radius, half
+    length of the axis, 0), the axis along the body's z."""
     radius_m: Any
     """[n] sphere about the centre that holds the body, however it turns."""
     exists: Any
@@ -65,6 +66,20 @@ class KnownObstacles:
     """[n, T, 4] attitudes, wxyz, body to W."""
     some_stand: bool = field(default=True, metadata={"static": True})
     """Whether any of them can be a still one: no code need look for those if not."""
+
+    @property
+    def size_m(self) -> Any:
+        """[n, 3] the former name of `half_size_m`, with the same meaning."""
+        warnings.warn(renamed(type(self)), DeprecationWarning, stacklevel=2)
+        return self.half_size_m
+
+
+def renamed(kind: type) -> str:
+    """Return the warning of a class whose ``size_m`` has another name now."""
+    return (
+        f"{kind.__name__}.size_m is called half_size_m now: it holds half edges of boxes, where "
+        "size_m of scenario files holds full edges"
+    )
 
 
 @jax.tree_util.register_dataclass
@@ -168,7 +183,7 @@ def obstacles(
     told_of = ~moves | (level != "nothing")
     return KnownObstacles(
         kind=body.kind,
-        size_m=jnp.where(told_of[:, None], body.size_m, 0.0),
+        half_size_m=jnp.where(told_of[:, None], body.size_m, 0.0),
         radius_m=jnp.where(told_of, jax.vmap(bounding_radius)(body.kind, body.size_m), 0.0),
         exists=body.exists & told_of,
         moves=moves,

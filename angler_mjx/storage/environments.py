@@ -16,7 +16,7 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.storage import claims, inputs
+from angler_mjx.storage import arrays, claims, inputs
 from angler_mjx.storage.damage import reading
 from angler_mjx.world import currents, ocean
 from angler_mjx.world.config import WorldConfig, resolve
@@ -26,27 +26,6 @@ from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles
 
 SCHEMA_VERSION = 1
-
-_UNITS = {
-    "_m": "m",
-    "_mps": "m/s",
-    "_rad": "rad",
-    "_s": "s",
-    "_kg": "kg",
-    "_kgm2": "kg m^2",
-    "_m3": "m^3",
-    "_m2ps": "m^2/s",
-    "_1ps": "1/s",
-    "_radps": "rad/s",
-    "nu0": "m/s, rad/s",
-    "p0": "m",
-    "M_A": "kg, kg m^2",
-    "D_l": "N s/m, N m s",
-    "D_q": "N s^2/m^2, N m s^2",
-    "path": "m/s, m, rad/s or rad by motion and column",
-}
-"""Unit by the end of an array's name; everything else has none."""
-
 
 _CURRENTS: dict[str, type] = {
     kind.__name__: kind
@@ -114,16 +93,17 @@ def describe(group: zarr.Group, environment: Environment, count: int, tile: int)
     files = [_file(component) for component in environment.current]
     if any(files):
         group.attrs["current_file"] = files
+    current = tuple(type(component).__name__ for component in environment.current)
     for name, leaf in leaves(environment).items():
-        tail = leaf.shape[1:]
+        tail, meaning = leaf.shape[1:], arrays.about(name, current)
         group.create_array(
             name,
             shape=(count, *tail),
             chunks=(min(tile, count), *tail),
             dtype=np.dtype(leaf.dtype),
             compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes={"unit": unit(name)},
-            dimension_names=["world", *_dims(name, len(tail))],
+            attributes=meaning.attributes(),
+            dimension_names=["world", *meaning.axes],
         )
 
 
@@ -330,10 +310,3 @@ def leaves(tree: Any) -> dict[str, Any]:
 
 def _word(step: Any) -> str:
     return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)
-
-
-def unit(name: str) -> str:
-    """Unit of an array, by the end of its name."""
-    last = name.rsplit("/", 1)[-1]
-    ends = [end for end in _UNITS if last.endswith(end)]
-    return _UNITS[max(ends, key=len)] if ends else "1"

@@ -94,18 +94,28 @@ def _reasons(
     return sorted(listed, key=lambda one: -int(one["robots"]))
 
 
-def lines(planning: Mapping[str, Any]) -> list[str]:
-    """Return the commonest reasons of robots without a plan, a line each."""
-    listed = planning["reasons"]
+def lines(planning: Mapping[str, Any] | None, noun: str = "robot") -> list[str]:
+    """Return the commonest reasons of robots without a plan, a line each; none where planning is.
+
+    Args:
+        planning: as `summarise` returns it.
+        noun: what is counted: of benchmarks, whole teams.
+    """
+    listed = [] if planning is None else planning["reasons"]
     made = [
-        f"no plan for {_count(one['robots'], 'robot')} in {_count(one['worlds'], 'world')}: "
+        f"no plan for {_count(one['robots'], noun)} in {_count(one['worlds'], 'world')}: "
         f"{one['reason']}"
         for one in listed[:MAX_REASONS]
     ]
     if len(listed) > MAX_REASONS:
         rest = sum(one["robots"] for one in listed[MAX_REASONS:])
-        made.append(f"no plan for {_count(rest, 'robot')}: other reasons (see plan_reason)")
+        made.append(f"no plan for {_count(rest, noun)}: other reasons (see plan_reason)")
     return made
+
+
+def percent(planning: Mapping[str, Any] | None) -> str:
+    """Return the fraction of robots with a plan for a table; a dash where nobody planned."""
+    return "-" if planning is None else f"{100 * planning['robots']['rate']:.1f} %"
 
 
 def fault(planning: Mapping[str, Any] | None) -> str | None:

@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, shown
+from angler_mjx.storage import planned
 from angler_mjx.storage.folder import Run
 from angler_mjx.storage.results import completion_times
 from angler_mjx.studies import paired
@@ -20,8 +21,9 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
     Returns:
         ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
         ``same_problems``, what `paired.pair` found, ``outcomes``: robots by outcome in the first
-        and in the second, and ``changed``: worlds in which the task was completed, or any robot
-        ended, otherwise or at another time, those that changed most first.
+        and in the second, ``planning``: of both (`storage.planned.summarise`), and ``changed``:
+        worlds in which the task was completed, or any robot ended, otherwise or at another time,
+        those that changed most first.
 
     Raises:
         ConfigError: the runs are not of the same seed, worlds and robots; the key is named.
@@ -42,6 +44,7 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
         "same_problems": first.scenario.digest() == second.scenario.digest(),
         "asked": first.scenario.worlds,
         **plain(paired.pair(one, other)),
+        "planning": {"first": planned.summarise(one), "second": planned.summarise(other)},
         "outcomes": _outcomes(one, other),
         "changed": _changed(one, other),
     }

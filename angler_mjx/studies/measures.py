@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from angler_mjx.storage import planned as how_planned
 from angler_mjx.storage.folder import Run
 from angler_mjx.storage.intervals import Mean, clustered, clustered_mean, wilson
 from angler_mjx.storage.results import completion_times, rates
@@ -25,10 +26,10 @@ def of_run(run: Run) -> dict[str, Any]:
 
     Returns:
         ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
-        that have a path, ``outcomes`` (`storage.results.rates`), ``team``: worlds in which all
-        robots arrived, with Wilson's interval; ``task``: of runs with a task, the worlds that
-        completed it (``completed``) and when (``completed_s``), else None; by cost its mean; and
-        what it took.
+        that have a path, ``planning`` (`storage.planned.summarise`), ``outcomes``
+        (`storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
+        interval; ``task``: of runs with a task, the worlds that completed it (``completed``) and
+        when (``completed_s``), else None; by cost its mean; and what it took.
     """
     episodes = run.episodes
     world, arrived = worlds_of(episodes), arrived_of(episodes)
@@ -39,6 +40,7 @@ def of_run(run: Run) -> dict[str, Any]:
         "robots": len(run.scenario.members()),
         "problems": run.scenario.digest(),
         "planned": _share(np.asarray(episodes["planned"].to_numpy(zero_copy_only=False)), world),
+        "planning": how_planned.summarise(episodes),
         "outcomes": rates(episodes),
         "team": _of_worlds(each == 1.0),
         "task": _task(episodes),

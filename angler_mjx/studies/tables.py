@@ -7,7 +7,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from angler_mjx.storage import atomic
+from angler_mjx.storage import atomic, planned
 from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.studies.measures import COSTS
 from angler_mjx.viewing import tables as markdown
@@ -119,6 +119,8 @@ def page(found: Mapping[str, Any]) -> str:
     if not found["complete"]:
         lines += ["Interrupted: cells that were not finished are missing.", ""]
     lines += [*grid(cells_table(found)), ""]
+    if without := without_plans(found):
+        lines += [*(f"- {line}" for line in without), ""]
     if found["pairs"]:
         lines += ["## What each setting changes, paired", "", HOW_TO_READ, ""]
         lines += [OF_TASKS, ""] if has_tasks(found) else []
@@ -126,6 +128,15 @@ def page(found: Mapping[str, Any]) -> str:
         if not all(pair["same_problems"] for pair in found["pairs"]):
             lines += [f"\\* {OTHER_PROBLEMS}", ""]
     return "\n".join(lines)
+
+
+def without_plans(found: Mapping[str, Any]) -> list[str]:
+    """Return why robots of cells have no plan, a line for each reason; the cell is named."""
+    return [
+        f"{' '.join(f'{key}={x}' for key, x in row['set'].items())}: {line}"
+        for row in found["cells"]
+        for line in planned.lines(row.get("planning"))
+    ]
 
 
 def cells_table(found: Mapping[str, Any]) -> Table:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import shown
+from angler_mjx.storage import planned
 from angler_mjx.viewing import style
 
 MOST = 10
@@ -57,7 +58,8 @@ def text(found: Mapping[str, Any]) -> str:
             "  problems are made of some of these: worlds may be drawn otherwise, pairs share seed "
             "and index"
         )
-    lines += ["", *_rates(found), *_costs(found), "", "robots by outcome, A -> B:"]
+    lines += ["", *_rates(found), *_costs(found), *_planned(found["planning"])]
+    lines += ["", "robots by outcome, A -> B:"]
     lines += [
         f"  {one['robots']:>7,}  {one['first']} -> {one['second']}"
         for one in found["outcomes"][:MOST]
@@ -82,6 +84,15 @@ def _rates(found: Mapping[str, Any]) -> list[str]:
             f"{one['only_first']:,}, only in B {one['only_second']:,}, in neither "
             f"{one['neither']:,}"
         )
+    return lines
+
+
+def _planned(planning: Mapping[str, Any]) -> list[str]:
+    """Fractions of robots with a plan in both runs, and why the others have none."""
+    both = planning["first"], planning["second"]
+    lines = [f"  robots with a plan: {' -> '.join(map(planned.percent, both))}"]
+    for name, one in zip("AB", both, strict=True):
+        lines += [f"    {name}: {line}" for line in planned.lines(one)]
     return lines
 
 

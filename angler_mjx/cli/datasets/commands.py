@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.datasets.manifest import Manifest
@@ -80,8 +80,8 @@ def make(
     if made is None:
         print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
         sys.exit(130)
-    if shared.index == 0:
-        _report(made, manifest.read(made))
+    if shared.index == 0 and (fault := _report(made, manifest.read(made))):
+        raise RunError(f"the planner of every part {fault}; {made} holds flights without plans")
 
 
 def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
@@ -95,20 +95,32 @@ def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
     _report(dataset, manifest.read(dataset))
 
 
-def _report(place: Path, found: "Manifest") -> None:
+def _report(place: Path, found: "Manifest") -> str | None:
+    """Print what is in a dataset; return why no robot has a plan, where planners raised."""
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.storage import planned
+    from angler_mjx.storage.folder import Run
 
     title = f"{found.name}: {found.episodes:,} episodes"
-    shown = text_table("part", "expert", "robots", "worlds", "split", fixed=0, title=title)
-    for column in shown.columns[2:4]:
+    head = ("part", "expert", "robots", "worlds", "with a plan", "split")
+    shown = text_table(*head, fixed=0, title=title)
+    for column in shown.columns[2:5]:
         column.justify = "right"
+    reasons: list[str] = []
+    faults: list[str | None] = []
     for part in found.parts:
         split = part.split or "by environment"
-        shown.add_row(part.path, part.expert, str(part.robots), f"{part.worlds:,}", split)
+        planning = planned.summarise(Run(place / part.path).episodes)
+        share = planned.percent(planning)
+        shown.add_row(part.path, part.expert, str(part.robots), f"{part.worlds:,}", share, split)
+        reasons += [f"{part.path}: {line}" for line in planned.lines(planning)]
+        faults.append(planned.fault(planning))
     console = Console()
     console.print(shown)
+    for line in reasons:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(", ".join(f"{name}: {count:,}" for name, count in found.splits.items()))
     if found.sample.asks:
         said = (
@@ -117,6 +129,7 @@ def _report(place: Path, found: "Manifest") -> None:
         )
         console.print(f"chosen of {', '.join(said)}")
     console.print(str(place), highlight=False, soft_wrap=True)
+    return faults[0] if all(faults) else None
 
 
 def verify(
@@ -236,9 +249,10 @@ def stats(
         f"{size(found['bytes'])}"
     )
     for column, values in found["by"].items():
-        table = text_table(column, "episodes", "whole teams that arrive")
+        table = text_table(column, "episodes", "robots with a plan", "whole teams that arrive")
         for name, value in values.items():
-            table.add_row(name, f"{value['episodes']:,}", f"{100 * value['success']:.1f} %")
+            shares = (f"{100 * value[key]:.1f} %" for key in ("planned", "success"))
+            table.add_row(name, f"{value['episodes']:,}", *shares)
         console.print(table)
     table = text_table("robots that ended by", "number", "share")
     total = sum(found["outcomes"].values())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
-from angler_mjx.errors import ConfigError
+from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.benchmark.again import Comparison
@@ -70,6 +70,8 @@ def benchmark(
             sys.exit(130)
     print(running.summary(place))
     print(place / "report.html")
+    if why := running.fault(place):
+        raise RunError(f"every planner raised; the first {why}")
     if source.is_dir():
         _compare(source, place)
 

@@ -126,13 +126,19 @@ def problems(
     scenario: Annotated[str, tyro.conf.Positional],
     worlds: int | None = None,
     seed: int | None = None,
+    knows: str | None = None,
+    raw: bool = False,
     out: Path | None = None,
     device: Device | None = None,
 ) -> None:
-    """Write what planners are asked in the worlds of a scenario to a Zarr file, for anybody's use.
+    """Write the planning problems of a scenario's worlds to a Zarr file, for any planner.
 
     Args:
         scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        knows: Information level of what moves, such as obstacles=observed,current=predicted; of
+            what is not named, nothing. The scenario's if left out.
+        raw: Write plain little-endian numbers, an array of a world a file, that a program without
+            a Zarr library can read.
         worlds: Number of worlds; the scenario's if left out.
         seed: Seed of the worlds; the scenario's if left out.
         out: File to make; problems/NAME.zarr if left out.
@@ -143,16 +149,17 @@ def problems(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.cli.shared.given import scenario_given
+    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given
     from angler_mjx.planning.planner import PathShape
     from angler_mjx.simulator.simulator import Simulator
     from angler_mjx.storage.plans import problems as store
 
-    loaded = scenario_given(scenario, worlds=worlds, seed=seed)
+    planner = planner_given(None, knows=knows_given(knows))
+    loaded = scenario_given(scenario, worlds=worlds, seed=seed, planner=planner)
     place = out or Path("problems") / f"{loaded.name}.zarr"
     simulator = Simulator(loaded, paths=PathShape(points=2))
     columns = ("worlds", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("worlds", total=loaded.worlds)
-        store.make(place, simulator, lambda done: bar.update(task, completed=done))
+        store.make(place, simulator, lambda done: bar.update(task, completed=done), raw=raw)
     print(place)

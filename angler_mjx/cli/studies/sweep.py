@@ -66,9 +66,10 @@ def sweep(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import at_least_one, scenario_given
+    from angler_mjx.cli.shared.given import at_least_one, require_planned, scenario_given
     from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.runs.processes import telling
+    from angler_mjx.storage import planned
     from angler_mjx.studies import settings
     from angler_mjx.studies import sweep as sweeping
 
@@ -101,6 +102,8 @@ def sweep(
     if not found["complete"]:
         print(f"interrupted; go on with --resume --out {place}", file=sys.stderr)
         sys.exit(130)
+    if all(planned.fault(row.get("planning")) for row in found["cells"]):
+        require_planned(found["cells"][0]["planning"], "in every cell the planner")
 
 
 def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
@@ -124,4 +127,6 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
             for row in rows:
                 shown.add_row(*row)
             console.print(shown)
+    for line in tables.without_plans(found):
+        print(line)
     print(place / "sweep.md")

@@ -50,13 +50,15 @@ def stats(place: Path, most: int = 1000) -> dict[str, Any]:
 
 
 def _by(table: pa.Table, column: str) -> dict[str, dict[str, float]]:
-    """Episodes, and the share of teams that arrive, by the values of a column."""
+    """Episodes, fractions of teams that arrive and of robots with a plan, by a column's values."""
     names = np.array(table[column].to_pylist())
     success = table["success"].to_numpy(zero_copy_only=False)
+    planned, robots = (table[name].to_numpy() for name in ("planned", "robots"))
     return {
         name: {
             "episodes": int((names == name).sum()),
             "success": float(success[names == name].mean()),
+            "planned": float(planned[names == name].sum() / robots[names == name].sum()),
         }
         for name in sorted(set(names.tolist()))
     }

@@ -65,7 +65,7 @@ def obstacles(problem: Problem) -> Iterator[Body]:
     """Bodies that are known to exist, where they are at t = 0: ``obstacle_N``."""
     known = problem.obstacles
     for row in np.flatnonzero(known.exists):
-        size = np.asarray(known.size_m[row], float)
+        size = np.asarray(known.half_size_m[row], float)
         shape = (
             coal.Sphere(size[0]),
             coal.Box(*(2.0 * size)),

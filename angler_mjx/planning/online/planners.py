@@ -148,7 +148,7 @@ def _standing(known: KnownObstacles) -> Obstacles:
     one, six = jnp.zeros(rows), jnp.zeros((rows, 6))
     return Obstacles(
         kind=known.kind,
-        size_m=known.size_m,
+        size_m=known.half_size_m,
         motion=jnp.full(rows, STATIC, jnp.int32),
         path=jnp.zeros((rows, 8)),
         p0=known.p_m[:, 0],

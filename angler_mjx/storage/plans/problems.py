@@ -18,14 +18,19 @@ from zarr.codecs import BloscCodec
 from angler_mjx.errors import RunError
 from angler_mjx.planning.problem import Problem
 from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims
-from angler_mjx.storage.environments import leaves, unit
+from angler_mjx.storage import arrays, claims
+from angler_mjx.storage.environments import leaves
 
-SCHEMA, SCHEMA_VERSION = "angler_mjx problems", 1
+SCHEMA, SCHEMA_VERSION = "angler_mjx problems", 2
+"""Version 2: what was ``obstacles/size_m`` is ``obstacles/half_size_m``, of the same meaning."""
 
 
 def make(
-    path: Path, simulator: Simulator, advance: Callable[[int], None] = lambda done: None
+    path: Path,
+    simulator: Simulator,
+    advance: Callable[[int], None] = lambda done: None,
+    *,
+    raw: bool = False,
 ) -> None:
     """Write the problems of a scenario's worlds to a new file; all of it or nothing.
 
@@ -33,6 +38,8 @@ def make(
         path: of the Zarr group to make.
         simulator: of the scenario.
         advance: called with the number of worlds done after each tile.
+        raw: write each array of each world as one file of plain little-endian numbers in C order,
+            ``NAME/c/WORLD/0/0...``, that can be read without a Zarr library or a codec.
 
     Raises:
         ConfigError: the path exists.
@@ -48,8 +55,8 @@ def make(
                 lambda *rows: np.stack(rows), *(_nameless(one) for one in problems)
             )
             if first == 0:
-                _describe(group, problems[0], batch, total, tile)
-            for name, rows in leaves(batch).items():
+                _describe(group, problems[0], batch, simulator, raw=raw)
+            for name, rows in _arrays(batch).items():
                 array: Any = group[name]
                 array[first : first + len(rows)] = rows
             advance(first + len(problems))
@@ -67,8 +74,23 @@ def _nameless(problem: Problem) -> Problem:
     return replace(problem, name=None)
 
 
-def _describe(group: zarr.Group, first: Problem, batch: Problem, total: int, tile: int) -> None:
+def _arrays(batch: Problem) -> dict[str, Any]:
+    """Arrays by their names in the file, where components of the current are called ``current/i``.
+
+    Python's fields have ``current/components/i``.
+    """
+    return {
+        name.replace("current/components/", "current/"): rows
+        for name, rows in leaves(batch).items()
+    }
+
+
+def _describe(
+    group: zarr.Group, first: Problem, batch: Problem, simulator: Simulator, *, raw: bool
+) -> None:
     assert first.name is not None
+    planner, worlds = simulator.scenario.planner, simulator.scenario.worlds
+    current = tuple(type(component).__name__ for component in first.current.components)
     group.attrs.update(
         {
             "schema": SCHEMA,
@@ -77,6 +99,8 @@ def _describe(group: zarr.Group, first: Problem, batch: Problem, total: int, til
             "cells": "cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]",
             "quaternion": "wxyz, body to world",
             "obstacle_kinds": "0 sphere, 1 box, 2 capsule",
+            "current": list(current),
+            "current_stays": first.current.stays,
             "scenario": first.name.scenario,
             "preset": first.name.preset,
             "seed": first.name.seed,
@@ -84,15 +108,22 @@ def _describe(group: zarr.Group, first: Problem, batch: Problem, total: int, til
             "horizon_s": first.horizon_s,
             "goal_tolerance_m": first.goal_tolerance_m,
             "deadline_s": first.deadline_s,
+            "margin_m": planner.margin_m,
+            "max_points": planner.points,
             "knows": asdict(first.knows),
         }
     )
-    for name, rows in leaves(batch).items():
+    chunk = 1 if raw else min(simulator.tile, worlds)
+    for name, rows in _arrays(batch).items():
+        meaning = arrays.about(name, current)
         group.create_array(
             name,
-            shape=(total, *rows.shape[1:]),
-            chunks=(min(tile, total), *rows.shape[1:]),
+            shape=(worlds, *rows.shape[1:]),
+            chunks=(chunk, *rows.shape[1:]),
             dtype=rows.dtype,
-            compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
-            attributes={"unit": unit(name)},
+            compressors=None if raw else BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
+            attributes=meaning.attributes(),
+            dimension_names=["world", *meaning.axes],
+            # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
+            config={"write_empty_chunks": raw},
         )

@@ -58,7 +58,7 @@ class Plans:
     path: Path
     group: zarr.Group
     shape: PathShape
-    """Of the paths, padding included."""
+    """Of the paths as they are flown: those of the file, their last point repeated."""
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, PlanNotes]:
         """Paths of some tiles of worlds; what cannot be flown is none, with its reason.
@@ -111,8 +111,9 @@ class Plans:
             yaw = np.asarray(worlds.environment.start_yaw_rad)
             joints = np.concatenate([place, motion.pop("yaw_rad")[..., None]], axis=-1)
             start = np.concatenate([start, yaw[..., None]], axis=-1)
-            return _jointed(count, time, joints, motion, found, start), notes
+            return _jointed(count, time, joints, motion, found, start, self.shape.points), notes
         time, place = _padded(count, time, place, found, start)
+        time, place = (_widened(rows, self.shape.points) for rows in (time, place))
         paths: Any = {"time_s": time, "position_m": place, "found": found}
         return Trajectory(**paths), notes
 
@@ -210,7 +211,8 @@ def open_plans(path: Path, scenario: Scenario) -> Plans:
                 f"{path}/{name}: has the shape {shapes[name]}; must be {wanted}, and yaw_rad must "
                 "be there too"
             )
-    return Plans(path=path, group=group, shape=PathShape(points=points, joints=joints))
+    width = _width(points, scenario.planner.points)
+    return Plans(path=path, group=group, shape=PathShape(points=width, joints=joints))
 
 
 def _require_same(
@@ -248,6 +250,25 @@ def _require_same(
         )
 
 
+def _width(points: int, usual: int) -> int:
+    """Return the number of points with which paths of a file are flown.
+
+    Programs are compiled for it. Files of a few points more or less are flown by one program: that
+    of the scenario's planners where it is wide enough, else of the next power of two.
+
+    Args:
+        points: of the file's paths.
+        usual: of the scenario's planners (``planner.points``).
+    """
+    return usual if points <= usual else min(1 << (points - 1).bit_length(), MOST_POINTS)
+
+
+def _widened(rows: np.ndarray, points: int) -> np.ndarray:
+    """Repeat the last point of paths [w, r, n, ...] until they have so many."""
+    missing = points - rows.shape[2]
+    return np.concatenate([rows, np.repeat(rows[:, :, -1:], missing, axis=2)], axis=2)
+
+
 def _padded(
     count: np.ndarray, time: np.ndarray, place: np.ndarray, found: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -269,8 +290,9 @@ def _jointed(
     motion: dict[str, np.ndarray],
     found: np.ndarray,
     start: np.ndarray,
+    points: int,
 ) -> JointTrajectory:
-    """Paths of joints, as `_padded` has times and places."""
+    """Paths of joints of so many points, as `_padded` has times and places."""
     nothing = np.zeros_like(start)
     padded = {
         name: _padded(count, time, motion[name], found, nothing)[1]
@@ -279,11 +301,9 @@ def _jointed(
     degree = np.where(found[..., None], motion["degree"], LINEAR).astype(np.int32)
     time, position = _padded(count, time, joints, found, start)
     commanded = np.ones((*found.shape, len(VEHICLE_JOINTS)), bool)
+    by_point = {"time_s": time, "position": position, **padded, "degree": degree}
     arrays: Any = {
-        "time_s": time,
-        "position": position,
-        **padded,
-        "degree": degree,
+        **{name: _widened(rows, points) for name, rows in by_point.items()},
         "commanded": commanded,
         "found": found,
     }

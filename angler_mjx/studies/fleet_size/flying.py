@@ -13,6 +13,7 @@ from angler_mjx.runs.progress import Silent
 from angler_mjx.sim.state import Outcome
 from angler_mjx.storage import harvest
 from angler_mjx.storage.harvest import FinishedTile
+from angler_mjx.storage.planned import Failures
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch
@@ -33,6 +34,7 @@ def fly(
     first: int,
     *,
     share: tuple[int, int] = (0, 1),
+    failures: Failures | None = None,
 ) -> Part:
     """Fly the worlds of one batch, or a share of its tiles.
 
@@ -43,6 +45,7 @@ def fly(
         size: of the team.
         first: index of the first world.
         share: which share of the tiles, of how many.
+        failures: says what planners fail at.
 
     Raises:
         RunError: device memory is used up.
@@ -60,7 +63,7 @@ def fly(
         strict=False,
         changed=partial(simulators.change, condition, size, simulator),
     ):
-        parts += [_of_tile(study, tile) for tile in wave]
+        parts += [_of_tile(study, tile, failures) for tile in wave]
     return {"first": list(tiles), "tiles": parts}
 
 
@@ -87,9 +90,12 @@ def batch(condition: Condition, size: int, first: int, parts: Sequence[Part]) ->
 _VALUES = tuple(one.name for one in fields(Batch) if one.name not in ("condition", "size", "first"))
 
 
-def _of_tile(study: Study, tile: FinishedTile) -> dict[str, list[Any]]:
+def _of_tile(study: Study, tile: FinishedTile, failures: Failures | None) -> dict[str, list[Any]]:
     """Of each world of a tile."""
     result = harvest.tile_result(tile)
+    if failures is not None:
+        failures.add(result.world, result.notes)
+    planned = np.sum(result.planned, axis=1).tolist()
     fits = np.asarray(tile.constants.valid)
     if tile.constants.task is not None:
         fits = fits & np.asarray(tile.constants.task.fits)
@@ -107,6 +113,7 @@ def _of_tile(study: Study, tile: FinishedTile) -> dict[str, list[Any]]:
         "energy_j": np.sum(result.energy_j, axis=1, dtype=float).round(3).tolist(),
         "path_m": np.sum(result.path_length_m, axis=1, dtype=float).round(3).tolist(),
         "no_room": no_room.tolist(),
+        "planned": planned if result.task is None else [None] * len(planned),
     }
 
 

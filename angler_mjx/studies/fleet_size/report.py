@@ -111,8 +111,10 @@ def _of_size(
     horizon_s = study.scenario(condition, size).time.horizon_s
     curve = survival.curve(np.minimum(times, horizon_s), np.isfinite(times))
     alpha = 1.0 - rule.confidence
+    planned = [x for one in batches for x in one.planned if x is not None]
     row: dict[str, Any] = {
         "size": size,
+        "planned": sum(planned) / (size * len(planned)) if planned else None,
         "worlds": total,
         "met": hits,
         "rate": hits / total,
@@ -216,6 +218,7 @@ def sizes_table(
         "met the deadline",
         f"{level(found, 'share')} interval",
         "decided",
+        "robots with a plan",
         f"median time ({quantile} interval), s",
         f"90 % of worlds by ({quantile} interval), s",
         f"mean to the horizon ({level(found, 'mean')} interval), s",
@@ -237,6 +240,7 @@ def sizes_table(
                 f"{100 * row['rate']:.2f} %",
                 f"{100 * row['low']:.2f} to {100 * row['high']:.2f} %",
                 decided,
+                "-" if row.get("planned") is None else f"{100 * row['planned']:.1f} %",
                 _time(row["median_s"]),
                 _time(row["p90_s"]),
                 f"{mean['mean']:.1f} ({mean['low']:.1f} to {mean['high']:.1f})",

@@ -21,6 +21,7 @@ from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.storage import claims
 from angler_mjx.storage.claims import Claim
+from angler_mjx.storage.planned import Failures
 from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
@@ -61,6 +62,8 @@ class _Work:
     """Of each condition the counts of the batches that were asked for."""
     ends_at: float | None
     together: Processes
+    failures: Failures
+    """Of planners, each kind said once."""
     flown: int = 0
     """Batches that were flown in this run."""
 
@@ -187,6 +190,7 @@ def _run(
         taken={one.name: {} for one in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
         together=together,
+        failures=Failures(told.tell),
     )
     together.meet("known", len(store.batches))  # nobody writes before all have read
     try:
@@ -261,7 +265,9 @@ def _flown(
     part = None
     try:
         share = (together.index, together.count)
-        part = flying.fly(work.study, simulators, condition, size, first, share=share)
+        part = flying.fly(
+            work.study, simulators, condition, size, first, share=share, failures=work.failures
+        )
     except KeyboardInterrupt:
         together.stop()
     parts = together.meet(f"batch/{work.flown}", part)

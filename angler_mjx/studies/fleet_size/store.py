@@ -6,7 +6,7 @@ again, and its batch is flown again.
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -37,6 +37,8 @@ class Batch:
     """Way of all robots of each."""
     no_room: list[bool]
     """Whether a world had no room for the team, or for the task; it counts as not done."""
+    planned: list[int | None] = field(default_factory=list)
+    """Robots of each with a plan, None where they have a task; empty in older studies."""
 
     @property
     def worlds(self) -> int:
@@ -118,6 +120,6 @@ def _batch(table: dict[str, Any]) -> Batch:
     """A batch from a line; TypeError or ValueError for anything else."""
     made = Batch(**table)
     lists = (made.arrived, made.lost, made.energy_j, made.path_m, made.no_room)
-    if any(len(one) != made.worlds for one in lists):
+    if any(len(one) != made.worlds for one in lists) or len(made.planned) not in (0, made.worlds):
         raise ValueError("a batch is none")
     return made

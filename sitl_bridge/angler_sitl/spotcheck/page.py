@@ -3,8 +3,9 @@
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing.style import save
@@ -165,7 +166,7 @@ def ends(found: Found) -> str:
             name,
             count,
             [
-                row["outcome"]
+                row
                 for key, one in found.flights.items()
                 if key[1:] == (name, count)
                 for row in one.rows
@@ -174,13 +175,17 @@ def ends(found: Found) -> str:
         for count in found.counts
         for name in found.names()
     ]
-    seen = [outcome for outcome in OUTCOMES if any(outcome in listed for *_, listed in flown)]
-    body = [
-        [name, str(count), *(f"{listed.count(outcome)} of {len(listed)}" for outcome in seen)]
-        for name, count, listed in flown
-        if listed
-    ]
-    return table(["flown by", "robots", *seen], body)
+    ended = [row["outcome"] for *_, listed in flown for row in listed]
+    seen = [outcome for outcome in OUTCOMES if outcome in ended]
+    body = [[name, str(count), *_counted(listed, seen)] for name, count, listed in flown if listed]
+    return table(["flown by", "robots", "with a plan", *seen], body)
+
+
+def _counted(listed: Sequence[Mapping[str, Any]], seen: Sequence[str]) -> list[str]:
+    """How many of some robots have a plan, and how many ended in each way."""
+    ended = [row["outcome"] for row in listed]
+    numbers = (sum(bool(row["planned"]) for row in listed), *map(ended.count, seen))
+    return [f"{number} of {len(listed)}" for number in numbers]
 
 
 def _world(found: Found, world: int, count: int) -> str:

@@ -46,7 +46,7 @@ def no_obstacles(**arrays):
     attitude[..., 0] = 1.0
     return KnownObstacles(
         kind=np.zeros(count, np.int32),
-        size_m=np.stack([radius, 0 * radius, 0 * radius], axis=-1),
+        half_size_m=np.stack([radius, 0 * radius, 0 * radius], axis=-1),
         radius_m=radius,
         exists=np.ones(count, bool),
         moves=np.full(count, len(time) > 1),

@@ -28,7 +28,7 @@ def told(places, moves=True, velocity=(0.0, 0.0, 0.0), times=TIMES):
     n = len(places)
     return KnownObstacles(
         kind=np.int32([0]),
-        size_m=np.float32([[BODY, 0.0, 0.0]]),
+        half_size_m=np.float32([[BODY, 0.0, 0.0]]),
         radius_m=np.float32([BODY]),
         exists=np.array([True]),
         moves=np.array([moves]),

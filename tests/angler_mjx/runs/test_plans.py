@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_what_is_known_of_moving_obstacles(asked, flown):
         assert truth.exists.all()
         assert observed.exists.all()
         assert not nothing.exists[nothing.moves].any()
-        for told in (nothing.velocity_mps, nothing.p_m, nothing.size_m, nothing.radius_m):
+        for told in (nothing.velocity_mps, nothing.p_m, nothing.half_size_m, nothing.radius_m):
             assert not told[nothing.moves].any()
         np.testing.assert_array_equal(observed.time_s, [0.0])
         np.testing.assert_allclose(observed.p_m[:, 0], went[world, 0], atol=1e-6)
@@ -313,3 +314,104 @@ class Once(Silent):
         self.done += worlds
         if self.done > 2.0:
             raise KeyboardInterrupt
+
+
+def widened(source, path, points):
+    """A file of the same plans whose arrays hold more points; what is behind a path is noise."""
+    old, new = zarr.open_group(source, mode="r"), zarr.open_group(path, mode="w")
+    new.attrs.update(dict(old.attrs))
+    rng = np.random.default_rng(1)
+    for name, array in old.arrays():
+        rows = np.asarray(array[:])
+        if name in ("time_s", "position_m"):
+            shape = list(rows.shape)
+            shape[2] = points - rows.shape[2]
+            rows = np.concatenate([rows, rng.normal(size=shape).astype(np.float32)], axis=2)
+        new.create_array(name, data=rows)
+    return path
+
+
+def test_files_of_other_widths_are_flown_by_one_program_to_the_same_bytes(
+    asked, given, planned, flown, tmp_path
+):
+    narrow = zarr.open_group(planned, mode="r")
+    count = int(np.max(narrow["points"][:]))
+    cut = tmp_path / "cut.zarr"
+    shutil.copytree(planned, cut)
+    group = zarr.open_group(cut, mode="r+")
+    for name in ("time_s", "position_m"):
+        group.create_array(name, data=np.asarray(narrow[name][:])[:, :, :count], overwrite=True)
+    wide = widened(cut, tmp_path / "wide.zarr", 29)
+    assert open_plans(cut, asked).shape == open_plans(wide, asked).shape == given.paths
+    # `given` has compiled its programs: a file of another shape would be refused.
+    for path in (cut, wide):
+        run = rollout(asked, out=tmp_path / f"run_{path.stem}", simulator=given, plans=path)
+        assert without_time(run).equals(without_time(flown))
+
+
+def test_files_may_have_more_points_than_planners(asked, planned, tmp_path):
+    widths = {points: open_plans(widened(planned, tmp_path / f"{points}.zarr", points), asked)
+              for points in (33, 100, 1024)}  # fmt: skip
+    assert {n: plans.shape.points for n, plans in widths.items()} == {33: 64, 100: 128, 1024: 1024}
+    with pytest.raises(ConfigError, match="paths of 1025 points; must be 2 to 1024"):
+        open_plans(widened(planned, tmp_path / "over.zarr", 1025), asked)
+
+
+SHORTEST = DOCS.parent / "examples" / "shortest.cpp"
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="there is no C++ compiler (c++)")
+def test_a_planner_in_cpp_without_dependencies(asked, given, tmp_path):
+    binary, made = tmp_path / "shortest", tmp_path / "plans.zarr"
+    problems.make(tmp_path / "problems.zarr", given, raw=True)
+    flags = ["-O2", "-std=c++17", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run(["c++", *flags, "-o", binary, SHORTEST], check=True)
+    said = subprocess.run(
+        [binary, tmp_path / "problems.zarr", made], check=True, capture_output=True, text=True
+    ).stdout
+    group = zarr.open_group(made, mode="r")
+    points = np.asarray(group["points"][:])
+    assert said == f"{int(np.sum(points > 0))} of {points.size} robots have a path\n"
+    assert np.any(points > 0)
+    run = rollout(asked, out=tmp_path / "run", simulator=given, plans=made)
+    rows = run.episodes.to_pylist()
+    assert [row["planned"] for row in rows] == (points.reshape(-1) > 0).tolist()
+    assert {row["plan_reason"] for row in rows} <= {None, "no path"}
+    # Its paths lead to the goals, and no sphere about the hull meets rock on the way.
+    for world, problem in enumerate(given.problems(0, len(points))):
+        grid = problem.grid
+        low = grid.origin_m + grid.cell_m * np.argwhere(grid.occupied)
+        for robot in np.flatnonzero(points[world] > 0):
+            way = group["position_m"][world, robot][: points[world, robot]]
+            np.testing.assert_allclose(way[-1], problem.team.goal_m[robot], atol=1e-5)
+            dense = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(way)])
+            beside = np.maximum(low - dense[:, None], dense[:, None] - low - grid.cell_m)
+            gap = np.linalg.norm(np.maximum(beside, 0.0), axis=-1)
+            assert not low.size or gap.min() >= problem.team.radius_m[robot]
+
+
+def test_a_raw_file_of_problems_holds_the_numbers_that_any_zarr_reader_sees(given, tmp_path):
+    path = tmp_path / "problems.zarr"
+    problems.make(path, given, raw=True)
+    group, wanted = zarr.open_group(path, mode="r"), given.problems(0, 4)
+    named = [name for name, node in group.members(max_depth=None) if isinstance(node, zarr.Array)]
+    for name in named:
+        array = group[name]
+        assert set(array.attrs) == {"unit", "description"}
+        assert len(array.metadata.dimension_names) == array.ndim
+        for world in (0, array.shape[0] - 1):
+            file = path.joinpath(*name.split("/"), "c", str(world), *["0"] * (array.ndim - 1))
+            read = np.frombuffer(file.read_bytes(), array.dtype.newbyteorder("<"))
+            np.testing.assert_array_equal(read.reshape(array.shape[1:]), array[world])
+    for world, problem in enumerate(wanted):
+        np.testing.assert_array_equal(group["grid/occupied"][world], problem.grid.occupied)
+        np.testing.assert_array_equal(group["team/power_w"][world], problem.team.power_w)
+        half = problem.obstacles.half_size_m
+        np.testing.assert_array_equal(group["obstacles/half_size_m"][world], half)
+    units = {name: group[name].attrs["unit"] for name in named}
+    assert units["team/power_w"] == "W"
+    assert units["team/acceleration_mps2"] == "m/s^2"
+    planner = given.scenario.planner
+    about = dict(group.attrs)
+    assert (about["margin_m"], about["max_points"]) == (planner.margin_m, planner.points)
+    assert about["knows"] == {"obstacles": "nothing", "current": "nothing"}

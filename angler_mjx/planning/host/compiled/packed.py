@@ -128,7 +128,7 @@ def _still(problem: Problem, row: int) -> list[float]:
     turned = matrix(np.asarray(known.q[row, 0], float)).T
     return [
         float(known.kind[row]),
-        *known.size_m[row].tolist(),
+        *known.half_size_m[row].tolist(),
         float(known.radius_m[row]),
         *known.p_m[row, 0].tolist(),
         *turned.reshape(-1).tolist(),

@@ -76,7 +76,7 @@ def among(problem: Problem, centres: np.ndarray, radii: np.ndarray) -> Problem:
     turned[..., 0] = 1.0
     more = {
         "kind": np.full(count, SPHERE),
-        "size_m": size,
+        "half_size_m": size,
         "radius_m": radii,
         "exists": np.ones(count, bool),
         "moves": np.zeros(count, bool),

@@ -31,7 +31,7 @@ def obstacles(rows, time_s):
     n, t = len(rows), len(time_s)
     known = KnownObstacles(
         kind=np.array([row[0] for row in rows], np.int32),
-        size_m=np.array([row[1] for row in rows], float).reshape(n, 3),
+        half_size_m=np.array([row[1] for row in rows], float).reshape(n, 3),
         radius_m=np.zeros(n),
         exists=np.ones(n, bool),
         moves=np.array([row[4] for row in rows], bool),
@@ -41,7 +41,7 @@ def obstacles(rows, time_s):
         q=np.array([np.broadcast_to(row[3], (t, 4)) for row in rows]).reshape(n, t, 4),
     )
     for i in range(n):
-        x, y, z = known.size_m[i]
+        x, y, z = known.half_size_m[i]
         known.radius_m[i] = (x, np.sqrt(x * x + y * y + z * z), x + y)[known.kind[i]]
     return known
 
@@ -132,7 +132,7 @@ class Judge:
         ]
         self.low[2] = max(self.low[2], float(world.floor_z_m))
         for i in np.flatnonzero(known.exists & ~known.moves):
-            x, y, z = (float(x) for x in known.size_m[i])
+            x, y, z = (float(x) for x in known.half_size_m[i])
             shape = (coal.Sphere(x), coal.Box(2 * x, 2 * y, 2 * z), coal.Capsule(x, 2 * y))
             where = np.asarray(known.p_m[i, 0], float)
             turn = rotation(known.q[i, 0])

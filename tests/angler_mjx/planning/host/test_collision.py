@@ -56,7 +56,7 @@ def simulated(world):
     def one(pose, a, b, r):
         rock = clearance.capsules_grid(a, b, r, pose[:3], grid.occupied, grid.origin_m, grid.cell_m)
         to_body = jax.vmap(clearance.capsules_obstacle, (None, None, None, 0, 0, 0, 0))
-        bodies = to_body(a, b, r, known.p_m[:, 0], known.q[:, 0], known.kind, known.size_m)
+        bodies = to_body(a, b, r, known.p_m[:, 0], known.q[:, 0], known.kind, known.half_size_m)
         ends = jnp.concatenate([a, b])
         sides = jnp.minimum(ends - low, high - ends) - jnp.concatenate([r, r])[:, None]
         return jnp.minimum(rock, jnp.min(sides)), jnp.min(bodies, initial=jnp.inf)

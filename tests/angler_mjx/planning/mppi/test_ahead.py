@@ -14,7 +14,7 @@ def known(time_s, p_m, velocity_mps):
     n, t = len(p_m), len(time_s)
     return KnownObstacles(
         kind=jnp.zeros(n, jnp.int32),
-        size_m=jnp.ones((n, 3)),
+        half_size_m=jnp.ones((n, 3)),
         radius_m=jnp.linspace(0.5, 0.7, n),
         exists=jnp.arange(n) < n - 1,
         moves=jnp.ones(n, bool),
