@@ -122,6 +122,9 @@ def read_scenario(path: Path) -> Scenario:
         for entry in table["fleet"]:
             entry["vehicle"] = instead.get(entry["vehicle"], entry["vehicle"])
         inputs.put_ocean(table["world"], inputs.ocean_stand_ins(path))
+        if "name" in table.get("planner", {}):
+            name = inputs.planner_stand_in(path, table["planner"]["name"])
+            table["planner"]["name"] = name
     return parse(Scenario, table, source=str(source))
 
 
@@ -221,6 +224,8 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     scenario = read_scenario(place)  # before anything is moved, as the next
     inputs.require_unchanged(place, flag=f"--resume {out}")
+    if (place / inputs.FOLDER).resolve() in Path(scenario.planner.name).parents:
+        tell(f"the planner's file is another one now; the run goes on with {scenario.planner.name}")
     claimed = claims.reclaim(out)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")

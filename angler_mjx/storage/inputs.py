@@ -157,6 +157,24 @@ def ocean_stand_ins(run: Path) -> dict[str, str]:
     }
 
 
+def planner_stand_in(run: Path, name: str) -> str:
+    """Return the planner of a run by a name that can be loaded as it was.
+
+    Args:
+        run: folder of the run.
+        name: of the planner in its scenario.
+
+    Returns:
+        The name; of FILE.py:CLASS whose file was edited or is gone, that of the run's copy.
+    """
+    path, _, qualname = name.rpartition(":")
+    for one in read_inputs(run):
+        same = one.role == PLANNER and Path(path).resolve() == Path(one.source).resolve()
+        if same and _edited(one) is not False:
+            return f"{(run / FOLDER).resolve() / one.copy_path}:{qualname}"
+    return name
+
+
 def of_world(world: WorldConfig) -> list[tuple[str, Path]]:
     """Role and file of each file of an ocean model that a world uses."""
     return [(OCEAN, Path(file)) for file in world.files]
@@ -180,7 +198,8 @@ def _edited(one: Input) -> bool | None:
 def require_unchanged(run: Path, *, flag: str) -> None:
     """Refuse to go on with files other than those with which a run began.
 
-    Files that are gone are no obstacle: their copies are there.
+    Files that are gone are no obstacle: their copies are there. Of planners the copy is used where
+    the file is another one now.
 
     Raises:
         ConfigError: naming them.
@@ -188,11 +207,7 @@ def require_unchanged(run: Path, *, flag: str) -> None:
     kept = read_inputs(run)
     used = {(one.role, one.named): one.sha256 for one in kept}
     for one in kept:
-        if one.role == PLANNER:
-            same = _find(PLANNER, one.named, Path(one.source)).sha256 == one.sha256
-        else:
-            same = one.role != OCEAN or not _edited(one)
-        if not same:
+        if one.role == OCEAN and _edited(one):
             raise ConfigError(
                 f"{flag}: {one.source} was edited since the run began (what it was lies in "
                 f"{run / FOLDER}): put the old file back, or begin a new run"

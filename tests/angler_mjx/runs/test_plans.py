@@ -304,6 +304,19 @@ def test_a_run_goes_on_with_its_own_plans(asked, given, planned, flown, tmp_path
     assert without_time(resume(out, simulator=given)).equals(without_time(flown))
 
 
+def test_a_run_goes_on_with_the_planner_that_it_began_with(asked, simulator, flown, file, tmp_path):
+    out, said, text = tmp_path / "run", [], file.read_text()
+    rollout(asked, out=out, simulator=simulator, progress=Once())
+    progress = Once()
+    progress.done, progress.tell = float("-inf"), said.append
+    file.write_text("edited while the run was interrupted: no Python\n")
+    try:
+        assert without_time(resume(out, workers=1, progress=progress)).equals(without_time(flown))
+    finally:
+        file.write_text(text)
+    assert "inputs/planners/straight.py:Lame" in said[0]
+
+
 class Once(Silent):
     """Interrupts in the second tile."""
 
