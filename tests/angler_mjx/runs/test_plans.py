@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import zarr
 
+from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.progress import Silent
@@ -22,7 +23,7 @@ from angler_mjx.simulator.hosted import status_of
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.storage.plans import problems
 from angler_mjx.storage.plans import write as plan_writer
-from angler_mjx.storage.plans.read import open_plans
+from angler_mjx.storage.plans.read import how_planned, open_plans
 
 DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
 TEN_LINES, *_, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)
@@ -327,6 +328,39 @@ class Once(Silent):
         self.done += worlds
         if self.done > 2.0:
             raise KeyboardInterrupt
+
+
+RAISES = """
+
+class Raises:
+    def plan(self, problem):
+        return self.paths[problem.name.world]
+"""
+
+
+def test_a_command_whose_planner_raises_in_every_world_fails_and_names_the_line(
+    scenario_file, tmp_path, capsys
+):
+    file = tmp_path / "raises.py"
+    file.write_text(RAISES)
+    planner = f"{file}:Raises"
+    words = ["plan", str(scenario_file), "--planner", planner, "--worlds", "2", "--workers", "1"]
+    with pytest.raises(SystemExit) as end:
+        main([*words, "--out", str(tmp_path / "plans.zarr")])
+    assert end.value.code == 2
+    said = capsys.readouterr()
+    raised = "AttributeError: 'Raises' object has no attribute 'paths' (raises.py:5)"
+    assert f"angler: planner {planner} planned none of 2 worlds: {raised}; " in said.err
+    assert f"in 2 worlds: {raised}\n" in said.out
+    # What was planned is there all the same.
+    assert how_planned(tmp_path / "plans.zarr")["worlds"] == {"error": 2}
+    # In one world alone, in this process, the exception comes as it is.
+    with pytest.raises(AttributeError, match="paths") as caught:
+        main([*words, "--debug", "1"])
+    assert caught.traceback[-1].path == file
+    with pytest.raises(SystemExit) as end:
+        main(["plan", str(scenario_file), "--planner", "grid", "--debug", "0"])
+    assert end.value.code == 2
 
 
 def widened(source, path, points):
