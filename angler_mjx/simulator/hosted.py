@@ -4,6 +4,7 @@ The device flies one wave of worlds while the workers plan the next.
 """
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
@@ -181,6 +182,28 @@ def gather(answers: Mapping[int, Answer], held: Path) -> tuple[Path, PlanNotes]:
                 found[w, r] = True
     notes = PlanNotes(planning_s=seconds, status=status_of(found, said), reason=reason)
     return made, notes
+
+
+FAILED = ("error", "died", "timeout")
+"""Statuses of worlds whose planner raised, died or gave no answer in time."""
+
+
+def warn_of_failures(notes: PlanNotes | None, first: int) -> None:
+    """Warn of worlds whose planner failed, for callers that receive the worlds alone.
+
+    Args:
+        notes: of the worlds; None where they were planned on the device.
+        first: index of the first of them.
+    """
+    if notes is None:
+        return
+    failed = np.flatnonzero(np.isin(notes.status.astype(str), FAILED))
+    if failed.size:
+        some = f" ({failed.size} of {len(notes.status)} worlds)" if failed.size > 1 else ""
+        reason = notes.reason[failed[0]][0]
+        warnings.warn(
+            f"world {first + failed[0]} has no plan: {reason}{some}", RuntimeWarning, stacklevel=4
+        )
 
 
 def _fill(made: Any, at: tuple[int, int], path: Path) -> None:

@@ -280,7 +280,9 @@ class Simulator:
         Raises:
             ConfigError: as `worlds`.
         """
-        return self.finish(self.begin(firsts, seed=seed))[0]
+        worlds, notes = self.finish(self.begin(firsts, seed=seed))
+        hosted.warn_of_failures(notes, firsts[0])
+        return worlds
 
     @property
     def planner(self) -> PlannerSpec | None:

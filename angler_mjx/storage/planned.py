@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.simulator.hosted import PlanNotes
+from angler_mjx.simulator.hosted import FAILED, PlanNotes
 from angler_mjx.storage import intervals
 
 RAISED = ("error", "died")
 """Statuses of worlds whose planner raised an exception, or whose process died."""
-
-FAILED = (*RAISED, "timeout")
-"""Statuses of worlds whose planner gave no answer in time."""
 
 NO_PATH = "the planner found no path"
 """Reason of a robot without a plan for which the planner gave none."""

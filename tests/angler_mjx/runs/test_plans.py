@@ -165,6 +165,11 @@ def test_only_worlds_of_the_run_are_planned(simulator):
     assert list(notes.status) == ["planned", "none"]
 
 
+def test_who_takes_worlds_alone_is_warned_of_a_planner_that_raised(simulator):
+    with pytest.warns(RuntimeWarning, match=r"world 0 has no plan: ValueError: no idea \(straight"):
+        simulator.worlds(0)
+
+
 def test_a_world_of_which_some_are_planned_is_partial():
     found = np.array([[True, True], [True, False], [False, False], [False, False]])
     counted = ["planned", "partial", "none", "none"]
