@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.cli import main as cli
+from angler_mjx.datasets import index, manifest
 from angler_mjx.scenario import reference
 
 ROOT = Path(__file__).parent.parent
@@ -126,3 +127,22 @@ def test_the_reference_has_every_key_of_the_shipped_files():
         for path in folder.rglob("*.toml"):
             for key in re.findall(r"^([a-z_0-9]+) = ", path.read_text(), re.M):
                 assert f"| `{key}` |" in page, f"{path.name}: {key}"
+
+
+def test_every_field_of_a_dataset_is_documented():
+    """With the unit and meaning that the index has in its own metadata."""
+    text = (ROOT / "docs" / "datasets.md").read_text(encoding="utf-8")
+    fields = text.partition("## Fields")[2].partition("\n## ")[0]
+    documented, columns = fields.split("`index.parquet`", 1)
+    rows = re.findall(r"^\| (`.*?) \|", documented, re.M)
+    names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
+    assert sorted(names) == sorted(manifest.Manifest.model_fields)
+    for model in (manifest.PartEntry, manifest.ArrayEntry):
+        for name in model.model_fields:
+            assert f"`{name}`" in documented, name
+    found = re.findall(r"^\| `(\w+)` \| (.*?) ?\| (.*) \|$", columns, re.M)
+    wanted = []
+    for field in index.SCHEMA:
+        unit, meaning = (field.metadata[key].decode() for key in (b"unit", b"description"))
+        wanted.append((field.name, unit.replace("1", ""), meaning))
+    assert found == wanted

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from angler_mjx.testing.referee import Verdict
 
 EXIT_DISAGREES = 1
+EXIT_INCONCLUSIVE = 3
 
 SHOWN = 100
 """Differences that are printed; the JSON object holds all."""
@@ -28,7 +29,9 @@ def verify(
     A second judge, which shares nothing with the simulator, works out every robot's outcome, times,
     path, energy, clearance and touch. Record at the control rate (--record-hz 20 where control_dt_s
     is 0.05) to have all of them worked out; of other runs it says what can only be bounded. Exits
-    with 0 when all agrees, with 1 when something does not, with 2 when the run cannot be judged.
+    with 0 when nothing disagrees and outcomes were worked out anew, with 1 when something
+    disagrees, with 2 when the run cannot be judged, with 3 when nothing disagrees but no outcome
+    could be worked out anew.
 
     Args:
         run: Run folder.
@@ -51,8 +54,10 @@ def verify(
         print(text.dumps(verdict.table()))
     else:
         _report(verdict)
-    if not verdict.agrees:
+    if verdict.conclusion == "disagrees":
         sys.exit(EXIT_DISAGREES)
+    if verdict.conclusion == "inconclusive":
+        sys.exit(EXIT_INCONCLUSIVE)
 
 
 def _report(verdict: "Verdict") -> None:
@@ -86,5 +91,15 @@ def _report(verdict: "Verdict") -> None:
         largest = f"{count.largest:.2g} {unit}" if unit and count.exact else ""
         table.add_row(name, *map(str, numbers), largest)
     Console().print(table)
-    wrong = sum(count.disagrees for count in verdict.counts.values())
-    print("agrees" if verdict.agrees else f"does not agree: {wrong} findings")
+    print(f"outcomes: {verdict.counts['outcome'].text()}")
+    print(_conclusion(verdict))
+
+
+def _conclusion(verdict: "Verdict") -> str:
+    """Return the last line: what the findings come to."""
+    if verdict.conclusion == "disagrees":
+        wrong = sum(count.disagrees for count in verdict.counts.values())
+        return f"does not agree: {wrong} findings"
+    if verdict.conclusion == "inconclusive":
+        return "inconclusive: nothing disagrees, but no outcome could be worked out anew"
+    return verdict.conclusion

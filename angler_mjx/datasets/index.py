@@ -44,8 +44,19 @@ _COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("density", pa.float32(), "1", "share of cells that are occupied"),
     ("path_ratio", pa.float32(), "1", "shortest way over straight line, mean of the robots"),
     ("free_lines", pa.int32(), "1", "robots whose straight line to the goal meets no rock"),
-    ("crossings", pa.int32(), "1", "pairs of robots whose straight lines pass within 1.5 m"),
-    ("difficulty", pa.string(), "", "trivial: all lines free and none cross; blocked; crossing"),
+    (
+        "crossings",
+        pa.int32(),
+        "1",
+        "pairs of robots whose straight lines pass within 1.5 m, nearer than their ends are",
+    ),
+    (
+        "difficulty",
+        pa.string(),
+        "",
+        "trivial: all lines free and none cross; blocked: rock in some, none cross; crossing: some "
+        "cross, rock in half of them or fewer; both: some cross, rock in more than half",
+    ),
     ("chosen", pa.bool_(), "1", "whether it is given to readers that do not ask for all"),
 )
 
@@ -59,6 +70,9 @@ SCHEMA = pa.schema(
 
 CROSSING_M = 1.5
 """Lines that pass each other nearer than this cross: two vehicles and a metre between them."""
+
+ROUNDING_M = 1e-3
+"""Positions are stored in float32 and in steps of a millimetre."""
 
 
 def rows(
@@ -96,7 +110,6 @@ def rows(
         for name in ("density", "path_ratio", "free_lines", "crossings")
     }
     free, crossings = drawn["free_lines"], drawn["crossings"]
-    trivial = (free == robots) & (crossings == 0)
     hz = scenario.time.record_hz
     policy = scenario.policy
     knows = scenario.planner.knows
@@ -129,7 +142,7 @@ def rows(
         "path_ratio": drawn["path_ratio"].astype(np.float32),
         "free_lines": free.astype(np.int32),
         "crossings": crossings.astype(np.int32),
-        "difficulty": np.where(trivial, "trivial", np.where(crossings > 0, "crossing", "blocked")),
+        "difficulty": difficulty(free, crossings, robots),
         "chosen": np.ones(count, bool),
     }
     return pa.table(columns, schema=SCHEMA)
@@ -188,16 +201,42 @@ def split_of(digest: str, shares: SplitConfig) -> str:
     return SPLITS[-1]
 
 
+def difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np.ndarray:
+    """Return the level of each episode, str [n]: one of `sampling.DIFFICULTIES`.
+
+    Lines that cross alone do not tell episodes apart where every team starts in other corners and
+    meets in the middle; how many of them rock lies in does.
+
+    Args:
+        free_lines: int [n], robots whose straight line to the goal meets no rock.
+        crossings: int [n], pairs whose straight lines cross.
+        robots: of each team.
+    """
+    blocked = robots - free_lines
+    level: np.ndarray = np.select(
+        [(crossings == 0) & (blocked == 0), crossings == 0, 2 * blocked <= robots],
+        ["trivial", "blocked", "crossing"],
+        "both",
+    )
+    return level
+
+
 def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
-    """Pairs of robots [n] whose straight lines pass within `CROSSING_M` of each other.
+    """Return the number of pairs of robots [n] whose straight lines cross.
+
+    Lines cross that pass within `CROSSING_M` of each other, and nearer than the robots are at their
+    starts and at their goals: those of robots side by side do not.
 
     Args:
         start_m: [n, r, 3].
         goal_m: [n, r, 3].
     """
     a, b = np.triu_indices(start_m.shape[1], 1)
+    start_m, goal_m = start_m.astype(float), goal_m.astype(float)
     gap = segment_gap_m(start_m[:, a], goal_m[:, a], start_m[:, b], goal_m[:, b])
-    pairs: np.ndarray = (gap < CROSSING_M).sum(axis=-1)
+    ends = [np.linalg.norm(at[:, a] - at[:, b], axis=-1) for at in (start_m, goal_m)]
+    nearer = gap < np.minimum(*ends) - ROUNDING_M
+    pairs: np.ndarray = ((gap < CROSSING_M) & nearer).sum(axis=-1)
     return pairs
 
 

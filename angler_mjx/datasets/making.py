@@ -14,6 +14,7 @@ from angler_mjx.datasets import card, describing, index, manifest, sums
 from angler_mjx.datasets import parts as flown
 from angler_mjx.datasets.config import DatasetConfig
 from angler_mjx.datasets.parts import Part
+from angler_mjx.datasets.sampling import CROSSED
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
@@ -148,12 +149,14 @@ def _require_one_recording(parts: Sequence[Part], source: str) -> None:
 
 def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str) -> None:
     """Refuse crossings where no two robots are."""
-    wished = config.sample.at_least.get("crossing", 0.0)
-    if wished > 0.0 and all(part.robots < 2 for part in parts if part.split is None):
-        raise ConfigError(
-            f"{source}: sample.at_least.crossing = {wished:g}: every team that is not of a shifted "
-            "scene is one robot, which crosses nobody; give teams of two or more"
-        )
+    if not all(part.robots < 2 for part in parts if part.split is None):
+        return
+    for kind in CROSSED:
+        if (wished := config.sample.at_least.get(kind, 0.0)) > 0.0:
+            raise ConfigError(
+                f"{source}: sample.at_least.{kind} = {wished:g}: every team that is not of a "
+                "shifted scene is one robot, which crosses nobody; give teams of two or more"
+            )
 
 
 def tile_of(part: Part) -> int:

@@ -14,11 +14,13 @@ from pydantic import Field, model_validator
 
 from angler_mjx.files import FileModel
 
-type Kind = Literal["trivial", "crossing", "blocked", "failed"]
+type Kind = Literal["trivial", "crossing", "blocked", "both", "failed"]
 """Values of the index's ``difficulty``; ``failed``: not all of the team arrived."""
 
-DIFFICULTIES: tuple[Kind, ...] = ("trivial", "crossing", "blocked")
+DIFFICULTIES: tuple[Kind, ...] = ("trivial", "crossing", "blocked", "both")
 """Each episode is one of them."""
+CROSSED: tuple[Kind, ...] = ("crossing", "both")
+"""Those in which straight lines of robots cross."""
 FAILED: Kind = "failed"
 
 
@@ -78,7 +80,7 @@ CELLS: Mapping[Kind, np.ndarray] = {
     },
     "failed": np.tile([False, True], len(DIFFICULTIES)),
 }
-"""Bool [6]: which kinds of episodes, by difficulty and whether they failed, each name holds."""
+"""Bool [8]: which kinds of episodes, by difficulty and whether they failed, each name holds."""
 
 
 def is_of(table: pa.Table, kind: Kind) -> np.ndarray:

@@ -175,7 +175,7 @@ def verify(
         if (more := len(report.findings) - SHOWN) > 0:
             print(f"... and {more} more; --json holds all of them")
         for check in report.checks:
-            print(f"{check.name}: {check.looked_at}: {len(check.findings) or 'nothing'} wrong")
+            print(check.line())
     if not report.agrees:
         sys.exit(1)
 
@@ -264,13 +264,16 @@ def stats(
         table.add_row(name, *(f"{value[key]:.3g}" for key in ("p10", "p50", "p90")))
     console.print(table)
     table = text_table("field", "mean", "standard deviation")
-    for name, value in found["fields"].items():
+    rows = list(found["fields"].items())
+    for vehicle, fields in found["fields_by_vehicle"].items():
+        rows += [(f"{name} of {vehicle}", value) for name, value in fields.items()]
+    for name, value in rows:
         table.add_row(name, *(_numbers(value[key]) for key in ("mean", "std")))
     console.print(table)
 
 
-def _numbers(values: list[float]) -> str:
-    return " ".join(f"{value:.3g}" for value in values)
+def _numbers(values: list[float | None]) -> str:
+    return " ".join("-" if value is None else f"{value:.3g}" for value in values)
 
 
 def export(

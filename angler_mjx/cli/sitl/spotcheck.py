@@ -96,6 +96,8 @@ def spotcheck(
                 row.track_rms_m[0],
                 row.path_rms_m[0],
             )
+        if made is not None and made.left_out:
+            print(f"not checked, nothing was flown of them: {', '.join(made.left_out)}")
         _end(place, complete=made is not None)
         return
     with _Bar() as bar:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.datasets.reading.dataset import Dataset
 from angler_mjx.datasets.reading.episode import Episode
 from angler_mjx.errors import ConfigError
@@ -28,7 +29,22 @@ OTHER = ("there", "dx_m", "dy_m", "dz_m", "dvx_mps", "dvy_mps", "dvz_mps")
 """Of each other robot."""
 
 ACTIONS = {"target": ("target_x_m", "target_y_m", "target_z_m"), "pwm": ()}
-"""What a robot did, by name: where its controller aimed, world frame; or pulse widths, us."""
+"""What a robot did, by name: where its controller aimed, world frame; or pulse widths, us. Those of
+thrusters that a robot does not have are neutral."""
+
+UNITS = {
+    "m": "m",
+    "mps": "m/s",
+    "radps": "rad/s",
+    "us": "us",
+    "s": "s",
+    "qw": "1",
+    "qx": "1",
+    "qy": "1",
+    "qz": "1",
+    "there": "1",
+}
+"""Units by the last word of a number's name."""
 
 NEEDED = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
 
@@ -72,6 +88,16 @@ def action_names(data: Dataset, action: str) -> tuple[str, ...]:
     return tuple(f"pwm_{i}_us" for i in range(most))
 
 
+def unit(name: str) -> str:
+    """Return the unit of a number of a state, of another robot or of an action, from its name."""
+    return UNITS[name.rpartition("_")[2]]
+
+
+def other_names(data: Dataset) -> tuple[str, ...]:
+    """Return the names of the numbers of the other robots, nearest first."""
+    return tuple(f"other_{i}_{name}" for i in range(int(data.robots.max()) - 1) for name in OTHER)
+
+
 def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterator[Flight]:
     """All of a dataset, one after another.
 
@@ -112,7 +138,7 @@ def _flight(
     steps = int(episode.running[:, robot].sum())
     arrays: dict[str, np.ndarray] = {n: values[:steps] for n, values in episode.arrays.items()}
     given = arrays["target_m" if action == "target" else "pwm_us"][:, robot]
-    made = np.zeros((steps, width), np.float32)
+    made = np.full((steps, width), NEUTRAL_US if action == "pwm" else 0.0, np.float32)
     made[:, : given.shape[-1]] = given
     goal = np.broadcast_to(episode.goal_m[robot], (steps, 3))
     state = [arrays[name][:, robot] for name in ("p_m", "q", "nu")]
@@ -156,10 +182,10 @@ def _over_ground(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
 
 
 def about(data: Dataset, action: str) -> dict[str, Any]:
-    """What stands beside the numbers in every format."""
+    """What stands beside the numbers in every format: names, units and frames."""
+    names = {"state": STATE, "others": OTHER, "action": action_names(data, action)}
     return {
-        "state": list(STATE),
-        "others": list(OTHER),
-        "action": list(action_names(data, action)),
+        **{key: list(of) for key, of in names.items()},
+        "units": {name: unit(name) for of in names.values() for name in of},
         "frames": "world x east, y north, z up; body x forward, y left, z up; quaternion wxyz",
     }

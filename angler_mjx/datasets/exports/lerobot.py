@@ -5,7 +5,7 @@ LeRobot; writing takes Parquet and JSON alone.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from angler_mjx.datasets.exports import flights
+from angler_mjx.datasets.exports import flights, lerobot_statistics
 from angler_mjx.datasets.exports.flights import Flight
+from angler_mjx.datasets.exports.lerobot_statistics import Statistics
 from angler_mjx.datasets.reading.dataset import Dataset
 from angler_mjx.errors import ConfigError
 from angler_mjx.storage import folder
@@ -27,8 +28,10 @@ CHUNK = 1000
 """Files of a folder."""
 FRAMES = 500_000
 """Of a data file."""
-PLACES = 100_000
-"""Episodes of a file of episodes."""
+PLACES = 10_000
+"""Episodes of a file of episodes, some 50 MB of statistics at most."""
+GROUP = 1000
+"""Episodes of a row group, which are kept in memory until they are written."""
 
 _COUNTED = ("frame_index", "episode_index", "index", "task_index")
 
@@ -66,7 +69,7 @@ class _Writing:
     """A dataset in the making."""
 
     def __init__(self, out: Path, data: Dataset, actions: tuple[str, ...]) -> None:
-        others = (int(data.robots.max()) - 1) * len(flights.OTHER)
+        others = list(flights.other_names(data))
         self.out = out
         self.splits: dict[str, str] = {}
         self.episodes = self.frames = 0
@@ -75,15 +78,11 @@ class _Writing:
             "action": list(actions),
         }
         if others:
-            self._names["observation.environment_state"] = [
-                f"other_{i}_{name}"
-                for i in range(others // len(flights.OTHER))
-                for name in flights.OTHER
-            ]
+            self._names["observation.environment_state"] = others
         self._tasks: dict[str, int] = {}
-        self._rows: list[dict[str, Any]] = []
         self._files = _Files(out, DATA, self._schema())
-        self._sums = {name: _Sums(len(parts)) for name, parts in self._names.items()}
+        self._episodes = _Episodes(out)
+        self._statistics: dict[str, Statistics] = {}
 
     def _schema(self) -> pa.Schema:
         vectors = [(name, pa.list_(pa.float32(), len(x))) for name, x in self._names.items()]
@@ -100,21 +99,26 @@ class _Writing:
             "action": flight.action,
             "observation.environment_state": flight.others.reshape(steps, -1),
         }
-        columns: dict[str, Any] = {}
-        for name, parts in self._names.items():
-            rows = np.ascontiguousarray(values[name], np.float32)
-            columns[name] = pa.FixedSizeListArray.from_arrays(rows.reshape(-1), len(parts))
-            self._sums[name].add(rows)
-        columns |= {
+        counted = {
             "timestamp": flight.time_s - flight.time_s[0],
             "frame_index": np.arange(steps),
             "episode_index": np.full(steps, self.episodes),
             "index": np.arange(self.frames, self.frames + steps),
             "task_index": np.full(steps, task),
         }
+        columns: dict[str, Any] = {}
+        statistics: dict[str, Statistics] = {}
+        for name, parts in self._names.items():
+            rows = np.ascontiguousarray(values[name], np.float32)
+            columns[name] = pa.FixedSizeListArray.from_arrays(rows.reshape(-1), len(parts))
+            statistics[name] = lerobot_statistics.of_episode(rows)
+        for name, numbers in counted.items():
+            columns[name] = numbers
+            statistics[name] = lerobot_statistics.of_episode(numbers[:, None])
+        self._aggregate(statistics)
         chunk, file = self._files.write(columns, steps)
         number = self.episodes // PLACES
-        self._rows.append(
+        self._episodes.add(
             {
                 "episode_index": self.episodes,
                 "tasks": [flight.task],
@@ -123,6 +127,7 @@ class _Writing:
                 "data/file_index": file,
                 "dataset_from_index": self.frames,
                 "dataset_to_index": self.frames + steps,
+                **lerobot_statistics.columns(statistics),
                 "meta/episodes/chunk_index": number // CHUNK,
                 "meta/episodes/file_index": number % CHUNK,
                 "outcome": flight.outcome,
@@ -132,17 +137,23 @@ class _Writing:
         self.episodes += 1
         self.frames += steps
 
+    def _aggregate(self, episode: dict[str, Statistics]) -> None:
+        """Add an episode's statistics to those of all episodes."""
+        for name, statistics in episode.items():
+            before = [self._statistics[name]] if name in self._statistics else []
+            self._statistics[name] = lerobot_statistics.aggregated([*before, statistics])
+
     def close(self, hz: int) -> None:
         """Write what says what all of it is."""
         self._files.close()
-        for number, rows in enumerate(_slices(self._rows, PLACES)):
-            place = EPISODES.format(chunk_index=number // CHUNK, file_index=number % CHUNK)
-            (self.out / place).parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(pa.Table.from_pylist(rows), self.out / place)
+        self._episodes.close()
         pq.write_table(_tasks(self._tasks), self.out / "meta" / "tasks.parquet")
         folder.write_json(
             self.out / "meta" / "stats.json",
-            {name: sums.table() for name, sums in self._sums.items()},
+            {
+                feature: {name: values.tolist() for name, values in statistics.items()}
+                for feature, statistics in self._statistics.items()
+            },
         )
         folder.write_json(self.out / "meta" / "info.json", self._info(hz))
 
@@ -198,38 +209,44 @@ class _Files:
             self._writer.close()
 
 
-class _Sums:
-    """What normalises a feature."""
+class _Episodes:
+    """Files of episodes, one after another, a row group at a time."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._rows: list[dict[str, Any]] = []
         self._count = 0
-        self._first, self._second = np.zeros(width), np.zeros(width)
-        self._low, self._high = np.full(width, np.inf), np.full(width, -np.inf)
+        self._writer: Any = None
 
-    def add(self, rows: np.ndarray) -> None:
-        """Take rows in."""
-        rows = rows.astype(float)
-        self._count += len(rows)
-        self._first += rows.sum(axis=0)
-        self._second += (rows**2).sum(axis=0)
-        self._low = np.minimum(self._low, rows.min(axis=0))
-        self._high = np.maximum(self._high, rows.max(axis=0))
+    def add(self, row: dict[str, Any]) -> None:
+        """Add the row of an episode."""
+        if self._count % PLACES == 0:
+            self.close()
+        self._rows.append(row)
+        self._count += 1
+        if len(self._rows) == GROUP:
+            self._write()
 
-    def table(self) -> dict[str, list[float]]:
-        """By LeRobot's names."""
-        mean = self._first / max(self._count, 1)
-        spread = np.sqrt(np.maximum(self._second / max(self._count, 1) - mean**2, 0.0))
-        return {
-            "min": self._low.tolist(),
-            "max": self._high.tolist(),
-            "mean": mean.tolist(),
-            "std": spread.tolist(),
-            "count": [self._count],
-        }
+    def close(self) -> None:
+        """Write the remaining rows and end the file that is open."""
+        self._write()
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
 
-
-def _slices(rows: list[dict[str, Any]], step: int) -> Iterator[list[dict[str, Any]]]:
-    return (rows[at : at + step] for at in range(0, len(rows), step))
+    def _write(self) -> None:
+        if not self._rows:
+            return
+        table = pa.Table.from_pylist(self._rows)
+        if self._writer is None:
+            number = self._rows[0]["episode_index"] // PLACES
+            path = self._out / EPISODES.format(
+                chunk_index=number // CHUNK, file_index=number % CHUNK
+            )
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, table.schema)
+        self._writer.write_table(table)
+        self._rows = []
 
 
 def _tasks(tasks: dict[str, int]) -> pa.Table:

@@ -87,6 +87,17 @@ def shapes(around: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 _TAILS = {"centers": 3, "dims": 3, "quaternions": 4, "radii": 1, "heights": 1}
 
 
+ATTRIBUTES = {
+    "solutions": {"unit": "m, m, m, rad", "description": "x, y, z and heading, evenly in time"},
+    "centers": {"unit": "m", "description": "centres, world frame; zeros behind the last shape"},
+    "dims": {"unit": "m", "description": "whole edges along the shape's own axes"},
+    "quaternions": {"unit": "1", "description": "attitudes wxyz, from the shape's frame to W"},
+    "radii": {"unit": "m", "description": "radii"},
+    "heights": {"unit": "m", "description": "whole heights along z of the shape's frame"},
+}
+"""Attributes of every array, by the last word of its name."""
+
+
 def _most(data: Dataset) -> dict[str, int]:
     """Rows that each kind of shape needs."""
     most: dict[str, int] = {}
@@ -102,9 +113,11 @@ def _describe(file: Any, most: Mapping[str, int], split: str) -> None:
     wanted = {"global_solutions": (POINTS, 4)}
     wanted |= {name: (rows, _TAILS[name.rpartition("_")[2]]) for name, rows in most.items()}
     for name, tail in wanted.items():
-        file.create_dataset(
+        made = file.create_dataset(
             name, (0, *tail), "f8", maxshape=(None, *tail), chunks=(16, *tail), compression="gzip"
         )
+        for key, text in ATTRIBUTES[name.rpartition("_")[2]].items():
+            made.attrs[key] = text
 
 
 def _append(file: Any, rows: Mapping[str, np.ndarray]) -> None:

@@ -42,17 +42,16 @@ def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) ->
 
 
 def _schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -> pa.Schema:
-    fields: list[tuple[str, pa.DataType]] = [
-        ("episode", pa.int64()),
-        ("robot", pa.int32()),
-        ("split", pa.dictionary(pa.int32(), pa.string())),
-        ("outcome", pa.dictionary(pa.int32(), pa.string())),
-        ("time_s", pa.float32()),
-        *((name, pa.float32()) for name in flights.STATE),
-        *((f"action_{name}", pa.float32()) for name in actions),
+    text = pa.dictionary(pa.int32(), pa.string())
+    numbers = ["time_s", *flights.STATE, *(f"action_{name}" for name in actions)]
+    numbers += flights.other_names(data)
+    fields = [
+        pa.field("episode", pa.int64(), metadata={"unit": "1"}),
+        pa.field("robot", pa.int32(), metadata={"unit": "1"}),
+        pa.field("split", text),
+        pa.field("outcome", text),
+        *(pa.field(name, pa.float32(), metadata={"unit": flights.unit(name)}) for name in numbers),
     ]
-    most = int(data.robots.max()) - 1
-    fields += [(f"other_{i}_{name}", pa.float32()) for i in range(most) for name in flights.OTHER]
     return pa.schema(fields, metadata={"angler": json.dumps(about)})
 
 

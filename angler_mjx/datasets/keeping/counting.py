@@ -9,14 +9,16 @@ import pyarrow as pa
 
 from angler_mjx.datasets import index, manifest
 from angler_mjx.datasets.reading.dataset import Dataset, open_dataset
-from angler_mjx.storage import folder
+from angler_mjx.storage import folder, layout
 
 MEASURES = ("duration_s", "energy_j", "density", "path_ratio", "samples")
 """Columns of the index of which quantiles are told."""
 
 
 def stats(place: Path, most: int = 1000) -> dict[str, Any]:
-    """Counts by split, scene, expert and outcome, quantiles, and what normalises fields.
+    """Return counts by split, scene, expert and outcome, quantiles, and what normalises fields.
+
+    Fields of thrusters stand by vehicle, where several fly: a column is another thruster in each.
 
     Args:
         place: of the dataset.
@@ -33,6 +35,7 @@ def stats(place: Path, most: int = 1000) -> dict[str, Any]:
             outcomes[name] = outcomes.get(name, 0) + 1
     learned = "train" if "train" in found.splits else None
     data: Dataset = open_dataset(place, split=learned)
+    several = len(data.vehicles) > 1
     return {
         "name": found.name,
         "episodes": found.episodes,
@@ -43,9 +46,31 @@ def stats(place: Path, most: int = 1000) -> dict[str, Any]:
         "by": {column: _by(table, column) for column in ("split", "scene", "expert", "difficulty")},
         "quantiles": {name: _quantiles(table[name].to_numpy()) for name in MEASURES},
         "fields": {
-            name: {"mean": mean.tolist(), "std": std.tolist()}
+            name: _moments(mean, std)
             for name, (mean, std) in data.statistics(most).items()
+            if not (several and _of_thrusters(name))
         },
+        "fields_by_vehicle": {
+            vehicle: {
+                name: _moments(mean, std)
+                for name, (mean, std) in data.statistics(most, vehicle=vehicle).items()
+                if _of_thrusters(name)
+            }
+            for vehicle in (data.vehicles if several else ())
+        },
+    }
+
+
+def _of_thrusters(name: str) -> bool:
+    """Return whether the components of a field are thrusters, which differ between vehicles."""
+    return layout.ARRAYS[name].dims[-1] == "thruster"
+
+
+def _moments(mean: np.ndarray, std: np.ndarray) -> dict[str, list[float | None]]:
+    """Return both as plain numbers, None where no robot has the component."""
+    return {
+        name: [None if np.isnan(x) else float(x) for x in values]
+        for name, values in (("mean", mean), ("std", std))
     }
 
 

@@ -13,11 +13,13 @@ import zarr
 from angler_mjx.datasets import index, manifest
 from angler_mjx.datasets.config import SplitConfig
 from angler_mjx.datasets.reading.episode import Episode
+from angler_mjx.datasets.reading.statistics import Statistics, statistics
 from angler_mjx.datasets.reading.stored import StoredArray
 from angler_mjx.datasets.reading.windows import Windows
 from angler_mjx.errors import ConfigError, UnsupportedError, shown
 from angler_mjx.storage import folder, layout
 from angler_mjx.storage.damage import reading
+from angler_mjx.vehicles import library
 
 FIELDS = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us", "obstacle_p_m")
 """Arrays that are read where none are named."""
@@ -43,6 +45,7 @@ class Dataset:
         self._stored: dict[tuple[int, str], StoredArray] = {}
         self._names: dict[int, list[str]] = {}
         self._runs: dict[int, folder.Run] = {}
+        self._thrusters: dict[tuple[int, str], int] = {}
         self._around: tuple[tuple[int, int], dict[str, np.ndarray]] = ((-1, -1), {})
         self._rows: dict[str, np.ndarray] = {
             name: table[name].to_numpy(zero_copy_only=False)
@@ -187,31 +190,58 @@ class Dataset:
         """Windows of a fixed length, of all episodes; see `Windows`."""
         return Windows(self, length, stride=stride, every=every, of=of, neighbours=neighbours)
 
-    def statistics(self, most: int = 1000) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Mean and standard deviation of each field's components while robots are on their way.
+    @cached_property
+    def vehicles(self) -> tuple[str, ...]:
+        """Labels of all vehicles that fly in it, sorted."""
+        parts = set(self._rows["part"].tolist())
+        return tuple(sorted({x for part in parts for x in self._labels(part)}))
+
+    def labels(self, episode: int) -> list[str]:
+        """Return the vehicle of each robot [robot], by its label in ``episodes.parquet``."""
+        return self._labels(int(self._rows["part"][episode]))
+
+    def _labels(self, part: int) -> list[str]:
+        """Vehicles of the robots of a part: the same in all of its worlds."""
+        robots = len(self.run(part).scenario.members())
+        labels: list[str] = self.run(part).episodes["vehicle"].slice(0, robots).to_pylist()
+        return labels
+
+    def thrusters(self, episode: int, label: str) -> int:
+        """Return the number of thrusters of a vehicle, from the copy of its file in the run.
+
+        Raises:
+            ConfigError: the copy is damaged.
+        """
+        part = int(self._rows["part"][episode])
+        count = self._thrusters.get((part, label))
+        if count is None:
+            vehicle = library.load(self.run(part).vehicle_file(label))
+            count = self._thrusters[part, label] = len(vehicle.thrusters.layout)
+        return count
+
+    def obstacles_exist(self, episode: int) -> np.ndarray:
+        """Return which rows of obstacle arrays are obstacles of this episode, bool [obstacle]."""
+        around = self._environment(
+            int(self._rows["part"][episode]), int(self._rows["world"][episode])
+        )
+        exist: np.ndarray = np.asarray(around.get("obstacles/exists", ()), bool)
+        return exist
+
+    def statistics(self, most: int = 1000, *, vehicle: str | None = None) -> Statistics:
+        """Return mean and standard deviation of each field's components, float32 [component].
+
+        Counted are robots on their way, obstacles that exist and thrusters that a robot has. A
+        thruster of one vehicle is another one of the next: in datasets of several `vehicles`, name
+        one to normalise pulse widths.
 
         Args:
-            most: episodes that are looked at, evenly spread.
+            most: number of episodes to read, evenly spread.
+            vehicle: count robots of this vehicle alone; all if None.
+
+        Raises:
+            ConfigError: there is no such vehicle, or a file is damaged.
         """
-        sums: dict[str, list[np.ndarray | float]] = {}
-        for i in np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int)):
-            running = self.values(int(i), "outcome") == 0
-            for name in (name for name in self.fields if name in self.names(int(i))):
-                values = self.values(int(i), name).astype(float)
-                of_robots = "robot" in layout.ARRAYS[name].dims
-                chosen = values[running] if of_robots else values.reshape(-1, values.shape[-1])
-                chosen = chosen[np.isfinite(chosen).all(-1)]
-                total = sums.setdefault(name, [0.0, 0.0, 0.0])
-                total[0] += len(chosen)
-                total[1] += chosen.sum(axis=0)
-                total[2] += (chosen**2).sum(axis=0)
-        found = {}
-        for name, (count, first, second) in sums.items():
-            if count:
-                mean = np.asarray(first) / count
-                spread = np.sqrt(np.maximum(np.asarray(second) / count - mean**2, 0.0))
-                found[name] = (mean.astype(np.float32), spread.astype(np.float32))
-        return found
+        return statistics(self, most, vehicle)
 
     def xarray(self, part: int = 0) -> Any:
         """Trajectories of a part as an `xarray.Dataset`, read when looked at.

@@ -19,9 +19,10 @@ class Windows:
 
     Each is a dict: the fields, [length, robot, ...] or [length, obstacle, ...]; ``goal_m``
     [robot, 3]; ``mask`` bool [length, robot], whether there is such a robot and it is on its way;
-    ``obstacle_mask`` bool [obstacle]; ``episode`` and ``first``, where it comes from. Rows of teams
-    that are smaller than the largest are zero. Of windows of single robots the first row is that
-    robot, those that follow are its nearest neighbours at the window's beginning.
+    ``obstacle_mask`` bool [obstacle], whether there is such an obstacle; ``episode`` and ``first``,
+    where it comes from. Rows of teams that are smaller than the largest are zero. Of windows of
+    single robots the first row is that robot, those that follow are its nearest neighbours at the
+    window's beginning.
     """
 
     def __init__(
@@ -124,10 +125,9 @@ class Windows:
         goals[: len(chosen)] = data.goals_m(episode)[chosen]
         made |= {"mask": mask, "goal_m": goals}
         if self._obstacles:
-            there = 0
-            if "obstacle_p_m" in data.names(episode):
-                there = data.stored(episode, "obstacle_p_m").shape[2]
-            made["obstacle_mask"] = np.arange(self._obstacles) < there
+            exist = data.obstacles_exist(episode)
+            made["obstacle_mask"] = np.zeros(self._obstacles, bool)
+            made["obstacle_mask"][: len(exist)] = exist
         made["episode"] = np.int64(episode)  # type: ignore[assignment]
         made["first"] = np.int64(first)  # type: ignore[assignment]
         return made

@@ -41,6 +41,14 @@ def verify(place: Path, flights: int, tell: Callable[[str, int, int], None]) -> 
         checks.append(
             again.fly(place, found, flights, lambda done, of: tell("flying again", done, of))
         )
-    elif flights:
-        checks.append(Check(name="flown again", looked_at="nothing: what is stored is damaged"))
+    else:
+        why = "what is stored is damaged" if flights else "--again N flies N episodes again"
+        checks.append(
+            Check(
+                name="flown again",
+                looked_at=f"not checked: {why}",
+                unchecked=found.episodes,
+                why=why,
+            )
+        )
     return Report(dataset=str(place), checks=tuple(checks))

@@ -27,11 +27,32 @@ class Check:
     name: str
     looked_at: str = ""
     """How much was, in words."""
+    exact: int = 0
+    """Files, parts, rows or episodes that were compared exactly."""
+    bounded: int = 0
+    """Samples or episodes that were held against bounds."""
+    unchecked: int = 0
+    """Of the same kind, not looked at."""
+    why: str = ""
+    """Why some were only bounded, or not looked at."""
     findings: list[Finding] = field(default_factory=list)
 
     def wrong(self, where: str, text: str) -> None:
         """Note something that is wrong."""
         self.findings.append(Finding(what=self.name, where=where, text=text))
+
+    def line(self) -> str:
+        """Return how much was checked and what was wrong, for a terminal."""
+        if not self.exact and not self.bounded:
+            return f"{self.name}: {self.looked_at}"
+        why = f" ({self.why})" if self.why else ""
+        return f"{self.name}: {self.looked_at}: {len(self.findings) or 'nothing'} wrong{why}"
+
+    def table(self) -> dict[str, Any]:
+        """Return all of it but the findings, for JSON."""
+        return {
+            key: value for key, value in asdict(self).items() if key not in ("name", "findings")
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +77,6 @@ class Report:
         return {
             "dataset": self.dataset,
             "agrees": self.agrees,
-            "checks": {check.name: check.looked_at for check in self.checks},
+            "checks": {check.name: check.table() for check in self.checks},
             "findings": [asdict(one) for one in self.findings],
         }

@@ -16,6 +16,7 @@ from angler_mjx.datasets.manifest import SPLITS, Manifest, PartEntry
 from angler_mjx.datasets.reading.stored import StoredArray
 from angler_mjx.datasets.verifying.report import Check
 from angler_mjx.errors import ConfigError
+from angler_mjx.sim.state import Outcome
 from angler_mjx.storage import folder
 from angler_mjx.storage.folder import Run
 
@@ -44,7 +45,7 @@ def files(place: Path, manifest: Manifest) -> Check:
                 "was changed or damaged (its SHA-256 differs); copy it again, or mend the "
                 "dataset with angler dataset repair",
             )
-    check.looked_at = f"{len(names):,} files"
+    check.looked_at, check.exact = f"{len(names):,} files", len(names)
     return check
 
 
@@ -76,7 +77,7 @@ def parts(place: Path, manifest: Manifest) -> Check:
         for key, (wanted, found) in said.items():
             if wanted != found:
                 check.wrong(part.path, f"{key} is {found!r}, and the manifest says {wanted!r}")
-    check.looked_at = f"{len(manifest.parts)} run folders"
+    check.looked_at, check.exact = f"{len(manifest.parts)} run folders", len(manifest.parts)
     return check
 
 
@@ -86,7 +87,7 @@ def _names(stored: Any) -> set[str]:
 
 def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
     """The index made again of the parts, and its splits."""
-    check = Check(name="index", looked_at=f"{len(table):,} episodes")
+    check = Check(name="index", looked_at=f"{len(table):,} episodes", exact=len(table))
     try:
         made = index.of_manifest(place, manifest)
     except ConfigError as error:
@@ -97,7 +98,11 @@ def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
         return check
     for name in made.schema.names:
         if made[name].to_pylist() != table[name].to_pylist():
-            check.wrong(f"index.parquet, {name}", "is not what the parts give; copy it again")
+            check.wrong(
+                f"index.parquet, {name}",
+                "is not what the parts give; copy it again, or make the dataset again where an "
+                "earlier version of angler-mjx made it",
+            )
     if (pair := index.shared_environment(table)) is not None:
         check.wrong("index.parquet", f"splits {pair[0]} and {pair[1]} share environment {pair[2]}")
     unknown = {s for s in table["split"].to_pylist() if s not in SPLITS and s[:5] != "test_"}
@@ -126,6 +131,7 @@ def values(place: Path, manifest: Manifest) -> Check:
             except ConfigError as error:
                 check.wrong(part.path, str(error))
     check.looked_at = f"{samples:,} samples of robots in {worlds:,} worlds"
+    check.bounded, check.why = samples, "each against the range that it can have"
     return check
 
 
@@ -164,7 +170,7 @@ def _values(
     faults = {
         "p_m": running & (np.abs(got["p_m"]) > FARTHEST_M).any(-1),
         "q": known
-        & (outcome != 7)
+        & (outcome != Outcome.DIVERGED)
         & ~np.isclose(np.linalg.norm(got["q"], axis=-1), 1.0, atol=1e-4 + 2.0 * step),
         "nu": running
         & (
@@ -173,7 +179,7 @@ def _values(
         ),
         "pwm_us": known
         & ((pwm != 0.0) & ((pwm < PWM_US[0] - 0.5) | (pwm > PWM_US[1] + 0.5))).any(-1),
-        "outcome": (outcome > 7),
+        "outcome": (outcome > max(Outcome)),
         "current_mps": running & ~(np.abs(got["current_mps"]) <= MOST_MPS).all(-1),
         "target_m": running & ~np.isfinite(got["target_m"]).all(-1),
     }

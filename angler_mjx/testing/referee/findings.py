@@ -8,6 +8,9 @@ from typing import Any, Literal
 type Value = float | str | None
 type How = Literal["exact", "bounded", "unchecked"]
 type Result = Literal["agrees", "undecided", "disagrees"]
+type Conclusion = Literal["agrees", "agrees in part", "inconclusive", "disagrees"]
+"""Of a run. agrees: every outcome was worked out anew; agrees in part: some were; inconclusive: no
+outcome was, so nothing confirms the results; disagrees: a finding does."""
 
 QUANTITIES = {
     "outcome": "",
@@ -95,6 +98,24 @@ class Count:
     disagrees: int = 0
     largest: float = 0.0
     """Largest deviation of those that agree and were checked exactly, relative for energies."""
+    why: dict[str, int] = field(default_factory=dict)
+    """Why robots were held against bounds or not checked, with the number of each reason."""
+
+    @property
+    def robots(self) -> int:
+        """Number of robots of whom the quantity was looked at."""
+        return self.exact + self.bounded + self.unchecked
+
+    def text(self) -> str:
+        """Return how much was checked, in words: worked out anew, against bounds, and not."""
+        said = f"{self.exact:,} of {self.robots:,} worked out anew"
+        said += f", {self.undecided:,} of these undecided" if self.undecided else ""
+        for number, words in (
+            (self.bounded, "held against bounds"),
+            (self.unchecked, "not checked"),
+        ):
+            said += f", {number:,} {words}" if number else ""
+        return said + (f" ({'; '.join(self.why)})" if self.why else "")
 
 
 @dataclass(kw_only=True)
@@ -115,15 +136,28 @@ class Verdict:
     """All that disagree or are undecided."""
 
     @property
+    def conclusion(self) -> Conclusion:
+        """What the findings come to, by how many outcomes could be worked out anew."""
+        outcomes = self.counts["outcome"]
+        if any(count.disagrees for count in self.counts.values()):
+            return "disagrees"
+        confirmed = outcomes.exact - outcomes.undecided
+        if confirmed == 0:
+            return "inconclusive"
+        return "agrees" if confirmed == outcomes.robots else "agrees in part"
+
+    @property
     def agrees(self) -> bool:
-        """Whether nothing disagrees."""
-        return not any(count.disagrees for count in self.counts.values())
+        """Whether outcomes were worked out anew and nothing disagrees."""
+        return self.conclusion in ("agrees", "agrees in part")
 
     def add(self, findings: Iterable[Finding]) -> None:
         """Count findings."""
         for one in findings:
             count = self.counts.setdefault(one.quantity, Count())
             setattr(count, one.how, getattr(count, one.how) + 1)
+            if one.how != "exact" and one.note:
+                count.why[one.note] = count.why.get(one.note, 0) + 1
             if one.result == "agrees":
                 count.largest = max(count.largest, one.deviation)
                 continue
@@ -134,6 +168,7 @@ class Verdict:
         """For JSON."""
         return {
             "run": self.run,
+            "conclusion": self.conclusion,
             "agrees": self.agrees,
             "planned_worlds": self.planned_worlds,
             "finished_worlds": self.finished_worlds,

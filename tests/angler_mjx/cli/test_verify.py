@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from angler_mjx.cli.main import main
+from angler_mjx.testing import referee
 
 from ..testing.hand_made import edit_rows, write
 from ..testing.test_referee_rules import into_a_rock, to_a_goal
@@ -29,7 +30,7 @@ def verify(*arguments):
 def test_a_run_that_agrees_exits_with_0(run, capsys):
     assert verify(run) == 0
     out = capsys.readouterr().out
-    assert out.rstrip().endswith("agrees")
+    assert out.rstrip().endswith("outcomes: 3 of 3 worked out anew\nagrees")
     assert "3 worlds, 3 robots" in " ".join(out.split())
 
 
@@ -54,11 +55,37 @@ def test_json_holds_counts_and_all_differences(run, capsys):
     assert all(one["world"] == 2 for one in said["differences"])
 
 
-def test_a_sparse_run_says_what_it_could_not_check(tmp_path, capsys):
-    path = write(tmp_path / "run", into_a_rock(), every=4)
-    assert verify(path) == 0
+def test_a_sparse_run_is_inconclusive_and_says_what_was_checked(tmp_path, capsys):
+    path = write(tmp_path / "run", into_a_rock(), every=4, worlds=3)
+    assert verify(path) == 3
     out = " ".join(capsys.readouterr().out.split())
     assert "every 4 control steps" in out
+    reason = "(what was between the samples is not known)"
+    assert f"outcomes: 0 of 3 worked out anew, 3 held against bounds {reason}" in out
+    assert out.endswith("inconclusive: nothing disagrees, but no outcome could be worked out anew")
+    assert verify(path, "--json") == 3
+    said = json.loads(capsys.readouterr().out)
+    assert (said["conclusion"], said["agrees"]) == ("inconclusive", False)
+    assert said["counts"]["outcome"]["why"] == {"what was between the samples is not known": 3}
+    why = {"robots that have failed are stored at rest": 3}
+    assert said["counts"]["impact_speed_mps"]["why"] == why
+
+
+def test_a_conclusion_counts_the_outcomes_that_were_worked_out(tmp_path):
+    verdict = referee.judge(write(tmp_path / "run", to_a_goal(), worlds=2))
+    assert verdict.conclusion == "agrees"
+    outcomes = verdict.counts["outcome"]
+    for exact, undecided, conclusion in (
+        (2, 0, "agrees"),
+        (1, 0, "agrees in part"),
+        (1, 1, "inconclusive"),
+        (0, 0, "inconclusive"),
+    ):
+        outcomes.exact, outcomes.bounded, outcomes.undecided = exact, 2 - exact, undecided
+        assert verdict.conclusion == conclusion
+        assert verdict.agrees is (conclusion != "inconclusive")
+    verdict.counts["energy_j"].disagrees = 1
+    assert verdict.conclusion == "disagrees"
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,10 @@ def data(made):
 @pytest.fixture(scope="module")
 def every(data):
     return list(flights.flights(data, "target"))
+
+
+WITHOUT_UNIT = {"qw", "qx", "qy", "qz", "re", "de", "ot"}
+"""Last letters of columns without a unit: quaternions, there, episode, robot."""
 
 
 def silent(*_):
@@ -93,6 +98,14 @@ def test_parquet_holds_every_sample(made, every, tmp_path, monkeypatch):
     assert 1100 <= rows[0]["action_pwm_0_us"] <= 1900
     about = json.loads(pq.read_schema(next(out.iterdir())).metadata[b"angler"])
     assert about["state"] == list(flights.STATE)
+    schema = pq.read_schema(next(out.iterdir()))
+    numbers = [field for field in schema if field.name not in ("split", "outcome")]
+    units = {field.name: field.metadata[b"unit"].decode() for field in numbers}
+    for name, unit in units.items():
+        ending = {"m": "_m", "m/s": "_mps", "rad/s": "_radps", "us": "_us", "s": "time_s"}
+        assert name.endswith(ending[unit]) if unit != "1" else name[-2:] in WITHOUT_UNIT, name
+    assert units["qw"] == units["other_0_there"] == "1"
+    assert {about["units"][name] for name in ("x_m", "u_mps", "p_radps")} == {"m", "m/s", "rad/s"}
 
 
 def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
@@ -127,6 +140,15 @@ def test_lerobot_is_as_its_version_3_says(made, every, tmp_path, monkeypatch):
     np.testing.assert_array_equal(stats["max"], state.max(axis=0))
     tasks = pytest.importorskip("pandas").read_parquet(out / "meta" / "tasks.parquet")
     assert set(tasks.index) == {one.task for one in every}
+
+
+def test_pulses_of_thrusters_that_a_robot_lacks_are_neutral(data):
+    episode = data.episode(0)
+    fewer = {**episode.arrays, "pwm_us": episode.arrays["pwm_us"][..., :6]}
+    flight = flights._flight(0, replace(episode, arrays=fewer), 0, 1, "pwm", 8)
+    steps = len(flight.time_s)
+    np.testing.assert_array_equal(flight.action[:, :6], fewer["pwm_us"][:steps, 0])
+    assert (flight.action[:, 6:] == 1500.0).all()
 
 
 def test_shapes_of_a_world_hold_its_rock(data):
@@ -172,6 +194,11 @@ def test_hdf5_of_motion_policy_networks(made, every, tmp_path):
         with h5py.File(path) as file:
             assert file["global_solutions"].shape[1:] == (mpinets.POINTS, 4)
             assert {len(file[name]) for name in file} == {len(file["global_solutions"])}
+            for name, array in file.items():
+                assert array.attrs["description"], name
+                unit = "1" if name.endswith("quaternions") else "m"
+                assert array.attrs["unit"].split(", ")[0] == unit, name
+            assert file["global_solutions"].attrs["unit"] == "m, m, m, rad"
             total += len(file["global_solutions"])
     assert total == sum(flight.arrived for flight in every)
 

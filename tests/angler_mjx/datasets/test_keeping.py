@@ -41,6 +41,24 @@ def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
     assert mending.repair(copy, Silent()).damaged == ()
 
 
+@pytest.mark.parametrize("ended", [KeyboardInterrupt, ConfigError("no")])
+def test_a_merge_that_is_broken_off_leaves_nothing(made, copy, tmp_path, monkeypatch, ended):
+    """As by Ctrl-C, or by what the whole turns out to be."""
+    table = json.loads((copy / manifest.MANIFEST).read_text())
+    for part in table["parts"]:
+        part["seed"] += 1
+    (copy / manifest.MANIFEST).write_text(json.dumps(table))
+
+    def broken(*_):
+        raise ended
+
+    monkeypatch.setattr(index, "write", broken)
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(ended if isinstance(ended, type) else ConfigError):
+        joining.merge([made, copy], tmp_path / "both")
+    assert sorted(tmp_path.iterdir()) == before
+
+
 def test_what_cannot_be_flown_again_is_said(copy):
     part = manifest.read(copy).parts[0].path
     text = (copy / part / "config.json").read_text()

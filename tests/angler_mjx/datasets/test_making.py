@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -76,6 +77,46 @@ def test_rows_say_what_the_runs_say(made):
         group = run.trajectories["environment"]
         lines = np.asarray(group["line_free"][row["world"]])
         assert row["free_lines"] == lines.sum()
+
+
+def test_rows_count_robots_that_arrived_and_until_when(copy):
+    """Of three kinds of ends, in a part whose robots all ran out of time."""
+    part = manifest.read(copy).parts[0]
+    run = copy / part.path
+    rows = Run(run).episodes.to_pylist()
+    for at, outcome, name, time_s in (
+        (0, "reached", "time_to_goal_s", 1.25),
+        (1, "reached", "time_to_goal_s", 2.7),
+        (2, "collision_static", "failure_time_s", 0.05),
+        (3, "reached", "time_to_goal_s", 0.2),
+    ):
+        rows[at] |= {"outcome": outcome, "time_to_goal_s": None, "failure_time_s": None}
+        rows[at] |= {name: time_s}
+    schema = pq.read_schema(run / "episodes.parquet")
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), run / "episodes.parquet")
+    entry = {"scene": "here", "expert": "grid", "split": None}
+    found = index.rows(run, 0, entry, SplitConfig(), 0).to_pylist()
+    assert [row["reached"] for row in found] == [2, 1, 0, 0]
+    assert [row["success"] for row in found] == [True, False, False, False]
+    # Samples at 5 Hz from t = 0: those before the end, and at least one.
+    assert [row["samples"] for row in found] == [14, 1, 20, 20]
+    assert found[0]["duration_s"] == pytest.approx(2.7)
+
+
+def test_a_tile_is_as_large_as_memory_is_to_hold(file):
+    """Arrays of a world in float32, counted one by one, and no other number of worlds fits."""
+    config, table = parts.read(file)
+    part = parts.parts(config, table, 6, "file")[0]
+    assert making.tile_of(part) == 2  # of the file
+    scenario = part.scenario
+    time = scenario.time.model_copy(update={"horizon_s": 3600.0, "record_hz": 20.0})
+    flown = scenario.model_copy(update={"tile": None, "worlds": 10**6, "time": time})
+    tile = making.tile_of(replace(part, scenario=flown))
+    samples, robots, obstacles = 3600 * 20, 2, 2
+    # p, q, nu, target, current, pwm of 8, for each robot; p and q of each obstacle.
+    least = 4 * samples * (robots * (3 + 4 + 6 + 3 + 3 + 8) + obstacles * 7)
+    assert tile & (tile - 1) == 0
+    assert tile * least <= 2e9 <= 4 * tile * least
 
 
 def test_an_environment_is_in_one_split_whatever_dataset_it_is_in():
@@ -206,6 +247,12 @@ def test_manifests_are_not_believed(copy):
     pq.write_table(pa.table({"a": [1]}), copy / manifest.INDEX)
     with pytest.raises(ConfigError, match="holds the columns a"):
         index.read(copy)
+    for first in ("a", "z"):
+        names = [first, *index.SCHEMA.names[1:]]
+        table = index.SCHEMA.empty_table().rename_columns(names)
+        pq.write_table(table, copy / manifest.INDEX)
+        with pytest.raises(ConfigError, match=f"holds the columns {first}, part"):
+            index.read(copy)
 
 
 def test_samples_are_stored_in_the_steps_that_the_manifest_tells(made):

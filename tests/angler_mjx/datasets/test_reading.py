@@ -4,6 +4,8 @@ import itertools
 import pickle
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import zarr
 
@@ -209,6 +211,62 @@ def test_statistics_are_those_of_running_robots(data):
     ).astype(float)
     np.testing.assert_allclose(found["nu"][0], values.mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(found["nu"][1], values.std(axis=0), atol=1e-5)
+
+
+def test_statistics_leave_padding_out_and_tell_vehicles_apart(copy):
+    """The second robot as one of six thrusters, whose last two columns are neutral."""
+    run = Run(runs(copy)[0])
+    label = pa.array(["bluerov2_heavy", "bluerov2"] * 4)
+    at = run.episodes.schema.get_field_index("vehicle")
+    field = run.episodes.schema.field(at)
+    pq.write_table(
+        run.episodes.set_column(at, field, label.cast(field.type)), run.path / "episodes.parquet"
+    )
+    group = zarr.open_group(run.path / "trajectories.zarr", mode="r+")
+    pwm = np.asarray(group["pwm_us"][:])
+    pwm[:, :, 1, 6:] = 1500.0
+    pwm[:, 2, 0] = 0.0  # no command: as of a robot that diverged
+    group["pwm_us"][:] = pwm
+    exist = np.ones((4, 2), bool)
+    exist[:, 1] = False
+    group["environment/obstacles/exists"][:] = exist
+    data = datasets.open(run.path)
+    assert data.vehicles == ("bluerov2", "bluerov2_heavy")
+    running = np.asarray(group["outcome"][:]) == 0
+    samples = [data.samples[i] for i in range(4)]
+    by_robot = [
+        np.concatenate([pwm[i, :n, robot][running[i, :n, robot]] for i, n in enumerate(samples)])
+        for robot in range(2)
+    ]
+    by_robot[0] = by_robot[0][by_robot[0][:, 0] > 0.0].astype(float)
+    assert len(by_robot[0]) == len(by_robot[1]) - 4
+    both = [np.concatenate([one[:, k] for one in by_robot]) for k in range(6)]
+    both += [by_robot[0][:, 6], by_robot[0][:, 7]]
+    for vehicle, wanted in (
+        (None, both),
+        ("bluerov2_heavy", list(by_robot[0].T)),
+        ("bluerov2", list(by_robot[1][:, :6].T)),
+    ):
+        mean, std = data.statistics(vehicle=vehicle)["pwm_us"]
+        width = len(wanted)
+        np.testing.assert_allclose(mean[:width], [one.mean() for one in wanted], rtol=1e-5)
+        np.testing.assert_allclose(std[:width], [one.std() for one in wanted], rtol=2e-3)
+        assert np.isnan(mean[width:]).all()
+        assert len(mean) == 8
+    places = np.concatenate(
+        [np.asarray(group["obstacle_p_m"][i, :n, 0]) for i, n in enumerate(samples)]
+    )
+    np.testing.assert_allclose(
+        data.statistics()["obstacle_p_m"][0], places.mean(axis=0, dtype=float), rtol=1e-4
+    )
+    assert all((window["obstacle_mask"] == [True, False]).all() for window in data.windows(4))
+    with pytest.raises(ConfigError, match="vehicle: 'boat' is none of bluerov2, bluerov2_heavy"):
+        data.statistics(vehicle="boat")
+
+
+def test_windows_without_obstacles_have_no_arrays_of_them(made):
+    window = datasets.open(made, fields=("p_m", "q")).windows(4)[0]
+    assert window.keys() == {"p_m", "q", "mask", "goal_m", "episode", "first"}
 
 
 def test_orders_can_be_had_again_and_are_shared_without_a_gap(data):

@@ -21,11 +21,11 @@ SPLITS = ("train", "val", "test")
 def drawn(n, seed, trivial=0.35, failed=0.3):
     """An index of n episodes of three splits and a shifted scene."""
     rng = np.random.default_rng(seed)
-    rest = (1.0 - trivial) / 2
+    rest = [(1.0 - trivial) / (len(DIFFICULTIES) - 1)] * (len(DIFFICULTIES) - 1)
     return pa.table(
         {
             "split": rng.choice([*SPLITS, "test_far"], n).tolist(),
-            "difficulty": rng.choice(DIFFICULTIES, n, p=[trivial, rest, rest]).tolist(),
+            "difficulty": rng.choice(DIFFICULTIES, n, p=[trivial, *rest]).tolist(),
             "success": rng.random(n) >= failed,
             "seed": rng.choice([11, 17], n),
             "world": np.arange(n),
@@ -78,7 +78,7 @@ def test_of_one_kind_no_more_is_taken_than_must_be():
 
 @settings(max_examples=60, deadline=None)
 @given(
-    counts=st.lists(st.integers(0, 3000), min_size=6, max_size=6),
+    counts=st.lists(st.integers(0, 3000), min_size=8, max_size=8),
     trivial=st.floats(0.0, 1.0),
     failed=st.floats(0.0, 1.0),
     crossing=st.floats(0.0, 1.0),
@@ -126,11 +126,21 @@ def test_shares_that_cannot_be_are_refused(table, said):
         SampleConfig(**table)
 
 
-def test_crossings_of_single_robots_are_refused_before_anything_is_flown(file, tmp_path):
+def test_bounds_of_one_kind_may_lie_apart_or_together():
+    for least, most in ((0.2, 0.5), (0.3, 0.3)):
+        wished = SampleConfig(at_least={"blocked": least}, at_most={"blocked": most})
+        table = drawn(2000, 4)
+        found = shares(table, sampling.chosen(table, wished, SPLITS))
+        for split in SPLITS:
+            assert least - 0.01 <= found[split]["blocked"] <= most + 1e-9
+
+
+@pytest.mark.parametrize("kind", ["crossing", "both"])
+def test_crossings_of_single_robots_are_refused_before_anything_is_flown(file, tmp_path, kind):
     text = file.read_text().replace("weight = 2.0", "weight = 2.0\nteams = [1]")
     path = file.parent / "alone.toml"
-    path.write_text(text + "\n[sample]\nat_least = { crossing = 0.1 }\n")
-    with pytest.raises(ConfigError, match=r"sample.at_least.crossing = 0.1: .* teams of two"):
+    path.write_text(text + f"\n[sample]\nat_least = {{ {kind} = 0.1 }}\n")
+    with pytest.raises(ConfigError, match=rf"sample.at_least.{kind} = 0.1: .* teams of two"):
         making.make(making.ask(path, 6), tmp_path / "out", told=None)
     assert not any(tmp_path.iterdir())
 

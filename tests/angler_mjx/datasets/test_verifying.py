@@ -12,6 +12,7 @@ import zarr
 from angler_mjx.cli import main
 from angler_mjx.datasets import index, manifest, sums
 from angler_mjx.datasets.verifying import again, judging
+from angler_mjx.datasets.verifying.report import Check
 
 
 def silent(*_):
@@ -34,6 +35,54 @@ def test_a_sound_dataset_flies_again_to_the_last_bit(made, capsys):
     assert "1 episodes, 1 the same to the last bit" in said
     assert "0 wrong" not in said
     assert said.count("nothing wrong") == 5
+    assert "5 episodes were not flown again" in said
+
+
+def test_what_was_not_checked_is_said(made, capsys):
+    main.main(["dataset", "verify", str(made)])
+    said = capsys.readouterr().out
+    assert said.count("nothing wrong") == 4
+    assert "flown again: not checked: --again N flies N episodes again" in said
+    main.main(["dataset", "verify", str(made), "--json"])
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    assert checks["files"]["exact"] == len(sums.files(made))
+    assert (checks["parts"]["exact"], checks["index"]["exact"]) == (2, 6)
+    assert (checks["values"]["exact"], checks["values"]["unchecked"]) == (0, 0)
+    samples = 20
+    assert checks["values"]["bounded"] == samples * (4 * 2 + 2 * 1)
+    again = {key: checks["flown again"][key] for key in ("exact", "bounded", "unchecked")}
+    assert again == {"exact": 0, "bounded": 0, "unchecked": 6}
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "alike", "wrong"),
+    [
+        ([0.05] * 20, 20, 0),
+        ([0.05] * 19 + [0.2], 20, 0),
+        ([0.05] * 18 + [0.2, 0.2], 20, 1),
+        ([], 20, 0),
+        ([float("nan")] * 20, 18, 0),
+        ([float("nan")] * 18 + [0.2, 0.05], 17, 2),
+    ],
+)
+def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, wrong):
+    found = again._Compared(at=50, robots=20, alike=alike, apart_m=apart_m, worlds=5)
+    check = Check(name="flown again")
+    again._hold_against_bounds(check, found, ["jax"])
+    assert len(check.findings) == wrong
+    known = np.isfinite(np.array(apart_m))
+    near = int((np.array(apart_m)[known] <= 0.1).sum())
+    assert f"{near} of {known.sum()} within 0.1 m after 10 s" in check.looked_at
+
+
+def test_a_robot_that_broke_down_is_no_fault(copy):
+    part = manifest.read(copy).parts[0].path
+    array = zarr.open_group(copy / part / "trajectories.zarr", mode="r+")["outcome"]
+    for number, faults in ((8, set()), (9, {"outcome"})):
+        array[1, 15:, 1] = number
+        summed_anew(copy)
+        found = [one for one in verdict(copy).findings if one.what == "values"]
+        assert {one.where.rpartition("/")[2] for one in found} == faults
 
 
 def test_files_that_were_changed_lost_or_added_are_named(copy):
@@ -133,7 +182,13 @@ def test_worlds_are_chosen_in_one_tile_of_each_part(made):
         assert sum(len(worlds) for _, worlds in chosen) <= count
         for part, worlds in chosen:
             assert len({world // part.tile for world in worlds}) == 1
-            assert max(worlds) < part.worlds
+            assert 0 <= min(worlds) <= max(worlds) < part.worlds
+    # The seed says which tile; the last one may be smaller than the others.
+    part = parts[0].model_copy(update={"worlds": 5, "tile": 2})
+    chosen = {
+        seed: again.choose([part.model_copy(update={"seed": seed})], 5)[0][1] for seed in range(4)
+    }
+    assert chosen == {0: [0, 1], 1: [2, 3], 2: [4], 3: [0, 1]}
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "index.parquet", "sha256sums.txt"])

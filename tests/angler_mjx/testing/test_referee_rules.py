@@ -313,7 +313,7 @@ def test_the_last_state_decides_about_the_last_step(tmp_path):
     )
     assert referee.judge(write(tmp_path / "with", ends)).differences == []
     without = referee.judge(write(tmp_path / "without", ends, with_end=False))
-    assert without.agrees
+    assert without.conclusion == "inconclusive"
     assert without.counts["outcome"].exact == 0
     assert without.counts["min_clearance_m"].bounded == 1
     assert without.counts["impact_speed_mps"].unchecked == 1
@@ -327,7 +327,7 @@ def test_a_touch_within_rounding_is_undecided_and_says_by_how_much(tmp_path):
     row = {**made.rows[0], "min_clearance_m": 0.0, "failure_x_m": float(p[18, 0, 0])}
     row["path_length_m"] = float(np.linalg.norm(np.diff(p[:19, 0], axis=0), axis=1).sum())
     verdict = referee.judge(write(tmp_path / "run", replace(made, p=p, rows=[row])))
-    assert verdict.agrees
+    assert verdict.conclusion == "inconclusive"
     (one,) = verdict.differences
     assert (one.quantity, one.result, one.judged) == ("outcome", "undecided", "collision_static")
     assert "e-07 m away" in one.note
@@ -375,7 +375,8 @@ def test_commands_in_whole_us_only_bound_the_energy(tmp_path):
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_of_sparse_samples_it_claims_no_more_than_they_say(name, tmp_path):
     verdict = referee.judge(write(tmp_path / "run", FLIGHTS[name](), every=4))
-    assert verdict.agrees, [one.line() for one in verdict.differences]
+    assert verdict.conclusion == "inconclusive", [one.line() for one in verdict.differences]
+    assert not verdict.agrees
     counts = verdict.counts
     assert "every 4 control steps" in verdict.sampled
     for quantity in ("outcome", "end_time_s", "path_length_m", "energy_j", "min_clearance_m"):
