@@ -1,8 +1,9 @@
 """Success rates: of cells, by team and by density, with Wilson's 95 % intervals.
 
 Rates count only the rows that a mask selects: in the table of cells those that a planner got, in
-charts also those it did not get because it had been given up, which count as failures. Each run is a world of its own, so runs of one planner and
-team are independent; Wilson's interval (JASA 22, 1927) holds as it is.
+charts also those it did not get because it had been given up, which count as failures. Each run
+is a world of its own, so runs of one planner and team are independent; Wilson's interval (JASA 22,
+1927) holds as it is.
 """
 
 from collections.abc import Sequence
