@@ -1,5 +1,6 @@
-"""Speeds in README and docs are those of the rows they name, in benchmarks/results.jsonl."""
+"""Numbers in README and docs are those of the measurements they name: rows and results kept."""
 
+import json
 import re
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from angler_mjx.speed import chart
 from angler_mjx.speed import rows as speed
 from angler_mjx.speed.compare import latest
+from angler_mjx.vehicles import library, properties
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results.jsonl"
@@ -81,3 +83,180 @@ def test_the_table_of_performance_is_that_of_the_rows():
     assert between.strip() == chart.table(RESULTS), (
         "write it again: angler bench --table benchmarks/results.jsonl --out docs/performance.md"
     )
+
+
+def stored(name):
+    """A file of docs/validation."""
+    return json.loads((ROOT / "docs" / "validation" / f"{name}.json").read_text())
+
+
+SINGLE = stored("claims")
+"""Measurements of one number or a few, with date, commit and command."""
+
+
+LEVELS, ROBOTS = ("thrusters", "guided"), 32
+"""Where commands enter the autopilots, and the robots of the check's 8 worlds at each."""
+
+
+def _spot_check():
+    """Numbers of README that the stored spot check holds, by where they stand in the text."""
+    found = stored("spotcheck")
+    other = {
+        level: found["numbers"][f"{level}.recorded.other_outcome"]["value"] for level in LEVELS
+    }
+    apart = {level: found["numbers"][f"{level}.recorded.track_median"]["value"] for level in LEVELS}
+    alike = {level: f"{ROBOTS - other[level]:.0f} of {ROBOTS}" for level in LEVELS}
+    return {
+        "README, of all flights": (
+            "README.md",
+            r"Of (64 flights) of a batch run's plans on real ArduSubs (\d+) end as in that run",
+            (f"{2 * ROBOTS} flights", f"{2 * ROBOTS - sum(other.values()):.0f}"),
+        ),
+        "README, thrusters": (
+            "README.md",
+            r"([\d.]+ cm) where our controllers drive the thrusters \((\d+ of \d+) outcomes\)",
+            (f"{100 * apart['thrusters']:.1f} cm", alike["thrusters"]),
+        ),
+        "README, guided": (
+            "README.md",
+            r"([\d.]+ cm) where the firmware steers itself \(`guided`, (\d+ of \d+); ([\d-]+)\)",
+            (f"{100 * apart['guided']:.0f} cm", alike["guided"], found["about"]["at_utc"][:10]),
+        ),
+        "sitl": (
+            "docs/sitl.md",
+            r"newest stored check \(([\d-]+), .*\): against what the run recorded (\d+ of \d+)\s"
+            r"robots end the same way at `thrusters`, (\S+) m from its tracks, and (\d+ of \d+) at "
+            r"`guided`, (\S+) m",
+            (
+                found["about"]["at_utc"][:10],
+                alike["thrusters"],
+                f"{apart['thrusters']:.3f}",
+                alike["guided"],
+                f"{apart['guided']:.3f}",
+            ),
+        ),
+        "validation, guided": (
+            "docs/validation.md",
+            r"\| guided \| recorded \| (\d+ of \d+) \| ([\d.]+),",
+            (alike["guided"], f"{apart['guided']:.3f}"),
+        ),
+    }
+
+
+def _single():
+    """Numbers of README and docs that are stored by themselves."""
+    large, demo = SINGLE["reef_fleet_65536"], SINGLE["demo_2_cores"]
+    hold, lockstep = SINGLE["sitl_hold"], SINGLE["sitl_lockstep"]
+    run, made = large["numbers"], demo["numbers"]
+    after_s = made["total_s"] - made["install_s"]
+    pace = [f"{hold['numbers'][key]:g}" for key in ("real_time_low", "real_time_high")]
+    steps = [f"{lockstep['numbers'][key]:g}" for key in ("real_time_low", "real_time_high")]
+    seconds = (str(run["simulate_s"]), str(run["compile_s"]))
+    return {
+        "README, a run of 65,536": (
+            "README.md",
+            r"On one H200, (\S+) robots in (\S+) reefs run to the end of their episodes in (\d+) "
+            r"s, after (\d+) s of compiling \(([\d-]+)\)",
+            (f"{run['robots']:,}", f"{run['worlds']:,}", *seconds, large["date"]),
+        ),
+        "validation, a run of 65,536": (
+            "docs/validation.md",
+            r"simulates (\S+) robots to the end of their episodes in (\d+) s after (\d+) s of\s"
+            r"compiling. Both were measured on (\S+);",
+            (f"{run['robots']:,}", *seconds, large["date"]),
+        ),
+        "README, the demo": (
+            "README.md",
+            r"the demo's (\S+) robots take (\d+) s after installation, compilation and figures "
+            r"included, in (\S+) GB \(([\d-]+)\)",
+            (f"{made['robots']:,}", str(after_s), str(made["memory_gb"]), demo["date"]),
+        ),
+        "validation, the demo": (
+            "docs/validation.md",
+            r"took (\d+) s in a fresh clone with empty\scaches on 2 cores: (\d+) s of installing, "
+            r"(\d+) s of compiling, (\d+) s of simulating, the rest figures\sand replay; (\S+) GB",
+            tuple(
+                str(made[key])
+                for key in ("total_s", "install_s", "compile_s", "simulate_s", "memory_gb")
+            ),
+        ),
+        "README, real autopilots": (
+            "README.md",
+            r"at (\S+) to (\S+) times real time on 2 CPU cores, logs and recording included \(the "
+            r"lockstep alone, motors disarmed: (\S+) to (\S+); ([\d-]+)\)",
+            (*pace, *steps, hold["date"]),
+        ),
+        "sitl, whole flights": (
+            "docs/sitl.md",
+            r"four robots with guidance, MAVLink, logs and recording, goes (\S+) to (\S+) times",
+            tuple(pace),
+        ),
+        "sitl, the lockstep": ("docs/sitl.md", r"\n\| 4 \| (\S+) to (\S+) \| 92 to", tuple(steps)),
+    }
+
+
+def _convergence():
+    """The range of our scheme's error at 10 ms, moderate manoeuvres, in millimetres."""
+    numbers = stored("validation")["studies"]["convergence"]["numbers"]
+    chosen = [
+        10 * number["value"]
+        for name, number in numbers.items()
+        if name.startswith("moderate.") and name.endswith(".10_ms")
+    ]
+    return {
+        "README, the discretisation": (
+            "README.md",
+            r"at 10 ms a vehicle is (\S+) to (\S+) mm from an adaptive eighth-order",
+            (f"{min(chosen):.1f}", f"{max(chosen):.1f}"),
+        )
+    }
+
+
+TEXTS = {**_spot_check(), **_single(), **_convergence()}
+"""Page, pattern and what its groups have to be, by what is stored."""
+
+
+@pytest.mark.parametrize("claim", TEXTS)
+def test_a_text_states_what_is_stored(claim):
+    file, pattern, wanted = TEXTS[claim]
+    found = re.findall(pattern, (ROOT / file).read_text())
+    assert len(found) == 1, f"{file}: {pattern!r} is there {len(found)} times"
+    states = found[0] if isinstance(found[0], tuple) else (found[0],)
+    assert states == wanted, f"{file} states {states}, stored is {wanted}"
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_single_measurement_names_date_commit_and_command(name):
+    row = SINGLE[name]
+    assert re.fullmatch(r"20\d\d-\d\d-\d\d", row["date"])
+    assert re.fullmatch(r"[0-9a-f]{7,40}", row["commit"])
+    assert row["device"]
+    assert row["source"]
+    assert row["command"].split()[0] in ("make", "angler", "python")
+
+
+def test_every_number_of_the_table_is_held():
+    """A row of README's table is matched by a claim: a new one needs a stored measurement."""
+    text = (ROOT / "README.md").read_text()
+    table = text[text.index("| claim |") : text.index("**Limits.**")]
+    patterns = [pattern for file, pattern, _ in (*TEXTS.values(), *CLAIMS.values())]
+    rows = [row for row in table.splitlines()[2:] if row]
+    assert len(rows) == 5
+    for row in rows:
+        claim = row.split(" | ")[0]
+        for pattern in patterns:
+            claim = re.sub(pattern, "", claim)
+        left = re.sub(r"\b(?:H200|2 CPU cores|64 flights)\b", "", claim)
+        assert not re.findall(r"\d", left), f"README states what nothing stores: {left}"
+
+
+def test_sets_of_a_vehicle_differ_in_top_speed_as_said():
+    (said,) = re.findall(r"differ by (\S+) in top speed", (ROOT / "README.md").read_text())
+    ratios = []
+    for config in map(library.load, library.available()):
+        tops = [
+            properties.describe(config, name, 16.0).terminal_speed_mps[0]
+            for name in config.parameter_sets
+        ]
+        ratios.append(max(tops) / min(tops))
+    assert f"{max(ratios):.1f}" == said

@@ -69,6 +69,14 @@ def test_ci_script_can_be_executed():
     assert (ROOT / ".ci" / "run").stat().st_mode & stat.S_IXUSR
 
 
+def test_no_file_is_tracked_that_is_ignored():
+    listed = ["git", "-C", str(ROOT), "ls-files", "--cached", "--ignored", "--exclude-standard"]
+    done = subprocess.run(listed, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"no git repository: {done.stderr.strip()}")
+    assert done.stdout.split() == []
+
+
 def test_make_help_lists_the_two_commands():
     listed = subprocess.run(
         ["make", "-s", "-C", str(ROOT), "help"], capture_output=True, text=True, check=True

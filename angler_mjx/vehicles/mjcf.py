@@ -5,6 +5,8 @@ and thrust are the simulator's own terms, so no fluid attribute of MuJoCo is eve
 models have no added-mass inertia, and MJX computes another of them than was asked for).
 """
 
+import logging
+
 import mujoco
 import numpy as np
 
@@ -21,6 +23,18 @@ _HULL_RGBA = (0.35, 0.65, 0.95, 0.12)
 # MuJoCo's viewers show geom groups 0 to 2 and hide 3 to 5 until they are switched on.
 _SHAPE_GROUP = 1
 _HULL_GROUP = 2
+
+
+def _log_warning(message: str) -> None:
+    """Log a warning of MuJoCo.
+
+    Without a handler MuJoCo appends it to MUJOCO_LOG.TXT in the working folder.
+    """
+    logging.getLogger(__name__).warning("MuJoCo: %s", message)
+
+
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(_log_warning)
 
 
 def to_spec(

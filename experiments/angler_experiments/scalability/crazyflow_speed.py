@@ -13,6 +13,7 @@ import importlib
 import importlib.metadata
 import json
 import statistics
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,10 @@ def main() -> None:
     asked.add_argument("--out", type=Path, required=True)
     asked.add_argument("--worlds", type=int, nargs="*", default=None)
     given = asked.parse_args()
+    # Without a handler MuJoCo appends its warnings to MUJOCO_LOG.TXT in the working folder.
+    importlib.import_module("mujoco").set_mju_user_warning(
+        lambda message: print(message, file=sys.stderr)
+    )
     backend = importlib.import_module("jax").default_backend()
     for worlds in given.worlds or SIZES["gpu" if backend == "gpu" else "cpu"]:
         row = measure(worlds, STEPS, REPEATS)

@@ -12,6 +12,8 @@ from angler_mjx.files import FileModel, parse, read_toml
 
 ENVIRONMENT = "ANGLER_ARDUSUB"
 PROGRAM, RECORD = "ardusub", "ardusub.toml"
+UNKNOWN = "unknown"
+"""Version of a program without a record, until it states one itself."""
 
 _MACHINES = {"x86_64": 62, "aarch64": 183, "armv7l": 40, "i686": 3}
 """ELF's number of a machine (e_machine) by the kernel's name of it."""
@@ -25,8 +27,7 @@ class Binary:
 
     Attributes:
         path: Where it is.
-        version: As it said when it was installed, as in "4.5.3"; "unknown" for others, until it
-            runs.
+        version: As it said when it was installed, as in "4.5.3"; `UNKNOWN` for others.
         sha256: Of the file, hexadecimal.
     """
 
@@ -130,7 +131,7 @@ def _given(path: Path, source: str) -> Binary:
             check_program(path)
     except ConfigError as error:
         raise ConfigError(f"{source}: {error}") from error
-    return Binary(path=path, version="unknown", sha256=sha256(path))
+    return Binary(path=path, version=UNKNOWN, sha256=sha256(path))
 
 
 def _is_script(path: Path) -> bool:

@@ -107,6 +107,7 @@ def _up(pilot: Pilot, clock: _Clock, mode: int, source: Source, home: Place) -> 
     for message, rate in STREAMS_HZ.items():
         link.stream(message, rate)
     link.request_parameters()
+    _request_version(pilot)
     origin = _origin(pilot, home)
 
     def located() -> bool:
@@ -198,6 +199,14 @@ def _origin(pilot: Pilot, home: Place) -> Callable[[], None]:
     return tell
 
 
+def _request_version(pilot: Pilot) -> None:
+    """Request AUTOPILOT_VERSION, unless it has come; no flight waits for it."""
+    if "AUTOPILOT_VERSION" not in pilot.link.latest:
+        pilot.link.command(
+            dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+        )
+
+
 def _complete(pilot: Pilot) -> Callable[[], bool]:
     """Whether all parameters have come."""
     link = pilot.link
@@ -209,6 +218,7 @@ def _missing(pilot: Pilot) -> Callable[[], None]:
 
     def ask() -> None:
         link = pilot.link
+        _request_version(pilot)
         if not link.parameter_count:
             link.request_parameters()
             return

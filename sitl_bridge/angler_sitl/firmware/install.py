@@ -15,6 +15,7 @@ from angler_sitl.firmware import fetch, probe
 from angler_sitl.firmware.binary import (
     PROGRAM,
     RECORD,
+    UNKNOWN,
     Binary,
     Record,
     cache_folder,
@@ -96,7 +97,7 @@ def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> B
     found = sha256(part)
     _compare(part.with_name(RECORD), wanted, source, found, checksum)
     part.chmod(0o755)
-    said = _ask(Binary(path=part, version="unknown", sha256=found), source)
+    said = _ask(Binary(path=part, version=UNKNOWN, sha256=found), source)
     number = wanted.removeprefix("stable-")
     if re.fullmatch(r"\d+\.\d+\.\d+", number) and said.version != number:
         raise ConfigError(f"{source}: {wanted} was asked for, but it says it is {said.version}")

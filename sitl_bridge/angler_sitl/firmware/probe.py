@@ -6,15 +6,16 @@ fast as the autopilot takes it, so a boot of seconds takes a fraction of one.
 
 import contextlib
 import struct
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from angler_mjx.errors import RunError
-from angler_sitl.firmware.binary import Binary
+from angler_mjx.errors import AnglerError, ConfigError, RunError
+from angler_sitl.firmware.binary import UNKNOWN, Binary
 from angler_sitl.firmware.process import Instance, Launch
 from angler_sitl.wire.ports import Ports, allocate
 
@@ -33,8 +34,8 @@ _AT_REST = (
     '"position":[0,0,0],"quaternion":[1,0,0,0],"velocity":[0,0,0],"no_time_sync":1}}\n'
 )
 _GCS, _COMPONENT = 255, 190
-_VERSION = 148
-"""AUTOPILOT_VERSION."""
+VERSION = 148
+"""Number of the message AUTOPILOT_VERSION."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,13 +176,39 @@ def ask(still: Still, *, parameters: bool = True) -> Findings:
     _repeat(still, lambda: still.version is not None, _ask_version, "its version")
     if parameters:
         _repeat(still, lambda: 0 < still.expected <= len(still.parameters), _ask_all, "parameters")
-    number = int(still.version.flight_sw_version)
+    version, git = read_version(still.version)
+    return Findings(version=version, git=git, parameters=dict(still.parameters), sysid=still.sysid)
+
+
+def read_version(message: Any) -> tuple[str, str]:
+    """Return version, as in "4.5.3" or "4.6.0-dev", and commit of an AUTOPILOT_VERSION message.
+
+    ``flight_sw_version`` holds major, minor and patch number and ``FIRMWARE_VERSION_TYPE``, a byte
+    each, ``flight_custom_version`` the first 8 characters of the commit.
+    """
+    number = int(message.flight_sw_version)
     parts = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
     kind = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc", 255: ""}.get(number & 0xFF, "")
-    git = bytes(still.version.flight_custom_version).decode("ascii", "replace").strip("\0")
-    return Findings(
-        version=parts + kind, git=git, parameters=dict(still.parameters), sysid=still.sysid
-    )
+    git = bytes(message.flight_custom_version).decode("ascii", "replace").strip("\0")
+    return parts + kind, git
+
+
+def identified(binary: Binary) -> Binary:
+    """Return a program with the version that it states itself, where no record holds it.
+
+    Raises:
+        ConfigError: it does not answer as an ArduSub.
+    """
+    if binary.version != UNKNOWN:
+        return binary
+    with tempfile.TemporaryDirectory(prefix="angler_sitl_") as folder:
+        try:
+            with standing_still(binary, Path(folder), {}) as still:
+                return replace(binary, version=ask(still, parameters=False).version)
+        except AnglerError as error:
+            raise ConfigError(
+                f"{binary.path}: does not state its version as an ArduSub does: {error}"
+            ) from error
 
 
 def _repeat(
@@ -198,7 +225,7 @@ def _repeat(
 def _ask_version(still: Still) -> None:
     command = mavlink.MAV_CMD_REQUEST_MESSAGE
     still.send(
-        mavlink.MAVLink_command_long_message(still.sysid, 1, command, 0, _VERSION, *[0.0] * 6)
+        mavlink.MAVLink_command_long_message(still.sysid, 1, command, 0, VERSION, *[0.0] * 6)
     )
 
 

@@ -21,6 +21,7 @@ from angler_sitl.autopilots import Autopilots
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import Level, Source
+from angler_sitl.firmware.probe import read_version
 from angler_sitl.missions import plans
 from angler_sitl.missions.flight import Flight, fly
 from angler_sitl.session import SitlSession
@@ -185,6 +186,12 @@ def _result(flight: Flight, kept: Run | None) -> tuple[Flight, Run]:
     return flight, kept
 
 
+def _version(autopilots: Autopilots, chosen: running.Settings) -> str:
+    """Return the version that the first autopilot stated, or else that of the program's record."""
+    stated = autopilots.pilots[0].link.latest.get("AUTOPILOT_VERSION")
+    return chosen.binary.version if stated is None else read_version(stated)[0]
+
+
 def _summary(
     autopilots: Autopilots,
     chosen: running.Settings,
@@ -199,7 +206,7 @@ def _summary(
         "source": chosen.source,
         "speed": chosen.speed,
         "plan": list(plan),
-        "ardusub": {"version": chosen.binary.version, "sha256": chosen.binary.sha256},
+        "ardusub": {"version": _version(autopilots, chosen), "sha256": chosen.binary.sha256},
         "parameters": dict(chosen.parameters),
         "ready": {"sim_s": autopilots.ready.sim_s, "wall_s": autopilots.ready.wall_s},
         "steps": flight.steps,

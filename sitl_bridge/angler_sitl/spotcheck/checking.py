@@ -17,6 +17,7 @@ from angler_mjx.storage.folder import POLICY, Run
 from angler_mjx.vehicles import library
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
+from angler_sitl.firmware.probe import identified
 from angler_sitl.missions.choosing import speed_of
 from angler_sitl.spotcheck import flight, flying, folder, page, picking, scenes
 from angler_sitl.spotcheck.flight import RECORDED
@@ -138,10 +139,10 @@ def plan(run_path: Path, settings: Settings) -> Found:
     if not settings.levels:
         raise ConfigError("--level: give guided, thrusters or both")
     speed_of(settings.speed)
-    binary = binaries.find(settings.binary)
     picks = picking.pick(
         run.episodes, settings.episodes, seed=settings.seed, stratify=settings.stratify
     )
+    binary = identified(binaries.find(settings.binary))
     return Found(
         run=run,
         settings=settings,

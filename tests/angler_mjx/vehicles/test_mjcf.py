@@ -1,5 +1,8 @@
 """The MuJoCo model: what a reader of the exported XML gets."""
 
+import subprocess
+import sys
+
 import mujoco
 import numpy as np
 import pytest
@@ -74,3 +77,21 @@ def test_it_falls_freely_in_c_without_a_warning(vehicle):
     assert np.all(np.isfinite(data.qpos))
     # Constant acceleration: the velocity is exact up to rounding.
     assert data.qvel[2] == pytest.approx(-9.81 * data.time, rel=1e-9)
+
+
+def test_a_warning_of_mujoco_is_logged_and_not_written_into_the_working_folder(tmp_path):
+    # A process of its own: the handler is the process's.
+    code = (
+        "import mujoco\n"
+        "from angler_mjx.vehicles import mjcf\n"
+        "model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><body><freejoint/>"
+        '<geom size=".1"/></body></worldbody></mujoco>\')\n'
+        "data = mujoco.MjData(model)\n"
+        "data.qpos[0] = float('nan')\n"
+        "mujoco.mj_step(model, data)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert "MuJoCo: Nan, Inf or huge value in QPOS" in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -138,6 +138,8 @@ def test_a_flight_is_a_run_like_any_other(session, scenario, tmp_path, program):
     again = Run(run.path)
     assert again.summary["complete"]
     assert again.summary["sitl"]["level"] == "guided"
+    stated = again.summary["sitl"]["ardusub"]["version"]
+    assert stated == "4.6.0-dev" if program == "stand_in" else stated[0].isdigit()
     truth, known = (np.asarray(again.trajectories[name])[0] for name in ("p_m", "estimate/p_m"))
     assert truth.shape == (20, 2, 3)
     np.testing.assert_allclose(truth[0], [[-2, -2, -5], [-2, 2, -5]], atol=1e-6)
