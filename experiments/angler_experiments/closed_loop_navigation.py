@@ -1,14 +1,14 @@
 """How fleets do when their controllers are told the truth, noise, or a filter's estimate.
 
 The same worlds each time: those of a shipped scenario on the fused engine. Prints the table of
-docs/sensors.md. ``python -m angler_experiments.closed_loop_navigation [scenario] [worlds]``.
+docs/sensors.md.
 """
 
-import sys
 from typing import Any
 
 import jax
 import numpy as np
+import tyro
 
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
@@ -55,11 +55,16 @@ def _rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x, dtype=np.float64))))
 
 
-def main() -> None:
-    """Print the table."""
-    name = sys.argv[1] if len(sys.argv) > 1 else "reef_fleet"
-    worlds = int(sys.argv[2]) if len(sys.argv) > 2 else 64
-    base = load_scenario(name, engine="fused", worlds=worlds, tile=worlds)
+def main(
+    scenario: tyro.conf.Positional[str] = "reef_fleet", worlds: tyro.conf.Positional[int] = 64
+) -> None:
+    """Print the table.
+
+    Args:
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
+        worlds: Number of worlds.
+    """
+    base = load_scenario(scenario, engine="fused", worlds=worlds, tile=worlds)
     print(
         "| told | reached | collided | behind the aim, m | horizontal, m | depth, m | largest, m | "
         "largest, std |\n|---|---:|---:|---:|---:|---:|---:|---:|"
@@ -71,4 +76,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)
