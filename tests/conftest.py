@@ -10,6 +10,7 @@ from . import deviations
 gc.set_threshold(50_000, 20, 20)
 
 LONG = (
+    "commands/test_run.py",
     "engines/test_fused_triton.py",
     "engines/test_fused.py",
     "runs/",

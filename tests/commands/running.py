@@ -102,6 +102,8 @@ class Workshop:
         """Bring what a command reads into its folder."""
         for name in FILES:
             shutil.copy(BESIDE / name, folder)
+        text = (BESIDE / "dataset.toml").read_text(encoding="utf-8")
+        (folder / "other_seed.toml").write_text(_resized(text, "other_seed.toml"))
         for row in TABLE["printed"]:
             text = _resized(_block(row["page"], row["holds"]), row["name"])
             (folder / row["name"]).write_text(text, encoding="utf-8")

@@ -48,7 +48,8 @@ def _shared_programs():
             begin(self, scenario, **options)
             made[key] = self
         else:
-            self.__dict__ = made[key].__dict__ | {"scenario": scenario}
+            self.__dict__ = made[key].__dict__  # what one compiles, all have
+            self.scenario = scenario
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Simulator, "__init__", share)
