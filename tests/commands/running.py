@@ -39,7 +39,7 @@ def small(command):
     """Return the words of a command with the sizes and files of tests.
 
     Flags of ``[flags]`` take its values, or go; words of ``[words]`` are replaced; ``[more]`` adds
-    the flags that the line does not hold.
+    the flags that the line does not hold, for a verb or for its first three words.
     """
     words, verb = list(command.words), command.verb
     result, i = [], 0
@@ -53,7 +53,8 @@ def small(command):
         result += [word, *values] if values else []
         while i < len(words) and not words[i].startswith("-"):
             i += 1
-    for flag, *values in TABLE["more"].get(verb, ()):
+    more, longer = TABLE["more"], " ".join((command.program, *words[:3]))
+    for flag, *values in more.get(longer, more.get(verb, ())):
         if flag not in result:
             result += [flag, *values]
     return result
@@ -102,8 +103,9 @@ class Workshop:
         """Bring what a command reads into its folder."""
         for name in FILES:
             shutil.copy(BESIDE / name, folder)
-        text = (BESIDE / "dataset.toml").read_text(encoding="utf-8")
-        (folder / "other_seed.toml").write_text(_resized(text, "other_seed.toml"))
+        for row in TABLE["variants"]:
+            text = _resized((BESIDE / row["of"]).read_text(encoding="utf-8"), row["name"])
+            (folder / row["name"]).write_text(row.get("head", "") + text, encoding="utf-8")
         for row in TABLE["printed"]:
             text = _resized(_block(row["page"], row["holds"]), row["name"])
             (folder / row["name"]).write_text(text, encoding="utf-8")

@@ -78,9 +78,15 @@ class Case:
 
 
 def read(path: Path) -> Case:
-    """A case that `Case.write` wrote."""
+    """Read a case that `Case.write` wrote.
+
+    Raises:
+        ConfigError: the file's first line is not that of a case.
+    """
     text = path.read_text(encoding="utf-8")
     head, _, rest = text.partition("\n")
+    if not head.startswith("# fuzz: "):
+        raise ConfigError(f"--case {path}: is no case: its first line does not begin with # fuzz:")
     about = json.loads(head.removeprefix("# fuzz: "))
     scenario = tomllib.loads(rest)
     names = {entry["vehicle"] for entry in scenario["fleet"]}

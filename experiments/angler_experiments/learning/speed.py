@@ -17,7 +17,7 @@ import tyro
 
 from angler_mjx.control.commands import BodyTwist
 from angler_mjx.learning.environment import EnvState, FleetEnv, make
-from angler_mjx.scenario.scenario import load_scenario, shipped
+from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
 
@@ -61,7 +61,7 @@ def main(
         worlds: side by side.
         repeats: of which the best counts.
         action: of the environment: plan, or twist with zeros.
-        scenario: a shipped one.
+        scenario: Name of a shipped scenario, or path of a scenario file (.toml).
         kernels: of the fused engine in `Simulator.segment`; its default if left out.
         action_repeat: control steps that the environment holds an action for.
     """
@@ -69,7 +69,7 @@ def main(
     changes: dict[str, Any] = {"engine": "fused", "time": {"record_hz": 0.0}}
     if kernels:
         changes["kernels"] = kernels
-    simulator = Simulator(load_scenario(shipped()[scenario], **changes), tile=worlds)
+    simulator = Simulator(load_scenario(scenario, **changes), tile=worlds)
     drawn, steps = simulator.worlds(), simulator.segment_steps
     robots = drawn.variant.shape[1]
     command = None
