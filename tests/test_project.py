@@ -125,3 +125,33 @@ def test_heterogeneous_holds_every_vehicle_with_every_set():
         for chosen in library.load(name).parameter_sets
     }
     assert held == shipped_sets
+
+
+def test_jax_has_an_upper_bound_below_the_version_that_may_drop_what_we_use(pinned):
+    lines = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["gpu"]]
+    bounds = [line for line in lines if re.match(r"jax\b", line)]
+    assert len(bounds) == 2
+    assert all(line.endswith(">=0.11.2,<0.12") for line in bounds)
+    assert pinned["jax"].startswith("0.11.")
+
+
+def test_one_private_name_of_jax_is_used():
+    """Each is a promise that nobody made; what is named here says why there is no public one."""
+    packages = ("angler_mjx", "kernels", "sitl_bridge", "experiments", "tools")
+    files = [file for package in packages for file in (ROOT / package).rglob("*.py")]
+    lines = [
+        (file.relative_to(ROOT).as_posix(), line.strip())
+        for file in files
+        for line in file.read_text().splitlines()
+        if re.match(r"\s*(from|import) jax\._src", line)
+    ]
+    assert lines == [("angler_mjx/runs/processes.py", "from jax._src import distributed")]
+
+
+def test_the_private_name_of_jax_is_what_shared_runs_expect():
+    from jax._src import distributed
+    from jaxlib import _jax
+
+    assert distributed.global_state.client is None
+    for name in ("key_value_set", "key_value_dir_get"):
+        assert callable(getattr(_jax.DistributedRuntimeClient, name))

@@ -42,6 +42,11 @@ GARBAGE = (100_000, 20, 20)
 """Thresholds of Python's garbage collector. With its own it looks 900 times while JAX traces what a
 command computes, finds next to nothing, and takes a fifth of that time."""
 
+QUIET = ("TF_CPP_MIN_LOG_LEVEL", "3")
+"""Level of XLA's own log on stderr, read when JAX is imported; a level that is set is kept. From 2
+minutes on, XLA logs every compilation as an error, "Very slow compile? If you want to file a bug",
+and has no other switch. Its true errors reach Python as exceptions, and fatal ones are logged."""
+
 GROUPS: dict[str, dict[str, Callable[..., Any]]] = {
     "dataset": {
         "make": dataset.make,
@@ -132,6 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # What stops a job on a cluster is to end it as cleanly as Ctrl-C does.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     gc.set_threshold(*GARBAGE)
+    os.environ.setdefault(*QUIET)
     given = list(sys.argv[1:] if arguments is None else arguments)
     prog, commands = "angler", COMMANDS
     if given == ["--version"]:

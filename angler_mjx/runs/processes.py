@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 import jax
-from jax._src import distributed
 
 from angler_mjx.errors import ConfigError, RunError
 
@@ -169,17 +168,39 @@ def join(
     # Every process waits here until all have told each other their devices; after that, one may
     # fail without another one waiting for it inside JAX.
     jax.local_devices()
-    return ManyProcesses(distributed.global_state, gone_s)
+    return ManyProcesses(_store(), gone_s)
+
+
+def _store() -> Any:
+    """Return the key-value store of JAX's coordinator, after `jax.distributed.initialize`.
+
+    JAX gives no public access to it, and no public function replaces it: those of
+    `jax.experimental.multihost_utils` are collectives of devices, which wait inside XLA for a
+    process that is gone, `live_devices` too. The upper bound of jax in pyproject.toml keeps this
+    name; it is imported by shared runs only, so that nothing else depends on it.
+
+    Raises:
+        RunError: this version of JAX keeps the store under another name.
+    """
+    try:
+        from jax._src import distributed
+
+        return distributed.global_state.client
+    except (ImportError, AttributeError) as error:
+        raise RunError(
+            f"--distributed: jax {jax.__version__} has no jax._src.distributed.global_state.client "
+            "(install the version of constraints.txt)"
+        ) from error
 
 
 class ManyProcesses:
     """Several processes; see `Processes`."""
 
-    def __init__(self, state: Any, gone_s: float) -> None:
+    def __init__(self, store: Any, gone_s: float) -> None:
         """Begin to show signs of life; see `join`."""
-        self.index: int = state.process_id
-        self.count: int = state.num_processes
-        self._client = state.client
+        self.index: int = jax.process_index()
+        self.count: int = jax.process_count()
+        self._client = store
         self._gone_s = gone_s
         self._seen: dict[int, tuple[str, float]] = {}
         self._gone: set[int] = set()

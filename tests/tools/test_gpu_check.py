@@ -1,0 +1,191 @@
+"""The check of a GPU: what it covers, how it compares, and one check of a CPU against itself."""
+
+import ast
+import json
+import time
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from angler_mjx.engines.base import by_name
+from angler_mjx.planning.register import DEVICE
+from angler_mjx.scenario.policy_tables import PolicyConfig
+from angler_mjx.scenario.scenario import shipped
+from angler_mjx.speed.workloads import WORKLOADS, Engine, Kernels
+from tools.gpu_check import __main__ as command
+from tools.gpu_check import workloads
+from tools.gpu_check.checks import CHECKS, RATES, names
+from tools.gpu_check.comparing import Bound, differences
+from tools.gpu_check.running import Outcome
+
+ROOT = Path(__file__).parents[2]
+LAUNCHERS = ("angler_kernels.programs.Program", "angler_mjx.engines.triton.launch")
+"""Names by which modules launch kernels of their own."""
+MEASURED = {"angler_mjx.speed.roofline"}
+"""Kernels without an outcome: the first of all rates, in every workload of `angler bench`."""
+
+
+def covered(kind):
+    found = {name for check in CHECKS.values() for name in check.covers}
+    return {name.partition(":")[2] for name in found if name.startswith(f"{kind}:")}
+
+
+def launching():
+    """Modules that import what launches kernels."""
+    for folder, package in (("kernels", "angler_kernels"), (".", "angler_mjx")):
+        for file in sorted((ROOT / folder / package).rglob("*.py")):
+            module = ".".join(file.relative_to(ROOT / folder).with_suffix("").parts)
+            for node in ast.walk(ast.parse(file.read_text())):
+                if isinstance(node, ast.ImportFrom):
+                    imported = {f"{node.module}.{alias.name}" for alias in node.names}
+                    if imported & set(LAUNCHERS):
+                        yield module
+
+
+def test_every_engine_is_checked():
+    every = {type(by_name(e, k)) for e in get_args(Engine.__value__) for k in kernels()}
+    checked = {type(by_name(*name.split("/"))) for name in covered("engine")}
+    assert checked == every
+
+
+def kernels():
+    return get_args(Kernels.__value__)
+
+
+def test_every_kernel_is_checked():
+    modules = set(launching()) - MEASURED
+    assert {"angler_kernels.matching", "angler_mjx.engines.dynamics"} <= modules
+    assert not [m for m in modules if not any(m.startswith(name) for name in covered("kernel"))]
+
+
+@pytest.mark.parametrize(
+    ("kind", "every"),
+    [
+        ("planner", set(DEVICE)),
+        ("replanning", set(DEVICE)),
+        ("policy", set(get_args(PolicyConfig.model_fields["name"].annotation))),
+        ("scenario", set(shipped())),
+        ("workload", set(WORKLOADS)),
+    ],
+)
+def test_every_name_is_checked(kind, every):
+    assert covered(kind) == every
+
+
+def test_every_rate_is_measured_once_and_last():
+    assert sorted(names()[-len(RATES) :]) == sorted(f"rate/{name}" for name in WORKLOADS)
+    assert len(set(names())) == len(names())
+
+
+def test_arrays_are_compared_within_their_bounds():
+    ours = {"p": np.array([[0.0, 1.0], [np.nan, 2.0], [3.0, 3.0]]), "n": np.array([1, 2, 3])}
+    assert differences(ours, ours, {}) == ([], [])
+    moved = {**ours, "p": ours["p"] + np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 0.5]])}
+    (fault,), notes = differences(moved, ours, {})
+    assert "p: 0.6667 of 3 rows within 0, 1 must be; first at (2,)" in fault
+    assert not notes
+    assert differences(moved, ours, {"p": Bound(atol=0.6)}) == ([], [])
+    faults, (note,) = differences(moved, ours, {"p": Bound(fraction=0.6)})
+    assert not faults
+    assert "largest difference 0.5" in note
+    assert differences(moved, ours, {"p": Bound(fraction=0.7)})[0]
+    infinite = {**ours, "p": np.where(np.isnan(ours["p"]), 0.0, ours["p"])}
+    assert differences(infinite, ours, {"p": Bound(atol=1e9)})[0]
+    assert (
+        "shape (2,), on the CPU (3,)" in differences({**ours, "n": ours["n"][:2]}, ours, {})[0][0]
+    )
+    assert "arrays differ: ['n']" in differences({"p": ours["p"]}, ours, {})[0][0]
+    assert differences({"p": np.zeros(0)}, {"p": np.zeros(0)}, {})[0]
+
+
+ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
+KNOWN = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
+
+
+@pytest.mark.parametrize(
+    ("row", "known", "status"),
+    [
+        (ROW, KNOWN, "slower"),
+        ({**ROW, "median": 91.0}, KNOWN, "passed"),
+        ({**ROW, "median": 200.0}, KNOWN, "passed"),
+        (ROW, None, "skipped"),
+        (ROW, {**KNOWN, "worlds": 8}, "skipped"),
+    ],
+)
+def test_a_rate_is_judged_by_the_stored_median(row, known, status):
+    judged, reason = workloads.judge(row, known)
+    assert judged == status
+    assert f"{row['median']:.3e} steps/s" in reason
+
+
+def test_medians_are_stored_by_card_beside_others(tmp_path):
+    path = tmp_path / "medians.json"
+    assert workloads.stored("A", path) == {}
+    workloads.store("A", {"dynamics": KNOWN}, path)
+    workloads.store("B", {"dynamics": {**KNOWN, "median": 7.0}}, path)
+    workloads.store("A", {"mjx": KNOWN}, path)
+    assert set(workloads.stored("A", path)) == {"dynamics", "mjx"}
+    assert workloads.stored("B", path)["dynamics"]["median"] == 7.0
+
+
+ABOUT = {
+    "commit": "abc",
+    "device": "cpu",
+    "driver": None,
+    "versions": {"jax": "0"},
+    "cpu_count": 2,
+}
+
+
+@pytest.fixture
+def on_cpu(tmp_path, monkeypatch):
+    """Run chosen checks of a CPU whose description is known; their results file."""
+    monkeypatch.setattr(command, "_about", lambda machine: ABOUT)
+    results = tmp_path / "results.jsonl"
+
+    def run(*only, **options):
+        chosen = {"device": "cpu", "jobs": 2, "results": results, "only": only, **options}
+        return command.main(command.Options(**chosen)), results
+
+    return run
+
+
+def test_a_check_is_run_compared_and_not_run_again(on_cpu, capsys):
+    name = "kernel/angler_kernels.matching"
+    status, results = on_cpu(name)
+    assert status == 0
+    (line,) = map(json.loads, results.read_text().splitlines())
+    assert (line["name"], line["status"], line["reason"]) == (name, "passed", "")
+    assert "gpu-check: 1 passed, 0 failed, 0 slower, 0 skipped, 0 unfinished" in (
+        capsys.readouterr().out
+    )
+    begun = time.monotonic()
+    assert on_cpu(name)[0] == 0
+    assert len(results.read_text().splitlines()) == 1
+    assert time.monotonic() - begun < 1.0
+
+
+def test_what_time_did_not_suffice_for_is_left_to_the_next_call(on_cpu, capsys):
+    status, results = on_cpu("kernel/", "rate/", minutes=0.0)
+    assert status == 3
+    assert not results.exists()
+    assert "unfinished rate/dynamics: not begun" in capsys.readouterr().out
+
+
+def test_outcomes_of_another_commit_are_not_believed(on_cpu, capsys, monkeypatch):
+    name = "kernel/angler_kernels.matching"
+    outcome = Outcome(name=name, status="failed", seconds=1.0, reason="of old")
+    _, results = on_cpu(name, minutes=0.0)
+    for commit, status in (("other", 3), ("abc", 1)):
+        line = {**outcome.__dict__, "mark": [commit, "cpu", "cpu"], "at_utc": "now"}
+        with results.open("a") as file:
+            file.write(json.dumps(line) + "\n")
+        assert on_cpu(name, minutes=0.0)[0] == status
+    assert "failed     kernel/angler_kernels.matching: of old" in capsys.readouterr().out
+
+
+def test_a_name_that_no_check_has_is_refused(on_cpu, capsys):
+    assert on_cpu("kernal/")[0] == 2
+    assert "--only kernal/: no check begins so" in capsys.readouterr().err
