@@ -1,10 +1,8 @@
 """The house as docs/architecture.md draws it, against the house as it stands."""
 
 import re
-import subprocess
 import tomllib
-from collections import Counter
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import pytest
 
@@ -18,7 +16,6 @@ PLACES = {
 }
 DRAWN = re.findall(r"^    (angler_[a-z_]+(?:\.[a-z_]+)?)(?: |$)", PAGE, re.M)
 """Rooms in the drawing, from the top down."""
-MOST_FILES = 15
 
 
 def rooms(package):
@@ -75,11 +72,3 @@ def test_what_the_page_names_is_there(name):
     assert there or re.search(
         rf"^(?:def|class) {parts[-1]}\b|^{parts[-1]}\b", module.read_text(), re.M
     )
-
-
-def test_no_folder_of_code_holds_more_than_fifteen_files():
-    listed = subprocess.run(
-        ["git", "-C", str(ROOT), "ls-files", "*.py"], capture_output=True, text=True, check=True
-    ).stdout.split()
-    held = Counter(str(PurePosixPath(path).parent) for path in listed)
-    assert {folder: n for folder, n in held.items() if n > MOST_FILES} == {}

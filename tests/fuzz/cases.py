@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.control.stages import CONTROLLERS
+from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.vehicles import library
 

@@ -71,8 +71,7 @@ def _flights() -> list[Check]:
         "engine:fused/triton",
         "policy:none",
         "planner:grid",
-        "kernel:angler_mjx.engines.triton.launch",
-        "kernel:angler_mjx.engines.triton.engine",
+        "kernel:angler_mjx.engines.triton",
     }
     anew: dict[str, Any] = {"replan_hz": 0.5, "knows": {"obstacles": "observed"}}
     few = {"samples": 64}
