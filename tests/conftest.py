@@ -1,10 +1,10 @@
-"""The order of test files, how often garbage is looked for, and what tests measured."""
+"""The order of test files, how often garbage is looked for, what tests measured and compiled."""
 
 import gc
 
 import pytest
 
-from . import deviations
+from . import compile_times, deviations
 
 # Tracing makes millions of objects that stay: that of a rollout takes 7.1 s instead of 8.4.
 gc.set_threshold(50_000, 20, 20)
@@ -32,9 +32,13 @@ TOGETHER = ("angler_mjx/datasets/", "experiments/learned_planner/")
 
 deviation = deviations.deviation
 pytest_addoption = deviations.pytest_addoption
-pytest_configure = deviations.pytest_configure
 pytest_testnodedown = deviations.pytest_testnodedown
 pytest_sessionfinish = deviations.pytest_sessionfinish
+
+
+def pytest_configure(config):
+    deviations.pytest_configure(config)
+    config.pluginmanager.register(compile_times.CompileTimes())
 
 
 @pytest.hookimpl(optionalhook=True)

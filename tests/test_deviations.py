@@ -77,7 +77,8 @@ def test_what_two_processes_found_comes_into_one_file(tmp_path):
     (tmp_path / "conftest.py").write_text(
         (TESTS / "conftest.py").read_text().replace("from . import", "import")
     )
-    (tmp_path / "deviations.py").write_text((TESTS / "deviations.py").read_text())
+    for name in ("deviations.py", "compile_times.py"):
+        (tmp_path / name).write_text((TESTS / name).read_text())
     (tmp_path / "test_a.py").write_text("def test_a(deviation):\n    deviation('k', 0.2, 1.0)\n")
     (tmp_path / "test_b.py").write_text(
         "def test_b(deviation):\n"

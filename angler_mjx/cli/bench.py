@@ -15,6 +15,7 @@ CHART = Path("docs/images/performance.png")
 
 def bench(
     workload: tuple[str, ...] = (),
+    scenario: tuple[str, ...] = (),
     worlds: tuple[int, ...] = (),
     robots: tuple[int, ...] = (),
     engine: Literal["mjx", "fused"] | None = None,
@@ -33,9 +34,12 @@ def bench(
 
     Args:
         workload: dynamics, closed_loop_8, reef_fleet, mjx, recording, preparation, env_generation,
-            clearance, or scenarios by name or path, several after one another; the profile's
-            if left out.
-        worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024.
+            clearance, compile, or scenarios by name or path, several after one another; the
+            profile's if left out.
+        scenario: Scenarios that --workload compile compiles, by name or path; all shipped ones if
+            left out.
+        worlds: Worlds in one device call; one row for each number, as in --worlds 64 1024;
+            the profile's if left out, of compile those of a run of the scenario.
         robots: Robots in each world, as in --robots 1 4 16; the workload's own if left out, and
             always one in dynamics.
         engine: Engine of the simulations; the workload's own if left out.
@@ -68,6 +72,7 @@ def bench(
         asked = Request(
             profile=profile,
             workloads=workload,
+            scenarios=scenario,
             worlds=worlds,
             robots=robots,
             engine=engine,
@@ -119,7 +124,9 @@ def _show(rows: "list[Row]", device: Any) -> None:
 
     shown = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
-    for row in rows:
+    seconds = [row for row in rows if row.unit == "s"]
+    rates = [row for row in rows if row.unit != "s"]
+    for row in rates:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
         size = _size(row)
         if row.median is None or row.low is None or row.high is None:
@@ -133,14 +140,37 @@ def _show(rows: "list[Row]", device: Any) -> None:
             "" if share is None else f"{share:.1%}",
             _compiled(row),
         )
-    console.print(shown)
-    said = dict.fromkeys(f"{row.workload}: timed is {row.inside}" for row in rows if row.inside)
+    if rates:
+        console.print(shown)
+    if seconds:
+        console.print(_seconds(seconds))
+    said = dict.fromkeys(f"{_name(row)}: timed is {row.inside}" for row in rows if row.inside)
     said |= {
         _recorded(row): None for row in rows if row.workload.startswith("recording/") and row.extra
     }
     refusals = [f"{r.workload}, {r.worlds} x {r.robots}: {r.refused}" for r in rows if r.refused]
     for line in [*said, *refusals]:
         console.print(line, highlight=False)
+
+
+def _seconds(rows: "list[Row]") -> Any:
+    """A table of the seconds of compiling, cold and cached side by side."""
+    from angler_mjx.cli.shared.text_table import table as text_table
+
+    shown = text_table("workload", "worlds x robots", "empty cache", "full cache")
+    of: dict[tuple[str, ...], list[str]] = {}
+    for row in rows:
+        engine = "/".join(part for part in (row.engine, row.kernels) if part)
+        name = (row.workload.removesuffix("/cached"), engine, _size(row))
+        of.setdefault(name, []).append(f"{row.median:.2f} s")
+    for (workload, engine, size), both in of.items():
+        shown.add_row(f"{workload} {engine}", size, *both)
+    return shown
+
+
+def _name(row: "Row") -> str:
+    """Workload of a row; of seconds, whose rows are timed alike, without scenario and program."""
+    return row.workload.partition("/")[0] if row.unit == "s" else row.workload
 
 
 def _recorded(row: "Row") -> str:
@@ -174,17 +204,33 @@ def _compare(a: str, b: str, results: Path) -> None:
     from angler_mjx.speed.compare import compare
 
     shown = text_table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
-    for row in compare(a, b, results):
+    found = compare(a, b, results)
+    for row in found.ratios:
         engine = "/".join(part for part in (row.engine, row.kernels) if part)
         shown.add_row(
             f"{row.workload} {engine}".strip(),
             _size(row),
-            f"{row.before:.2e} {row.unit}",
-            f"{row.after:.2e} {row.unit}",
+            _compared(row.before, row.unit),
+            _compared(row.after, row.unit),
             f"{row.ratio:.3f}",
-            f"{row.low:.2f} to {row.high:.2f}" + ("" if row.beyond_spread else ": no difference"),
+            _by_the_repeats(row),
         )
-    Console().print(shown)
+    console = Console()
+    console.print(shown)
+    for line in [found.machines, *(f"left out: {line}" for line in found.left_out)]:
+        if line:
+            console.print(line, highlight=False)
+
+
+def _compared(median: float, unit: str) -> str:
+    return f"{median:.2f} s" if unit == "s" else f"{median:.2e} {unit}"
+
+
+def _by_the_repeats(row: Any) -> str:
+    """Least and greatest ratio that the repeats allow; of one repeat nothing can be said."""
+    if row.repeats == 1:
+        return "measured once"
+    return f"{row.low:.2f} to {row.high:.2f}" + ("" if row.beyond_spread else ": no difference")
 
 
 def _chart(rows: Path, out: Path) -> None:
@@ -199,7 +245,7 @@ def _table(rows: Path, out: Path | None) -> None:
     from angler_mjx.speed import chart
 
     if out is None:
-        print(chart.table(rows))
+        print("\n\n".join(filter(None, (chart.table(rows), chart.compile_table(rows)))))
         return
     chart.write_table(rows, out)
     print(out)

@@ -45,8 +45,7 @@ def warm(
         overrides["time"] = {"record_hz": record_hz}
     simulator = Simulator(scenario_given(scenario, **overrides), devices=devices)
     took = simulator.compile()
-    parts = {"prepare": took.prepare_s, "reset": took.reset_s, "segment": took.segment_s}
-    for name, seconds in parts.items():
+    for name, seconds in took.by_program().items():
         print(f"{name:8} {seconds:6.1f} s")
     count = f"{simulator.tile} world{'' if simulator.tile == 1 else 's'} a tile"
     print(

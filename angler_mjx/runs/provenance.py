@@ -27,13 +27,32 @@ def describe_environment() -> dict[str, Any]:
         "versions": {name: _version(name) for name in packages},
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cpu_count": os.cpu_count(),
+        "processor": processor(),
+        "cpu_count": cpu_count(),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "backend": device.platform,
         "device": device.device_kind,
         "device_count": jax.device_count(),
         "commit": _commit(),
         "command": shlex.join(["angler", *sys.argv[1:]]),
     }
+
+
+def processor() -> str:
+    """Return the model name of the processor; empty where the system does not say."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            lines = [line for line in file if line.startswith("model name")]
+    except OSError:
+        return ""
+    return lines[0].partition(":")[2].strip() if lines else ""
+
+
+def cpu_count() -> int:
+    """Return the number of processors that this process may use: XLA's threads are as many."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def peak_memory_bytes() -> int:

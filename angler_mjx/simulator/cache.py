@@ -5,7 +5,10 @@ setting names a folder, and where ``ANGLER_COMPILE_CACHE=0`` says not to keep an
 """
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -26,4 +29,31 @@ def switch_on() -> None:
         return
     jax.config.update("jax_compilation_cache_dir", str(folder()))
     # JAX looks at the setting once, when it first compiles: that may have been before.
+    compilation_cache.reset_cache()
+
+
+@contextmanager
+def kept_in(folder: Path) -> Iterator[None]:
+    """Keep every program in a folder, however fast it compiles, until the context ends.
+
+    Args:
+        folder: of the programs, which are read from it as well; the user's cache is left alone.
+    """
+    settings = {
+        "jax_enable_compilation_cache": True,
+        "jax_compilation_cache_dir": str(folder),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+        "jax_persistent_cache_min_entry_size_bytes": 0,
+    }
+    before = {name: getattr(jax.config, name) for name in settings}
+    try:
+        _configure(settings)
+        yield
+    finally:
+        _configure(before)
+
+
+def _configure(settings: dict[str, Any]) -> None:
+    for name, value in settings.items():
+        jax.config.update(name, value)
     compilation_cache.reset_cache()

@@ -69,6 +69,10 @@ class CompileTime:
     total_s: float = 0.0
     """Of all of them, by the clock on the wall: less than their sum."""
 
+    def by_program(self) -> dict[str, float]:
+        """Return the seconds of each program by its name, without the total."""
+        return {"prepare": self.prepare_s, "reset": self.reset_s, "segment": self.segment_s}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Program:

@@ -9,13 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.simulator.compiling import CompileTime
 from angler_mjx.speed import rows as speed
 from angler_mjx.speed.ceilings import with_bounds
-from angler_mjx.speed.compare import latest
+from angler_mjx.speed.compare import host, latest
 from angler_mjx.viewing import style, tables
 
 BEGIN, END = "<!-- rows: begin -->", "<!-- rows: end -->"
 """What stands between them in a document is replaced by the table."""
+COMPILED = ("<!-- compiled: begin -->", "<!-- compiled: end -->")
+"""The same of the seconds of compiling."""
 _UNIT = "vehicle-steps/s"
 _MARKS = "osD^vPX*"
 
@@ -65,19 +68,59 @@ def table(path: Path) -> str:
         "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |"
     )
     rows = sorted(
-        latest(with_bounds(speed.read(path))),
+        (row for row in latest(with_bounds(speed.read(path))) if row["unit"] != speed.DURATION),
         key=lambda row: (*_series(row), row["worlds"]),
     )
     return "\n".join([head, *map(_table_row, rows)])
 
 
+def compile_table(path: Path) -> str:
+    """Seconds of compiling in a file of rows, as a table in Markdown; empty without any.
+
+    Args:
+        path: file of rows; the last of each scenario, size, engine and host is taken.
+
+    Returns:
+        A line for each scenario, size, engine, device and host, with a column for each program:
+        seconds with an empty cache folder, then from a full one.
+    """
+    lines: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
+    for row in latest(speed.read(path)):
+        if row["unit"] == speed.DURATION:
+            _, scenario, *rest = row["workload"].split("/")
+            size = f"{row['worlds']:,} x {row['robots']}"
+            of = lines[scenario, _engine(row), device_name(row), host(row), size]
+            of["/".join(rest)] = f"{row['median']:.1f}"
+            jax = (row.get("versions") or {}).get("jax", "-")
+            of["at"] = f"{jax} | {str(row['at_utc'])[:10]} | {_commit(row)}"
+    if not lines:
+        return ""
+    programs = tuple(CompileTime().by_program())
+    head = ["scenario", "engine", "device", "host", "worlds x robots", *programs]
+    head += ["all, side by side", "jax", "date", "commit"]
+    body = [[*name, *_seconds(of, programs), of["at"]] for name, of in sorted(lines.items())]
+    return tables.table(head, body)
+
+
+def _seconds(of: dict[str, str], programs: tuple[str, ...]) -> list[str]:
+    """Cold and cached seconds of each program and of all."""
+    cached = [(name, f"{name}/cached".removeprefix("/")) for name in (*programs, "")]
+    return [f"{of.get(cold, '-')}; {of.get(warm, '-')}" for cold, warm in cached]
+
+
 def write_table(path: Path, document: Path) -> None:
-    """Put the table of a file between the two marks of a document.
+    """Put the tables of a file between the marks of a document.
 
     Raises:
         ConfigError: the document cannot be read or written, or has no marks.
     """
+    begin, end = COMPILED
+    seconds = compile_table(path)
+    if seconds:
+        tables.require_place(document, begin, end)
     tables.put(document, BEGIN, table(path), END)
+    if seconds:
+        tables.put(document, begin, seconds, end)
 
 
 def _series(row: dict[str, Any]) -> tuple[str, ...]:

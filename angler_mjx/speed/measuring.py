@@ -9,21 +9,22 @@ import jax
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.simulator import devices
 from angler_mjx.speed.measured import (
+    compilation,
     environments,
     free_motion,
     hull_clearance,
     recording,
     simulation,
 )
-from angler_mjx.speed.rows import Row, cache_hits, peak_device_bytes
+from angler_mjx.speed.rows import HITS, Row, cache_events, peak_device_bytes
 from angler_mjx.speed.workloads import Case
 
 
 def run(chosen: list[Case], begin: Callable[[Case], None]) -> Iterator[Row]:
     """Measure one case after the other.
 
-    A case that is refused gives a row without a number. After one that lacks memory, larger ones
-    of the same kind are left out.
+    A case gives a row, or several where it compiles. A case that is refused gives a row without a
+    number. After one that lacks memory, larger ones of the same kind are left out.
 
     Args:
         chosen: from `cases`.
@@ -34,29 +35,37 @@ def run(chosen: list[Case], begin: Callable[[Case], None]) -> Iterator[Row]:
         if (case.label, case.robots) in full:
             continue
         begin(case)
-        before = cache_hits()[0]
-        row = _measured(case)
-        row = replace(row, cached_programs=cache_hits()[0] - before)
-        if row.out_of_memory:
+        before = cache_events()[HITS]
+        rows = _measured(case)
+        if case.workload.kind != "compilation":
+            hits = cache_events()[HITS] - before
+            rows = [replace(row, cached_programs=hits) for row in rows]
+        if any(row.out_of_memory for row in rows):
             full.add((case.label, case.robots))
-        yield row
+        yield from rows
         # Programs of the case before hold device memory that the next one may need.
         jax.clear_caches()
 
 
-def _measured(case: Case) -> Row:
+def _measured(case: Case) -> list[Row]:
     try:
         return _measure(case)
     except AnglerError as error:
-        return _refused(case, str(error), devices.is_out_of_memory(error.__cause__ or error))
+        return [_refused(case, str(error), devices.is_out_of_memory(error.__cause__ or error))]
     except jax.errors.JaxRuntimeError as error:
         if not devices.is_out_of_memory(error):
             raise
         fits = _largest_that_fits(case)
-        return _refused(case, f"out of device memory; {fits} worlds in one call fit", True)
+        return [_refused(case, f"out of device memory; {fits} worlds in one call fit", True)]
 
 
-def _measure(case: Case) -> Row:
+def _measure(case: Case) -> list[Row]:
+    if case.workload.kind == "compilation" and case.scenario is not None:
+        return compilation.measure(case.scenario, label=case.label, worlds=case.worlds)
+    return [_rate(case)]
+
+
+def _rate(case: Case) -> Row:
     workload, worlds, robots, repeats = case.workload, case.worlds, case.robots, case.repeats
     match workload.kind:
         case "generation":

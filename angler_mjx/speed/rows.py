@@ -6,6 +6,7 @@ number can be judged without asking who measured it. A row without a number says
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -27,6 +28,8 @@ MOST_BYTES = 1 << 26
 """Of a file of rows."""
 MIN_REPEATS = 10
 """Fewer tell little about the spread."""
+DURATION = "s"
+"""Unit of rows that hold seconds: less is faster. In all other units more is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +45,10 @@ class Row:
     median: float | None
     low: float | None
     high: float | None
-    """Median, least and greatest rate over the repeats, in ``unit``; None if it was refused."""
+    """Median, least and greatest rate over the repeats, in ``unit``; None if it was refused.
+
+    Seconds in rows of `DURATION`.
+    """
     repeats: int
     compile_s: float | None
     cached_programs: int = 0
@@ -161,16 +167,24 @@ def all_finite(tree: Any) -> bool:
     return bool(_finite(tree))
 
 
-@cache
-def cache_hits() -> list[int]:
-    """One number: programs that came out of the compile cache since this was first called."""
-    hits = [0]
+HITS, REQUESTS = "cache_hits", "compile_requests_use_cache"
 
-    def count(event: str, **_: Any) -> None:
-        hits[0] += event == "/jax/compilation_cache/cache_hits"
+
+@cache
+def cache_events() -> Counter[str]:
+    """Return counts of JAX's events of the compile cache since this was first called.
+
+    `HITS` counts programs that came out of it, `REQUESTS` all that it was searched for.
+    """
+    counts: Counter[str] = Counter()
+
+    def count(event: str, **ignored: Any) -> None:
+        folder, _, name = event.rpartition("/")
+        if folder == "/jax/compilation_cache":
+            counts[name] += 1
 
     monitoring.register_event_listener(count)
-    return hits
+    return counts
 
 
 def peak_device_bytes() -> int | None:

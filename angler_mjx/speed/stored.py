@@ -36,6 +36,7 @@ class StoredRow(FileModel):
     flops_from: str | None = None
     copy_bytes_per_s: Amount | None = None
     fma_flops_per_s: Amount | None = None
+    processor: Word | None = None
     cpu_count: Count | None = None
     engine: Word | None = None
     kernels: Word | None = None
@@ -43,6 +44,7 @@ class StoredRow(FileModel):
     device: Word | None = None
     driver: Word | None = None
     commit: Word | None = None
+    repeats: Count | None = None
     refused: str | None = None
     extra: dict[str, Any] = Field(default_factory=dict)
 

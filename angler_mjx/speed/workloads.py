@@ -1,7 +1,7 @@
 """The workloads of `angler bench` as data, and the rows that a request asks for."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -11,9 +11,18 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.simulator import devices
+from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.speed.rows import check_repeats
 
-type Kind = Literal["dynamics", "simulation", "recording", "preparation", "generation", "clearance"]
+type Kind = Literal[
+    "dynamics",
+    "simulation",
+    "recording",
+    "preparation",
+    "generation",
+    "clearance",
+    "compilation",
+]
 type Engine = Literal["mjx", "fused"]
 type Kernels = Literal["xla", "triton"]
 type Profile = Literal["quick", "full", "paper"]
@@ -30,7 +39,7 @@ class Workload:
     engine: Engine | None = None
     """Where none is asked for."""
     robots: int
-    """In each world where no number is asked for."""
+    """In each world where no number is asked for; 0 for the scenario's own."""
     label: str
     """Name in the rows; ``{robots}`` stands for their number."""
     record_hz: float | None = None
@@ -98,6 +107,12 @@ WORKLOADS: dict[str, Workload] = {
         robots=8,
         label="clearance",
     ),
+    "compile": Workload(
+        about="seconds that the programs of the shipped scenarios take to compile",
+        kind="compilation",
+        robots=0,
+        label="compile",
+    ),
 }
 
 
@@ -110,8 +125,9 @@ class Grid:
     robots: tuple[int, ...] = ()
 
 
-_ALL = tuple(name for name in WORKLOADS if name != "recording")
-"""But the disk's: it is not the device's speed, and takes as much of the disk as a run."""
+_ALL = tuple(name for name in WORKLOADS if name not in ("recording", "compile"))
+"""But the disk's, which takes as much of the disk as a run, and the compiler's: neither is the
+speed of the device."""
 
 PROFILES: dict[Profile, Grid] = {
     "quick": Grid(
@@ -132,6 +148,8 @@ class Request:
 
     profile: Profile = "quick"
     workloads: tuple[str, ...] = ()
+    scenarios: tuple[str, ...] = ()
+    """Compiled by the workload ``compile``, by name or path; all shipped ones if empty."""
     worlds: tuple[int, ...] = ()
     robots: tuple[int, ...] = ()
     engine: Engine | None = None
@@ -183,14 +201,40 @@ def cases(request: Request) -> list[Case]:
         if any(n < 1 for n in numbers):
             raise ConfigError(f"--{flag} {min(numbers)}: must be at least 1")
     found = []
-    for name in request.workloads or grid.workloads:
-        workload = find(name)
+    for workload in _chosen(request, grid):
+        name = workload.label
         if workload.kind == "dynamics" and request.engine == "mjx":
             raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
-        sizes = request.worlds or grid.worlds
+        # Programs are compiled for the tile of a run, whatever worlds a profile simulates.
+        own = () if workload.kind == "compilation" else grid.worlds
+        sizes = request.worlds or own
         for robots in _fleets(workload, request.robots or grid.robots):
             for controller in _controllers(workload, request):
                 found += _of_fleet(workload, robots, request, sizes, controller)
+    return found
+
+
+def _chosen(request: Request, grid: Grid) -> list[Workload]:
+    """Workloads of a request; of ``compile`` one for each scenario.
+
+    Raises:
+        ConfigError: an unknown workload or scenario, or scenarios that nothing compiles.
+    """
+    found, is_compiled = [], False
+    for workload in map(find, request.workloads or grid.workloads):
+        if workload.kind != "compilation":
+            found.append(workload)
+            continue
+        is_compiled = True
+        for name in request.scenarios or tuple(shipped()):
+            of = _simulation(name)
+            label = f"{workload.label}/{of.label}"
+            found.append(replace(workload, source=name, robots=of.robots, label=label))
+    if request.scenarios and not is_compiled:
+        raise ConfigError(
+            f"--scenario {request.scenarios[0]}: is for --workload compile; to simulate it, give "
+            f"--workload {request.scenarios[0]}"
+        )
     return found
 
 
@@ -215,6 +259,8 @@ def _of_fleet(
 ) -> list[Case]:
     """The rows of one workload, number of robots and controller."""
     scenario = _scenario(workload, robots, request, controller)
+    if not worlds and scenario is not None:
+        worlds = (scenario.tile or default_tile(scenario.worlds),)
     devices = request.devices if workload.kind == "simulation" else 1
     return [
         Case(
@@ -246,6 +292,15 @@ def find(name: str) -> Workload:
             f"--workload {name}: there is {', '.join(WORKLOADS)}; also the scenarios "
             f"{', '.join(shipped())}, and any path of a .toml file"
         )
+    return _simulation(name)
+
+
+def _simulation(name: str) -> Workload:
+    """The simulation of a scenario by its name or path.
+
+    Raises:
+        ConfigError: there is no such scenario, or its file has faults.
+    """
     scenario = load_scenario(name)
     return Workload(
         about=scenario.description,
@@ -260,7 +315,7 @@ def _scenario(
     workload: Workload, robots: int, request: Request, controller: str | None
 ) -> Scenario | None:
     """The scenario of a workload with this many robots; None for workloads without one."""
-    if workload.kind not in ("simulation", "recording", "preparation"):
+    if workload.kind not in ("simulation", "recording", "preparation", "compilation"):
         return None
     changes: dict[str, Any] = {}
     if engine := request.engine or workload.engine:

@@ -9,23 +9,12 @@ def describe() -> dict[str, Any]:
     from angler_mjx.runs.provenance import describe_environment
 
     found = describe_environment()
-    kept = ("versions", "python", "platform", "cpu_count", "backend", "device", "commit")
+    machine = ("platform", "processor", "cpu_count", "backend", "device")
+    kept = ("versions", "python", "xla_flags", "commit", *machine)
     return {
         **{name: found[name] for name in kept},
-        "processor": processor(),
-        "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "ardusub": "ANGLER_ARDUSUB" in os.environ,
     }
-
-
-def processor() -> str:
-    """Name of the processor's model; empty where the system does not say."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            lines = [line for line in file if line.startswith("model name")]
-    except OSError:
-        return ""
-    return lines[0].partition(":")[2].strip() if lines else ""
 
 
 def said(about: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ Commands of `angler` share this process, and simulators of one scenario share th
 import pytest
 
 from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.speed.measured import compilation
 
 from . import printed, running
 
@@ -51,8 +52,11 @@ def _shared_programs():
             self.__dict__ = made[key].__dict__  # what one compiles, all have
             self.scenario = scenario
 
+    # What measures compiling compiles: it has simulators of its own.
+    fresh = type("Fresh", (Simulator,), {"__init__": begin})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Simulator, "__init__", share)
+        patch.setattr(compilation, "Simulator", fresh)
         yield
 
 

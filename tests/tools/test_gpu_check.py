@@ -102,6 +102,8 @@ def test_arrays_are_compared_within_their_bounds():
 
 ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
 KNOWN = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
+SECONDS = {**ROW, "median": 20.0, "unit": "s", "processor": "A", "cpu_count": 16}
+COMPILED = {**KNOWN, **SECONDS, "median": 18.1}
 
 
 @pytest.mark.parametrize(
@@ -112,12 +114,18 @@ KNOWN = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
         ({**ROW, "median": 200.0}, KNOWN, "passed"),
         (ROW, None, "skipped"),
         (ROW, {**KNOWN, "worlds": 8}, "skipped"),
+        (SECONDS, COMPILED, "passed"),
+        (SECONDS, {**COMPILED, "median": 17.9}, "slower"),
+        ({**SECONDS, "median": 1.0}, COMPILED, "passed"),
+        (SECONDS, {**COMPILED, "processor": "B"}, "skipped"),
+        (SECONDS, {**COMPILED, "cpu_count": 2}, "skipped"),
     ],
 )
 def test_a_rate_is_judged_by_the_stored_median(row, known, status):
     judged, reason = workloads.judge(row, known)
     assert judged == status
-    assert f"{row['median']:.3e} steps/s" in reason
+    rate = f"{row['median']:.1f} s" if row["unit"] == "s" else f"{row['median']:.3e} steps/s"
+    assert reason.startswith(rate)
 
 
 def test_medians_are_stored_by_card_beside_others(tmp_path):

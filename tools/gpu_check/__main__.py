@@ -16,7 +16,7 @@ import tyro
 from tools.gpu_check import checks, running, workloads
 from tools.gpu_check.running import Machine, Outcome
 
-KEPT = ("worlds", "robots", "unit", "engine", "kernels", "median", "low", "high")
+KEPT = ("worlds", "robots", "unit", "engine", "kernels", "median", "low", "high", *workloads.HOST)
 """Fields of a row that are stored."""
 
 

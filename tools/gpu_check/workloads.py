@@ -11,10 +11,14 @@ import numpy as np
 SIZES = {"dynamics": 65536}
 """Worlds in one call where they are not `WORLDS`."""
 WORLDS = 1024
+COMPILED = {"cpu": "open_water_current", "gpu": "reef_fleet"}
+"""Scenario that ``compile`` compiles; its row is of all programs, with an empty cache."""
 TINY = 2
 """Worlds on a CPU, where only the script itself is tested."""
 LOSS = 0.10
 """Loss of a rate that is named."""
+HOST = ("processor", "cpu_count")
+"""What seconds of compiling depend on beside the card."""
 STORED = Path(__file__).parents[2] / "benchmarks" / "gpu_medians.json"
 
 
@@ -22,27 +26,34 @@ def measure(workload: str) -> dict[str, Any]:
     """Measure one workload of `angler bench` to its end.
 
     Returns:
-        The row as a mapping.
+        The first row as a mapping, with the host's processor and number of cores.
 
     Raises:
         RuntimeError: the workload was refused.
     """
     import jax
 
+    from angler_mjx.runs.provenance import describe_environment
     from angler_mjx.speed import measuring
     from angler_mjx.speed.workloads import Request, cases
 
-    is_cpu = jax.default_backend() == "cpu"
+    backend = jax.default_backend()
+    is_cpu = backend == "cpu"
     worlds = TINY if is_cpu else SIZES.get(workload, WORLDS)
     robots = (1,) if is_cpu else ()
     with tempfile.TemporaryDirectory() as folder:
         request = Request(
-            workloads=(workload,), worlds=(worlds,), robots=robots, folder=Path(folder)
+            workloads=(workload,),
+            scenarios=(COMPILED[backend],) if workload == "compile" else (),
+            worlds=(worlds,),
+            robots=robots,
+            folder=Path(folder),
         )
-        (row,) = measuring.run(cases(request), lambda case: None)
+        row, *_ = measuring.run(cases(request), lambda case: None)
     if row.refused is not None:
         raise RuntimeError(row.refused)
-    return asdict(row)
+    about = describe_environment()
+    return asdict(row) | {name: about[name] for name in HOST}
 
 
 def end(workload: str) -> dict[str, np.ndarray]:
@@ -73,12 +84,16 @@ def judge(row: dict[str, Any], known: dict[str, Any] | None) -> tuple[str, str]:
         row: measured.
         known: stored row of the same card and workload, if any.
     """
-    rate = f"{row['median']:.3e} {row['unit']}"
+    is_duration = row["unit"] == "s"
+    rate = f"{row['median']:.1f} s" if is_duration else f"{row['median']:.3e} {row['unit']}"
     if known is None:
         return "skipped", f"{rate}; no median of this card is stored: --store writes it"
-    different = [name for name in ("worlds", "robots", "unit") if row[name] != known[name]]
+    same = ("worlds", "robots", "unit", *(HOST if is_duration else ()))
+    different = [name for name in same if row[name] != known[name]]
     if different:
         return "skipped", f"{rate}; the stored median has another {', '.join(different)}"
     ratio = row["median"] / known["median"]
-    when = f"{ratio:.3f} of {known['median']:.3e} ({known['date']}, {known['commit']})"
+    if is_duration:
+        ratio = 1.0 / ratio
+    when = f"{ratio:.3f} of the speed of {known['median']:.3e} ({known['date']}, {known['commit']})"
     return ("slower" if ratio < 1.0 - LOSS else "passed"), f"{rate}, {when}"

@@ -1,5 +1,8 @@
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +11,22 @@ import pytest
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import provenance
+from angler_mjx.scenario.scenario import load_scenario, shipped
 from angler_mjx.sim.state import Outcome
+from angler_mjx.simulator.compiling import Compiled, CompileTime, Together
+from angler_mjx.simulator.simulator import default_tile
 from angler_mjx.speed import measuring, roofline
 from angler_mjx.speed import (
     rows as speed,
 )
-from angler_mjx.speed.measured import free_motion, hull_clearance, recording, simulation
+from angler_mjx.speed.measured import (
+    compilation,
+    free_motion,
+    hull_clearance,
+    recording,
+    simulation,
+)
 from angler_mjx.speed.measured.hull_clearance import require_change
 from angler_mjx.speed.measured.simulation import require_moving
 from angler_mjx.speed.workloads import (
@@ -75,6 +88,139 @@ def test_operations_of_every_simulation_are_counted(name):
     assert 500 < counted.flops < 50_000
     # A scenario's repeats share one count.
     assert simulation._count(case.scenario.model_dump_json()) is counted
+
+
+TINY = """
+schema_version = 1
+name = "tiny"
+worlds = 2
+engine = "fused"
+
+[time]
+horizon_s = 2.0
+
+[world]
+preset = "open"
+shape = [8, 8, 8]
+
+[[fleet]]
+vehicle = "bluerov2"
+parameter_set = "blue_gazebo"
+count = 1
+"""
+
+
+CACHE_SETTINGS = (
+    "jax_enable_compilation_cache",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+
+
+class OneOperation:
+    """Three programs of one operation each, compiled as those of a simulator."""
+
+    kernels = "xla"
+    results: ClassVar = []
+
+    def __init__(self, scenario, *, tile):
+        self._argument = jnp.ones(tile)
+
+    def compile(self):
+        operations = {"prepare": jnp.sin, "reset": jnp.cos, "segment": jnp.cumsum}
+        with Together(3) as programs:
+            begun = {
+                name: programs.begin(Compiled(lambda x, of=of: of(x)), self._argument)
+                for name, of in operations.items()
+            }
+        seconds = {f"{name}_s": program.result()[1] for name, program in begun.items()}
+        return CompileTime(**seconds, total_s=sum(seconds.values()))
+
+    def close(self):
+        self.results.append(jax.config.jax_compilation_cache_dir)
+
+
+def test_seconds_are_of_an_empty_and_then_of_a_full_cache(monkeypatch):
+    monkeypatch.setattr(compilation, "Simulator", OneOperation)
+    monkeypatch.setattr(OneOperation, "results", [])
+    before = {name: getattr(jax.config, name) for name in CACHE_SETTINGS}
+    (case,) = ask(workloads=("compile",), scenarios=("open_water_current",), worlds=(2,))
+    rows = list(measuring.run([case], lambda case: None))
+    assert [row.workload.removeprefix("compile/open_water_current") for row in rows] == [
+        f"{name}{end}" for end in ("", "/cached") for name in ("", *PROGRAMS)
+    ]
+    assert [row.cached_programs for row in rows] == [0, 0, 0, 0, 3, 1, 1, 1]
+    # The same folder for both, which is removed; the user's own is used again.
+    first, second = OneOperation.results
+    assert first == second != before["jax_compilation_cache_dir"]
+    assert not Path(first).exists()
+    assert {name: getattr(jax.config, name) for name in CACHE_SETTINGS} == before
+
+
+def test_seconds_of_programs_that_are_compiled_twice_are_refused(monkeypatch):
+    class Forgetful(OneOperation):
+        def __init__(self, scenario, *, tile):
+            super().__init__(scenario, tile=tile)
+            for file in Path(jax.config.jax_compilation_cache_dir).glob("*-cache"):
+                file.unlink()
+
+    monkeypatch.setattr(compilation, "Simulator", Forgetful)
+    (row,) = measuring.run(
+        ask(workloads=("compile",), scenarios=("open_water_current",), worlds=(2,)),
+        lambda case: None,
+    )
+    assert "3 of 3 programs were compiled a second time" in row.refused
+
+
+PROGRAMS = ("/prepare", "/reset", "/segment")
+
+
+@pytest.mark.nightly(by="test_seconds_are_of_an_empty_and_then_of_a_full_cache")
+@pytest.mark.usefixtures("_known_device")
+def test_programs_are_compiled_without_and_with_a_cache(tmp_path, capsys):
+    """Cached programs are traced and not compiled; the user's cache holds none of them."""
+    file, out = tmp_path / "tiny.toml", tmp_path / "rows.jsonl"
+    file.write_text(TINY)
+    before = {name: getattr(jax.config, name) for name in CACHE_SETTINGS}
+    main(["bench", "--workload", "compile", "--scenario", str(file), "--out", str(out)])
+    assert {name: getattr(jax.config, name) for name in CACHE_SETTINGS} == before
+    rows = {row["workload"]: row for row in speed.read(out)}
+    seconds = {name.removeprefix("compile/tiny"): row["median"] for name, row in rows.items()}
+    assert set(seconds) == {f"{name}{end}" for name in ("", *PROGRAMS) for end in ("", "/cached")}
+    # Side by side: all takes as long as the longest, and no longer than one after the other.
+    for end in ("", "/cached"):
+        each = [seconds[f"{name}{end}"] for name in PROGRAMS]
+        assert max(each) <= seconds[end] <= sum(each) + 1.0
+    assert seconds["/segment/cached"] < seconds["/segment"]
+    assert rows["compile/tiny"]["cached_programs"] == 0
+    assert rows["compile/tiny/cached"]["cached_programs"] >= len(PROGRAMS)
+    for row in rows.values():
+        assert (row["worlds"], row["robots"], row["engine"]) == (2, 1, "fused")
+        assert (row["processor"], row["cpu_count"]) == (provenance.processor(), cores())
+        assert (row["versions"]["jax"], row["device"]) == (jax.__version__, "cpu")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "compile/tiny/segment fused/xla" in said
+    assert "compile: timed is tracing, lowering and compiling with an empty cache folder" in said
+
+
+def cores():
+    """Processors that `taskset` or a container leaves to this process, by another way."""
+    return int(subprocess.run(["nproc"], capture_output=True, text=True, check=True).stdout)
+
+
+def test_all_shipped_scenarios_are_compiled_for_the_tile_of_a_run():
+    found = {case.label: case for case in ask(workloads=("compile",))}
+    assert set(found) == {f"compile/{name}" for name in shipped()}
+    assert found["compile/sitl_hold"].worlds == 1
+    for case in found.values():
+        assert case.worlds == default_tile(load_scenario(case.workload.source).worlds)
+        assert case.robots == len(case.scenario.members())
+    chosen = ask(workloads=("compile",), scenarios=("reef_fleet",), worlds=(2, 4), engine="fused")
+    assert [(case.label, case.worlds) for case in chosen] == [
+        ("compile/reef_fleet", 2),
+        ("compile/reef_fleet", 4),
+    ]
+    assert {case.scenario.engine for case in chosen} == {"fused"}
 
 
 def test_drawing_worlds_ends_with_a_number():
@@ -223,6 +369,8 @@ def test_a_scenario_is_a_workload_too():
         ({"worlds": (4, 0)}, "--worlds 0"),
         ({"robots": (-1,)}, "--robots -1"),
         ({"repeats": 9}, "at least 10"),
+        ({"workloads": ("compile",), "scenarios": ("reef",)}, "unknown scenario 'reef'"),
+        ({"workloads": ("mjx",), "scenarios": ("reef_fleet",)}, "is for --workload compile"),
         ({"devices": 99}, "--devices 99"),
     ],
 )
@@ -258,10 +406,14 @@ def _known_device(monkeypatch):
 @pytest.mark.parametrize("name", WORKLOADS)
 def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
     out = tmp_path / "rows.jsonl"
-    main(["bench", "--workload", name, "--worlds", "2", "--robots", "1", "--out", str(out)])
-    (row,) = speed.read(out)
-    assert row["refused"] is None
-    assert row["median"] > 0
+    size = ["--worlds", "2", "--robots", "1"]
+    size += ["--scenario", "open_water_current"] if name == "compile" else []
+    main(["bench", "--workload", name, *size, "--out", str(out)])
+    rows = speed.read(out)
+    assert len(rows) == (8 if name == "compile" else 1)
+    for row in rows:
+        assert row["refused"] is None
+        assert row["median"] > 0
 
 
 @pytest.mark.usefixtures("_known_device")

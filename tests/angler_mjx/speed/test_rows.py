@@ -66,7 +66,7 @@ def test_the_lower_of_two_limits_is_the_roofline():
 
 
 def test_commits_in_one_file_are_compared_size_by_size(rows_file):
-    ratios = {row.worlds: row for row in compare("abc", "def", rows_file)}
+    ratios = {row.worlds: row for row in compare("abc", "def", rows_file).ratios}
     assert sorted(ratios) == [1, 16]
     assert ratios[1].ratio == pytest.approx(3.0)
     assert (ratios[1].low, ratios[1].high) == pytest.approx((5.7e4 / 2.2e4, 6.6e4 / 1.9e4))
@@ -80,8 +80,90 @@ def test_files_of_two_machines_are_compared(tmp_path, rows_file):
     b = write_rows(
         tmp_path / "b.jsonl", [make_row(median=4e6, low=3.6e6, high=4.4e6)], device="NVIDIA H200"
     )
-    (row,) = compare(str(a), str(b), rows_file)
+    found = compare(str(a), str(b), rows_file)
+    (row,) = found.ratios
     assert row.ratio == pytest.approx(4.0)
+    assert "NVIDIA H200" in found.machines
+    assert not compare(str(a), str(a), rows_file).machines
+
+
+HOST = {"processor": "Model A", "cpu_count": 2}
+OTHERS = [{**HOST, "processor": "Model B"}, {**HOST, "cpu_count": 16}]
+
+
+def seconds_row(seconds, name="compile/reef_fleet", **changes):
+    three = dict.fromkeys(("median", "low", "high"), seconds)
+    return make_row(workload=name, unit="s", repeats=1, **three, **changes)
+
+
+def test_fewer_seconds_are_faster_and_one_repeat_has_no_spread(tmp_path):
+    a = write_rows(tmp_path / "a.jsonl", [seconds_row(60.0)], **HOST)
+    b = write_rows(tmp_path / "b.jsonl", [seconds_row(20.0)], **HOST)
+    found = compare(str(a), str(b), tmp_path / "none")
+    (row,) = found.ratios
+    assert (row.ratio, row.low, row.high) == pytest.approx((3.0, 3.0, 3.0))
+    assert row.repeats == 1
+    assert found.left_out == []
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_seconds_of_another_host_are_left_out_by_name(tmp_path, other):
+    segment = "compile/reef_fleet/segment"
+    rows = [seconds_row(60.0), seconds_row(30.0, segment)]
+    a = write_rows(tmp_path / "a.jsonl", rows, **HOST)
+    b = write_rows(tmp_path / "b.jsonl", [seconds_row(50.0)], **HOST)
+    write_rows(b, [seconds_row(20.0, segment), seconds_row(1.0, "compile/open")], **other)
+    found = compare(str(a), str(b), tmp_path / "none")
+    assert [(row.workload, row.ratio) for row in found.ratios] == [("compile/reef_fleet", 1.2)]
+    ours, theirs, new = found.left_out
+    host = f"{other['processor']}, {other['cpu_count']} cores"
+    assert ours == (
+        f"{segment} fused/xla, 64 x 4 in {a}: measured on Model A, 2 cores, in {b} on {host}"
+    )
+    assert f"in {b}: measured on {host}, in {a} on Model A, 2 cores" in theirs
+    assert new.endswith(f"{a} has no such row")
+    with pytest.raises(ConfigError, match=f"measured on Model A, 2 cores, in .* on {host}"):
+        compare(str(a), str(write_rows(tmp_path / "c.jsonl", rows, **other)), tmp_path / "none")
+
+
+def test_rates_of_processors_are_kept_apart_where_a_side_has_several(tmp_path):
+    """The last row of a commit may be of a host that the other commit was not measured on."""
+    a = write_rows(tmp_path / "a.jsonl", [make_row()], **HOST)
+    b = write_rows(tmp_path / "b.jsonl", [make_row()], **HOST)
+    write_rows(b, [make_row(median=4e6, low=3.6e6, high=4.4e6)], **OTHERS[1])
+    found = compare(str(a), str(b), tmp_path / "none")
+    assert [row.ratio for row in found.ratios] == [1.0]
+    (left_out,) = found.left_out
+    assert "measured on Model A, 16 cores" in left_out
+
+
+def test_seconds_stand_in_a_table_of_their_own(tmp_path):
+    rows = [
+        seconds_row(seconds, "/".join(("compile/reef_fleet", *rest)))
+        for seconds, *rest in (
+            (60.04,),
+            (30.0, "segment"),
+            (9.0, "cached"),
+            (4.0, "segment", "cached"),
+        )
+    ]
+    path = write_rows(tmp_path / "rows.jsonl", rows, versions={"jax": "1.2"}, **HOST)
+    write_rows(path, [seconds_row(7.0)], **OTHERS[0])
+    assert "compile" not in chart.table(path).partition("\n")[2]
+    _, _, first, second = chart.compile_table(path).splitlines()
+    assert "| reef_fleet | fused/xla | CPU | Model A, 2 cores | 64 x 4 |" in first
+    assert "| -; - | -; - | 30.0; 4.0 | 60.0; 9.0 | 1.2 |" in first
+    assert "| Model B, 2 cores |" in second
+    document = tmp_path / "doc.md"
+    document.write_text(f"{chart.BEGIN}\n{chart.END}\n")
+    with pytest.raises(ConfigError, match="compiled: begin"):
+        chart.write_table(path, document)
+    assert "reef_fleet" not in document.read_text()
+    document.write_text("\n".join((chart.BEGIN, chart.END, *chart.COMPILED)))
+    chart.write_table(path, document)
+    assert first in document.read_text()
+    write_rows(path, [make_row()])
+    assert compare(str(path), str(path), path).left_out == []
 
 
 def test_a_later_row_takes_the_place_of_an_earlier(tmp_path):
