@@ -80,8 +80,8 @@ def compare(a: str, b: str, results: Path) -> Comparison:
     left_out = [*_left_out(a, before, b, after), *_left_out(b, after, a, before)]
     if not ratios:
         raise ConfigError(
-            f"--compare {a} {b}: no workload of the same engine, size and, where that matters, "
-            f"host in both; {'; '.join(left_out)}"
+            f"--compare {a} {b}: no workload of the same engine and size in both, nor one of "
+            f"one host where hosts matter; {'; '.join(left_out)}"
         )
     differ = is_clear and _machines(first) != _machines(second)
     return Comparison(

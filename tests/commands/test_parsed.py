@@ -50,7 +50,12 @@ def parsed(monkeypatch):
         raise SystemExit(0 if taken else 1)
 
     parse = plain.parse_args
-    monkeypatch.setattr(tyro, "cli", lambda function, **more: one(without_body(function), **more))
+
+    def one_alone(function, **more):
+        one(without_body(function), **more)
+        raise SystemExit(0)  # what a module does with its options needs them
+
+    monkeypatch.setattr(tyro, "cli", one_alone)
     monkeypatch.setattr(
         tyro.extras,
         "subcommand_cli_from_dict",
@@ -78,12 +83,15 @@ def test_angler_parses(command, parsed, capsys):
 def test_a_module_parses(command, parsed, capsys, monkeypatch):
     if command.words[1] == "venv":
         pytest.skip(running.reason_to_skip(command))
-    where = importlib.util.find_spec(command.words[1])
+    name = command.words[1]
+    if importlib.util.find_spec(name).submodule_search_locations:
+        name = f"{name}.__main__"
+    where = importlib.util.find_spec(name)
     assert re.search(r"tyro\.|argparse", Path(where.origin).read_text()), "has no parser"
     calls, stop_after_parsing = parsed
     stop_after_parsing()
     monkeypatch.setattr(sys, "argv", ["module", *_words(command)[2:]])
-    monkeypatch.delitem(sys.modules, command.words[1], raising=False)
+    monkeypatch.delitem(sys.modules, name, raising=False)
     code = None
     try:
         runpy.run_module(command.words[1], run_name="__main__", alter_sys=False)
