@@ -18,7 +18,7 @@ from angler_mjx.benchmark import paths as bytes_of
 from angler_mjx.benchmark.store import Store
 from angler_mjx.errors import ConfigError, RunError
 
-from .conftest import Interrupting, rows, workers
+from .conftest import PLANNERS, Interrupting, rows, workers
 
 STRAIGHT, MOODY, LAZY = "Straight", "Moody", "lazy <one>"
 
@@ -50,7 +50,8 @@ def test_every_planner_is_asked_every_problem_and_closed_where_it_is_hopeless(ru
     assert [status[STRAIGHT, w] for w in range(4)] == ["planned"] * 4
     assert [status[MOODY, w] for w in range(4)] == ["planned", "error", "partial", "planned"]
     assert [status[LAZY, w] for w in range(4)] == ["none"] * 3 + ["closed"]
-    assert runs[MOODY, 1]["plan_reason"] == "ValueError: no idea"
+    line = next(i for i, text in enumerate(PLANNERS.splitlines(), 1) if "no idea" in text)
+    assert runs[MOODY, 1]["plan_reason"] == f"ValueError: no idea (planners.py:{line})"
     assert runs[MOODY, 2]["plan_reason"] == "robot 0: not today"
     assert runs[LAZY, 0]["plan_reason"] == "too far"
     assert "first 3 problems" in runs[LAZY, 3]["plan_reason"]

@@ -23,7 +23,7 @@ def test_a_cross_marks_where_each_robot_failed(made):
     marks = [
         {tuple(line.get_xydata()[0]) for line in panel.lines if line.get_marker() == "X"}
         for panel in figure.axes
-        if panel.get_title()
+        if panel.get_title(loc="left")
     ]
     wanted = []
     for part in found.parts:

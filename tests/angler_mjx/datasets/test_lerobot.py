@@ -38,15 +38,20 @@ def columns(path):
 
 
 def as_ours(recorded, features):
-    """Recorded columns, with the columns of its two features for each of some others."""
-    others = {name: kind for name, kind in recorded.items() if "observation.state" not in name}
-    others = {name: kind for name, kind in others.items() if "action" not in name}
-    action = {name: kind for name, kind in recorded.items() if "action" in name}
-    return others | {
-        name.replace("action", feature): kind.replace("[1]", f"[{width}]")
-        for name, kind in action.items()
-        for feature, width in features.items()
-    }
+    """Recorded columns, with those of its features of one and two numbers for each of ours.
+
+    A feature of one number is a plain column; one of several is a list of fixed size.
+    """
+    own = ("observation.state", "action")
+    expected = {n: kind for n, kind in recorded.items() if not any(one in n for one in own)}
+    for feature, width in features.items():
+        like = own[width == 1]
+        expected |= {
+            name.replace(like, feature): kind.replace("[2]", f"[{width}]")
+            for name, kind in recorded.items()
+            if like in name
+        }
+    return expected
 
 
 def test_files_have_the_columns_and_types_of_lerobots_writer(exported):
