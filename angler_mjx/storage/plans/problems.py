@@ -58,7 +58,9 @@ def make(
                 _describe(group, problems[0], batch, simulator, raw=raw)
             for name, rows in _arrays(batch).items():
                 array: Any = group[name]
-                array[first : first + len(rows)] = rows
+                # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
+                with zarr.config.set({"array.write_empty_chunks": raw}):
+                    array[first : first + len(rows)] = rows
             advance(first + len(problems))
     except OSError as error:
         claimed.withdraw()
@@ -124,6 +126,4 @@ def _describe(
             compressors=None if raw else BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
             attributes=meaning.attributes(),
             dimension_names=["world", *meaning.axes],
-            # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
-            config={"write_empty_chunks": raw},
         )
