@@ -57,10 +57,10 @@ def make(
             if first == 0:
                 _describe(group, problems[0], batch, simulator, raw=raw)
             for name, rows in _arrays(batch).items():
-                array: Any = group[name]
                 # A chunk of nothing but zeros is a file too: a reader without Zarr expects it.
                 with zarr.config.set({"array.write_empty_chunks": raw}):
-                    array[first : first + len(rows)] = rows
+                    array: Any = group[name]
+                array[first : first + len(rows)] = rows
             advance(first + len(problems))
     except OSError as error:
         claimed.withdraw()
