@@ -15,10 +15,10 @@ from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.scenario import shipped
 from angler_mjx.speed.workloads import WORKLOADS, Engine, Kernels
 from tools.gpu_check import __main__ as command
-from tools.gpu_check import workloads
+from tools.gpu_check import work, workloads
 from tools.gpu_check.checks import CHECKS, RATES, names
 from tools.gpu_check.comparing import Bound, differences
-from tools.gpu_check.running import Outcome
+from tools.gpu_check.running import Outcome, judge_tests
 
 ROOT = Path(__file__).parents[2]
 LAUNCHERS = ("angler_kernels.programs.Program", "angler_mjx.engines.triton.launch")
@@ -192,6 +192,29 @@ def test_outcomes_of_another_commit_are_not_believed(on_cpu, capsys, monkeypatch
             file.write(json.dumps(line) + "\n")
         assert on_cpu(name, minutes=0.0)[0] == status
     assert "failed     kernel/angler_kernels.matching: of old" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("code", "last", "status", "reason"),
+    [
+        (0, "1 passed, 146 deselected in 9.10s", "passed", "1 passed, 146 deselected in 9.10s"),
+        (0, "1 skipped, 146 deselected in 2.80s", "skipped", "1 skipped"),
+        (1, "1 failed, 146 deselected in 2.80s", "failed", "ModuleNotFoundError: no trimesh"),
+    ],
+)
+def test_failed_tests_say_why(code, last, status, reason):
+    text = f"FAILED tests/a.py::test_b - ModuleNotFoundError: no trimesh\n{last}"
+    judged, said = judge_tests(code, text)
+    assert judged == status
+    assert reason in said
+    assert last in said
+
+
+def test_a_machine_without_a_needed_module_is_refused_before_the_first_check(tmp_path, monkeypatch):
+    monkeypatch.setattr(work, "NEEDED", ("json", "no_such_module"))
+    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
+        work.main("about", tmp_path / "about.json")
+    assert not (tmp_path / "about.json").exists()
 
 
 def test_a_name_that_no_check_has_is_refused(on_cpu, capsys):

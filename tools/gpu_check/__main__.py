@@ -99,7 +99,7 @@ def _about(machine: Machine) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, "about.json")
         if text := running.compute(machine, "about", machine.device, out):
-            raise SystemExit(f"no device {machine.device!r}:\n{text}")
+            raise SystemExit(f"device {machine.device!r} cannot be checked here:\n{text}")
         if not out.is_file():
             raise SystemExit("time was up before the device answered: give more --minutes")
         found: dict[str, Any] = json.loads(out.read_text())

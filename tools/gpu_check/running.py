@@ -142,6 +142,7 @@ def run_tests(machine: Machine) -> Outcome:
         arguments = [
             "pytest",
             "-q",
+            "--tb=line",
             "-m",
             "gpu",
             "-p",
@@ -154,10 +155,21 @@ def run_tests(machine: Machine) -> Outcome:
     seconds = round(time.monotonic() - begun, 1)
     if not in_time:
         return Outcome(name=TESTS, status="unfinished", seconds=seconds, reason="time was up")
-    status = "passed" if process.returncode == 0 else "failed"
-    if status == "passed" and " passed" not in text:
-        status = "skipped"
-    return Outcome(name=TESTS, status=status, seconds=seconds, reason=text.splitlines()[-1])
+    status, reason = judge_tests(process.returncode, text)
+    return Outcome(name=TESTS, status=status, seconds=seconds, reason=reason)
+
+
+def judge_tests(code: int, text: str) -> tuple[str, str]:
+    """Return a status and its reason: of failed tests all that pytest printed last.
+
+    Args:
+        code: exit status of pytest.
+        text: last lines of its output, with the short summary of ``-ra``.
+    """
+    if code != 0:
+        return "failed", text
+    last = text.splitlines()[-1]
+    return ("passed" if " passed" in last else "skipped"), last
 
 
 def run_side_by_side(

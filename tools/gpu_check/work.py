@@ -1,8 +1,12 @@
 """One computation in a process of its own: ``python -m tools.gpu_check.work NAME OUT``."""
 
+import importlib
 import json
 import sys
 from pathlib import Path
+
+NEEDED = ("mujoco.mjx", "pytest")
+"""Modules that only some checks import: a machine without them is refused before the first."""
 
 
 def main(name: str, out: Path) -> None:
@@ -13,6 +17,8 @@ def main(name: str, out: Path) -> None:
         out: file to write: arrays of a check (.npz), JSON of the others.
     """
     if name == "about":
+        for needed in NEEDED:
+            importlib.import_module(needed)
         from angler_mjx.runs.provenance import describe_environment
         from angler_mjx.speed.roofline import driver
 
