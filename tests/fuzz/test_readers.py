@@ -64,6 +64,10 @@ WIRE = {
 the actors of a Ray cluster that a person named, which runs their code anyway."""
 
 
+PLANNERS = {f"angler_mjx/planning/register.py:{name}" for name in ("compile", "exec")}
+"""The Python file of a planner that a person named to be run."""
+
+
 def test_no_code_is_made_from_what_is_read():
     """No pickle, no eval: in all code of the project, by its syntax tree."""
     found = []
@@ -80,7 +84,7 @@ def test_no_code_is_made_from_what_is_read():
                 names = [] if ast.unparse(node.value) == "False" else ["pickle"]
             bad = FORBIDDEN | {"eval", "exec", "compile"}
             found += [f"{path.relative_to(ROOT)}:{name}" for name in names if name in bad]
-    assert set(found) <= WIRE
+    assert set(found) == WIRE | PLANNERS
 
 
 def test_the_corpus_is_there():

@@ -26,6 +26,9 @@ def episodes(arrived, values, first_world=0, completed_s=None):
             "world": np.repeat(np.arange(first_world, first_world + worlds), robots),
             "outcome": ["reached" if one else "timeout" for one in flat],
             **costs,
+            "planned": np.ones(flat.size, bool),
+            "plan_status": ["planned"] * flat.size,
+            "plan_reason": pa.nulls(flat.size, pa.string()),
             "task_progress": pa.array(
                 [None if completed_s is None else 0.5] * flat.size, pa.float32()
             ),

@@ -478,8 +478,10 @@ def test_a_run_that_planned_anew_is_checked_and_said_to_be_one(
     for said in ("at 2 Hz", "0.25 s later", "obstacles: observed", "in the order"):
         assert said in report
     # Of each kind of flight: how many robots ended in each way.
-    reached = sum(row["outcome"] == "reached" for row in found.flights[1, "guided", 4].rows)
-    assert f"guided | 4 | {reached} of 4" in report.replace("| guided", "guided")
+    rows = found.flights[1, "guided", 4].rows
+    planned = sum(row["planned"] for row in rows)
+    reached = sum(row["outcome"] == "reached" for row in rows)
+    assert f"| guided | 4 | {planned} of 4 | {reached} of 4" in report
 
 
 class Booted:

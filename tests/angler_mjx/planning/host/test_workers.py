@@ -77,11 +77,11 @@ def test_what_a_planner_does_is_the_failure_of_its_own_problem(workers, folder):
         "partial": "partial",
         "straight again": "planned",
     }
-    assert got["throws"].reason == "ValueError: no such reef here"
-    assert got["exits"].reason == "SystemExit: 3"
+    assert got["throws"].reason == "ValueError: no such reef here (strange.py:51)"
+    assert got["exits"].reason == "SystemExit: 3 (strange.py:54)"
     assert "SIGSEGV" in got["segfaults"].reason
     assert got["partial"].reason == "robot 1: too far"
-    assert got["late"].reason.startswith("took 0.24")
+    assert got["late"].reason.startswith("the planner missed its deadline of 0.2 s (took 0.24")
     assert 0.22 < got["holds"].planning_s < 5.0
     for way in ("throws", "holds", "segfaults"):
         assert got[way].paths == [NoPlan(got[way].reason)] * 2
@@ -140,7 +140,8 @@ def test_a_given_planner_that_cannot_be_made_is_an_answer_and_the_pool_goes_on(w
     tickets = [workers.submit(two("straight"), planner) for planner in planners]
     got = [workers.take(ticket) for ticket in tickets]
     assert [answer.status for answer in got] == ["error", "error", "error", "planned", "error"]
-    assert got[0].reason == "the planner cannot be made: RuntimeError: no licence" == got[4].reason
+    unmade = "the planner cannot be made: RuntimeError: no licence (strange.py:98)"
+    assert got[0].reason == unmade == got[4].reason
     assert "holds no 'Nowhere'" in got[1].reason
     assert "speed" in got[2].reason
     assert got[0].paths == [NoPlan(got[0].reason)] * 2

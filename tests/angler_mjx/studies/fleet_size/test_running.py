@@ -199,10 +199,10 @@ def flights(monkeypatch):
     interrupted."""
     found, fly = SimpleNamespace(flown=[], stop=math.inf), flying.fly
 
-    def watched(*args, share):
+    def watched(*args, share, failures):
         if len(found.flown) >= found.stop and share[0] == 1:
             raise KeyboardInterrupt
-        part = fly(*args, share=share)
+        part = fly(*args, share=share, failures=failures)
         found.flown.append((share[0], len(part["first"])))
         return part
 
