@@ -100,6 +100,31 @@ def test_arrays_are_compared_within_their_bounds():
     assert differences({"p": np.zeros(0)}, {"p": np.zeros(0)}, {})[0]
 
 
+def test_rows_are_compared_only_where_another_array_agrees():
+    """Of three robots the first has another plan; a fault of the second alone is one of two."""
+    cpu = {"plan_m": np.zeros((1, 3, 2)), "early_m": np.zeros((1, 3, 2))}
+    moved = {name: array.copy() for name, array in cpu.items()}
+    moved["plan_m"][0, 0] = 5.0
+    moved["early_m"][0, 0] = 7.0
+    bounds = {
+        "plan_m": Bound(fraction=0.5, axes=2),
+        "early_m": Bound(atol=0.1, axes=2, equal="plan_m"),
+    }
+    faults, (note,) = differences(moved, cpu, bounds)
+    assert not faults
+    assert note.startswith("plan_m: 0.6667 of 3 rows")
+    moved["early_m"][0, 1] = 1.0
+    (fault,), _ = differences(moved, cpu, bounds)
+    assert fault.startswith("early_m: 0.5000 of 2 rows within 0.1, 1 must be; first at (0,)")
+
+
+@pytest.mark.parametrize(("ratio", "faults"), [(1.019, 0), (0.981, 0), (1.021, 1), (np.inf, 1)])
+def test_durations_may_differ_by_a_fraction_of_the_cpus(ratio, faults):
+    cpu = {"plan_s": np.array([[50.0, 0.0, np.inf]])}
+    ours = {"plan_s": np.array([[50.0 * ratio, 0.0, np.inf]])}
+    assert len(differences(ours, cpu, {"plan_s": Bound(rtol=0.02, axes=2)})[0]) == faults
+
+
 ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
 KNOWN = {**ROW, "median": 100.0, "date": "2026-01-02", "commit": "abc"}
 SECONDS = {**ROW, "median": 20.0, "unit": "s", "processor": "A", "cpu_count": 16}

@@ -151,7 +151,7 @@ def _summary(chosen: list[str], known: dict[str, Outcome], about: dict[str, Any]
     for status in ("skipped", "unfinished", "slower", "failed"):
         for name in (name for name in chosen if of[name] == status):
             reason = known[name].reason if name in known else "not begun"
-            print(f"{status:10} {name}: {reason}")
+            print(f"{status:10} {name}: {(reason.splitlines() or [''])[-1]}")
     counts = {
         status: sum(found == status for found in of.values())
         for status in ("passed", "failed", "slower", "skipped", "unfinished")

@@ -1,7 +1,7 @@
 """Comparison of arrays that two devices computed, within bounds that give their reason."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,16 @@ class Bound:
 
     atol: float = 0.0
     """Largest difference of one element, in the unit of the array."""
+    rtol: float = 0.0
+    """Difference that is allowed beyond it, as a fraction of the CPU's element."""
     fraction: float = 1.0
     """Least fraction of rows whose elements all agree."""
     axes: int = 1
     """Leading axes that number the rows: 2 for [world, robot]."""
     why: str = "same numbers"
     """Source of the difference that is allowed."""
+    equal: str | None = None
+    """Array whose rows must agree for a row of this one to be compared."""
 
 
 EXACT = Bound()
@@ -42,7 +46,12 @@ def differences(
     if device.keys() != reference.keys():
         faults.append(f"arrays differ: {sorted(device.keys() ^ reference.keys())}")
     for name in sorted(device.keys() & reference.keys()):
-        text, is_fault = _compare(name, device[name], reference[name], bounds.get(name, EXACT))
+        ours, theirs, bound = device[name], reference[name], bounds.get(name, EXACT)
+        if bound.equal in device.keys() & reference.keys():
+            rows = _agreement(device[bound.equal], reference[bound.equal], bounds[bound.equal])
+            ours, theirs = ours[rows], theirs[rows]
+            bound = replace(bound, axes=1)
+        text, is_fault = _compare(name, ours, theirs, bound)
         if text:
             (faults if is_fault else notes).append(text)
     return faults, notes
@@ -54,22 +63,37 @@ def _compare(name: str, ours: np.ndarray, theirs: np.ndarray, bound: Bound) -> t
         return f"{name}: shape {ours.shape}, on the CPU {theirs.shape}", True
     if ours.size == 0:
         return f"{name}: holds nothing", True
-    if ours.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(ours.astype(np.float64) - theirs.astype(np.float64))
-        equal = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
-        apart = np.where(equal, 0.0, np.where(np.isnan(apart), np.inf, apart))
-    else:
-        apart = np.where(ours == theirs, 0.0, np.inf)
-    rows = ours.shape[: bound.axes]
-    agrees = (apart <= bound.atol).reshape(*rows, -1).all(axis=-1)
+    apart = _apart(ours, theirs)
+    agrees = _agreement(ours, theirs, bound)
     fraction = float(agrees.mean())
     if fraction == 1.0:
         return "", False
     first = tuple(int(i) for i in np.argwhere(~agrees)[0])
     text = (
-        f"{name}: {fraction:.4f} of {agrees.size} rows within {bound.atol:g}, "
+        f"{name}: {fraction:.4f} of {agrees.size} rows within {bound.atol:g}"
+        f"{f' + {bound.rtol:.0%}' if bound.rtol else ''}, "
         f"{bound.fraction:g} must be; first at {first}: largest difference "
         f"{float(apart[first].max()):.3g} ({bound.why})"
     )
     return text, fraction < bound.fraction
+
+
+def _apart(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Return differences of elements: infinite of NaN and a number, and of unequal integers."""
+    if ours.dtype.kind != "f":
+        return np.where(ours == theirs, 0.0, np.inf)
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(ours.astype(np.float64) - theirs.astype(np.float64))
+    equal = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
+    return np.where(equal, 0.0, np.where(np.isnan(apart), np.inf, apart))
+
+
+def _agreement(ours: np.ndarray, theirs: np.ndarray, bound: Bound) -> np.ndarray:
+    """Return which rows agree in all of their elements, bool with the axes of the rows."""
+    if ours.shape != theirs.shape:
+        return np.zeros(ours.shape[: bound.axes], bool)
+    allowed = bound.atol
+    if bound.rtol:
+        allowed = bound.atol + bound.rtol * np.abs(np.nan_to_num(theirs, posinf=0.0, neginf=0.0))
+    within = _apart(ours, theirs) <= allowed
+    return within.reshape(*ours.shape[: bound.axes], -1).all(axis=-1)

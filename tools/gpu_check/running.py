@@ -221,4 +221,4 @@ def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> Ou
 
 def _tail(log: Path, code: int) -> str:
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    return "\n".join(lines[-12:]) or f"exit status {code} without a word"
+    return "\n".join(lines[-12:]) or f"exit status {code}, and nothing printed"
