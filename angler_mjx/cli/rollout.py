@@ -287,7 +287,8 @@ def _report(run: "Run", *, as_json: bool) -> None:
     if "task" in summary:
         console.print(_of_task(summary["task"]), highlight=False)
     console.print(table)
-    for line in planned.lines(planning):
+    early = planned.early(summary.get("passed_goal_early", 0))
+    for line in (*planned.lines(planning), *early):
         console.print(line, highlight=False, markup=False, soft_wrap=True)
     console.print(kinds)
     timing, arrival = summary["timing"], summary["time_to_goal_s"]["p50"]

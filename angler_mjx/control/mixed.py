@@ -15,10 +15,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control import allocation, stack
+from angler_mjx.control import allocation, plans, stack
 from angler_mjx.control.commands import BodyWrench, Estimate, PoseTarget
+from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.control.laws.targets import TrackingTarget
 from angler_mjx.control.stack import Action, ControlParams, Given, Memory, Stage, Stages
+from angler_mjx.control.trajectory import Trajectory
 
 
 @jax.tree_util.register_dataclass
@@ -33,6 +35,26 @@ class Mixed:
     For stages that stood idle until now, and for the first one when a new path begins."""
     commands: tuple[Any, ...]
     """Each of another type; those that do not count hold any numbers."""
+
+
+def last_approach_s(mixed: Mixed, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
+    """Return `plans.last_approach_s` [] s of one robot's command; zero unless it is a plan."""
+    begin = jnp.zeros_like(goal_m[0])
+    for k, command in enumerate(mixed.commands):
+        if isinstance(command, Trajectory | JointTrajectory):
+            of_plan = plans.last_approach_s(command, goal_m, tolerance_m)
+            begin = jnp.where(mixed.which == k, of_plan, begin)
+    return begin
+
+
+def progress_s(stages: Stages, memory: Memory, mixed: Mixed) -> jax.Array:
+    """Return `stack.progress_s` [] s of one robot's command; zero unless it is a plan."""
+    progress: Any = 0.0
+    for k, command in enumerate(mixed.commands):
+        if isinstance(command, Trajectory | JointTrajectory):
+            of_plan = stack.progress_s(stages, memory, command)
+            progress = jnp.where(mixed.which == k, of_plan, progress)
+    return jnp.asarray(progress)
 
 
 def step(

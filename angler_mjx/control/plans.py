@@ -31,6 +31,9 @@ type Plan = Trajectory | JointTrajectory
 
 PIECES = 8
 """Lines that a bent segment is drawn with."""
+APPROACH_M = 1.0
+"""The last approach begins this far outside the goal's tolerance: where the clock of `follow` waits
+for a robot that is behind, so no robot that keeps to its plan is at the goal before."""
 
 
 def found(plan: Plan) -> jax.Array:
@@ -43,6 +46,27 @@ def found(plan: Plan) -> jax.Array:
 def points_m(plan: Plan) -> jax.Array:
     """Way-points [..., n_point, 3] m, in W."""
     return plan.position_m if isinstance(plan, Trajectory) else plan.position[..., :3]
+
+
+def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
+    """Return the time [] s at which the last approach of one robot's plan to its goal begins.
+
+    The last approach begins at the last way-point at least ``tolerance_m + APPROACH_M`` from the
+    goal, or at the farthest way-point where none is so far. A stay at the goal after it is part of
+    the approach.
+
+    Args:
+        plan: of one robot.
+        goal_m: [3] in W.
+        tolerance_m: distance below which a robot is at its goal.
+
+    Returns:
+        Zero where the planner found no plan.
+    """
+    time, point = plan.time_s, points_m(plan)
+    away = jnp.sqrt(jnp.sum((point - goal_m) ** 2, axis=-1))
+    far = away >= jnp.minimum(tolerance_m + APPROACH_M, jnp.max(away))
+    return jnp.max(jnp.where(far & found(plan), time, 0.0))
 
 
 def place(plan: Plan, t: jax.Array) -> jax.Array:

@@ -99,6 +99,9 @@ class Stage:
     """Whether it is to be told the current."""
     wants_realised: bool = False
     """Whether it is to be told what became of the wrench of the step before."""
+    progress: Callable[[Any, Any], jax.Array] | None = None
+    """(carry, plan) -> time [] s along the plan that the robot has come to; None for stages that
+    take no plan."""
     wants_sway: bool = False
     """Whether it cannot fly a vehicle that has no thrust to the side."""
 
@@ -169,6 +172,24 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
     """
     entry(stages, type(command))
     command_checks.check_arrays(command, lead, thrusters)
+
+
+def progress_s(stages: Stages, memory: Memory, plan: Any) -> jax.Array:
+    """Return the time [] s along its plan that a robot has come to.
+
+    Args:
+        stages: the stack.
+        memory: of the stack.
+        plan: that the robot follows.
+
+    Raises:
+        ConfigError: no stage takes the plan.
+    """
+    i = entry(stages, type(plan))
+    progress = stages[i].progress
+    if progress is None:
+        raise ConfigError(f"stage {stages[i].name} does not say how far along a plan a robot is")
+    return progress(memory.stages[i], plan)
 
 
 def wants_flow(stages: Stages) -> bool:

@@ -43,6 +43,7 @@ def _of_law(
     flow: bool = False,
     realised: bool = False,
     sway: bool = False,
+    progress: Callable[[Any, Any], jax.Array] | None = None,
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
 
@@ -79,6 +80,7 @@ def _of_law(
         wants_flow=flow,
         wants_realised=realised,
         wants_sway=sway,
+        progress=progress,
     )
 
 
@@ -93,6 +95,10 @@ def _follow(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, An
 
 def _track(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
     return follow.track(gains, carry, given.estimate, command, given.dt)
+
+
+def _clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
+    return carry.clock_s
 
 
 def _pose(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
@@ -118,6 +124,7 @@ _ALL = (
         reset=lambda _, yaw_rad: follow.reset(yaw_rad),
         gains=follow.FollowGains,
         check=follow.check,
+        progress=_clock,
     ),
     Stage(
         name="reference",
@@ -127,8 +134,9 @@ _ALL = (
         reset=lambda _, yaw_rad: follow.reset(yaw_rad),
         gains=follow.FollowGains,
         check=lambda gains: follow.check(gains, "reference"),
+        progress=_clock,
     ),
-    _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist),
+    _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, progress=los.progress_s),
     Stage(
         name="pose",
         takes=_POSES,

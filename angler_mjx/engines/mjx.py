@@ -18,6 +18,7 @@ from angler_mjx.physics.step import Multibody, VehicleState
 from angler_mjx.sim import nearness, start
 from angler_mjx.sim.aboard import telling
 from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact, detect
 from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.phase import Slots, run
@@ -44,6 +45,10 @@ class OneWorld:
     given: Command | None = None
     """Instead of the paths."""
     finished: jax.Array | None = None
+    """See `phase.Here`."""
+    last_approach_s: jax.Array | None = None
+    """See `phase.Here`."""
+    approaching: jax.Array | None = None
     """See `phase.Here`."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
@@ -193,6 +198,10 @@ def control_step(
         engine=engine,
         given=told.command if command is None else command,
         finished=told.finished,
+        last_approach_s=told.last_approach_s
+        if policy is not None
+        else last_approaches_s(spec, world, command),
+        approaching=told.approaching,
     )
     slots = {
         "vehicle": state.vehicles,

@@ -377,7 +377,8 @@ class _Rollout:
             "peak_memory_bytes": peak_memory_bytes(),
             "run": str(self._out),
         }
-        for line in planned.lines(summary["planning"]):
+        early = planned.early(summary["passed_goal_early"])
+        for line in (*planned.lines(summary["planning"]), *early):
             self._progress.write(line)
         self._progress.write(f"{done} of {self._scenario.worlds} worlds are finished")
         self._progress.close()

@@ -64,6 +64,14 @@ class Here(Protocol):
         """[] s when a robot breaks down; None where none can."""
 
     @property
+    def last_approach_s(self) -> Any:
+        """[] s on the robots' plans, of `plans.last_approach_s`; None where they fly no plans."""
+
+    @property
+    def approaching(self) -> Any:
+        """Bool [] whether robots are on the last approach of plans that a policy keeps, or None."""
+
+    @property
     def corners(self) -> tuple[Any, Any]:
         """Lower and upper corner [3] of the region, m, in W."""
 

@@ -111,6 +111,20 @@ class Policy(ABC):
         """
         return None
 
+    def flown(self, carry: Any, path: Plan) -> tuple[Plan, jax.Array] | None:
+        """Return the plans that the robots fly, and their times along them.
+
+        Args:
+            carry: memory, after the step.
+            path: [R] planned before the start.
+
+        Returns:
+            Plans [R] and times [R] s: a robot arrives on the last approach of its plan to its goal.
+            None where `act` commands plans themselves, or where the distance to the goal alone
+            counts.
+        """
+        return None
+
     @abstractmethod
     def act(self, carry: Any, known: Known, key: jax.Array, step: jax.Array) -> tuple[Any, Any]:
         """Command the robots.

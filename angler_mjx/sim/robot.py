@@ -114,6 +114,21 @@ def hold_if_ended(
     return held, alive & ~sound
 
 
+def approaches(
+    spec: SimSpec, memory: Memory, command: Any, last_approach_s: jax.Array
+) -> jax.Array:
+    """Return whether a robot is on the last approach of its plan to its goal, bool [].
+
+    Args:
+        spec: settings.
+        memory: of the controllers, after the step.
+        command: the plan, or a `Mixed` command that may hold one.
+        last_approach_s: [] s, of `plans.last_approach_s`.
+    """
+    progress_s = mixed.progress_s if isinstance(command, Mixed) else stack.progress_s
+    return progress_s(spec.stages, memory, command) >= last_approach_s
+
+
 def account(
     spec: SimSpec,
     goal_m: jax.Array,
@@ -128,6 +143,7 @@ def account(
     t: jax.Array,
     finished: jax.Array | None = None,
     fails_at_s: jax.Array | None = None,
+    approaching: jax.Array | None = None,
 ) -> Tally:
     """Account for one control step of a robot, if it is still on its way.
 
@@ -146,11 +162,17 @@ def account(
         finished: bool [] its part of the task is done; where there is a task, its goal is not
             looked at.
         fails_at_s: [] s when it breaks down, if robots can.
+        approaching: bool [] whether it is on the last approach of its plan; without a plan its goal
+            alone counts.
     """
     running = tally.outcome == Outcome.RUNNING
     dt = spec.control_dt_s
+    passed_early = tally.passed_early
     if finished is None:
         finished = jnp.sqrt(jnp.sum((after_m - goal_m) ** 2)) < spec.goal_tolerance_m
+        if approaching is not None:
+            passed_early = passed_early | (running & finished & ~approaching)
+            finished = finished & approaching
     fails = None if fails_at_s is None else t + dt >= fails_at_s
     outcome = jnp.where(
         running, _judge(finished, fails, lo, hi, after_m, contact, broken), tally.outcome
@@ -166,6 +188,7 @@ def account(
     return Tally(
         outcome=outcome,
         end_time_s=jnp.where(running, t + dt, tally.end_time_s),
+        passed_early=passed_early,
         path_length_m=tally.path_length_m + jnp.where(running, moved, 0.0),
         energy_j=tally.energy_j + jnp.where(running, power * dt, 0.0),
         min_clearance_m=jnp.where(running, clearance, tally.min_clearance_m),

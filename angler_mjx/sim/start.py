@@ -62,6 +62,7 @@ def reset(
         tally=Tally(
             outcome=jnp.zeros(n, jnp.int32),
             end_time_s=jnp.zeros(n, dtype),
+            passed_early=jnp.zeros(n, bool),
             path_length_m=jnp.zeros(n, dtype),
             energy_j=jnp.zeros(n, dtype),
             min_clearance_m=contact.clearance_m,

@@ -163,6 +163,8 @@ class Tally:
     """int32 [R] an `Outcome`."""
     end_time_s: jax.Array
     """[R] when the episode ended."""
+    passed_early: jax.Array
+    """bool [R] whether the robot was at its goal before its plan's last approach to it."""
     path_length_m: jax.Array
     """[R] way of the centre of mass."""
     energy_j: jax.Array

@@ -102,6 +102,18 @@ def record_obstacles(obstacles: ObstacleState) -> dict[str, Any]:
     return {"obstacle_p": obstacles.p, "obstacle_q": obstacles.q}
 
 
+def approaching(here: Here, now: Slots) -> Any:
+    """Return whether robots are on the last approach of their plans, bool [].
+
+    None where no plan is flown, or a task says who has finished: there the approach does not count.
+    """
+    if here.last_approach_s is None:
+        return here.approaching
+    return here.each(
+        partial(robot.approaches, here.spec), now["memory"], here.command, here.last_approach_s
+    )
+
+
 def judge(here: Here, now: Slots) -> Done:
     """What the step came to for each robot."""
 
@@ -115,6 +127,7 @@ def judge(here: Here, now: Slots) -> Done:
         broken: jax.Array,
         finished: jax.Array | None,
         fails_at_s: jax.Array | None,
+        approaching: jax.Array | None,
         lo: jax.Array,
         hi: jax.Array,
         t: jax.Array,
@@ -133,6 +146,7 @@ def judge(here: Here, now: Slots) -> Done:
             t,
             finished,
             fails_at_s,
+            approaching,
         )
 
     tally = here.each(
@@ -146,6 +160,7 @@ def judge(here: Here, now: Slots) -> Done:
         now["broken"],
         here.finished,
         here.fails_at_s,
+        approaching(here, now),
         shared=(*here.corners, here.t),
     )
     return Done(slots=lambda: {"tally": tally}, record=lambda: record_judged(tally))
@@ -181,7 +196,7 @@ JUDGE = Phase(
     name="judge",
     of="robot",
     run=judge,
-    reads=("tally", "vehicle", "before_m", "power_w", "broken"),
+    reads=("tally", "vehicle", "before_m", "power_w", "broken", "memory"),
     gives=("tally",),
     meets=True,
 )

@@ -62,10 +62,17 @@ _FIELDS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ),
     ("packets_sent", pa.int32(), "1", "packets that the robot began; null without acoustics"),
     ("packets_heard", pa.int32(), "1", "packets of others that it understood; null likewise"),
+    (
+        "passed_goal_early",
+        pa.bool_(),
+        "1",
+        "whether it was at its goal before its plan's last approach; null in older runs",
+    ),
 )
 
-SINCE = (5, 8, 9, 15)
-"""Columns at the end that older runs lack: before there were tasks and acoustics, before vehicles
+SINCE = (1, 6, 9, 10, 16)
+"""Columns at the end that older runs lack: before a plan was flown no sooner than on its last
+approach, before there were tasks and acoustics, before vehicles
 were randomised, before failed replans were told, and before there was a choice of planners."""
 
 MISSING = (
@@ -92,8 +99,8 @@ MISSING = (
 )
 """Columns in which a value may be missing: null, so that two tables of the same rows are equal."""
 
-UNSAID = ("plan_status", "plan_reason")
-"""Columns of text in which there may be none."""
+UNSAID = ("plan_status", "plan_reason", "passed_goal_early")
+"""Other columns in which a value may be missing."""
 
 EPISODE_SCHEMA = pa.schema(
     [

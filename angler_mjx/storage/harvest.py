@@ -208,6 +208,7 @@ def tile_result(tile: FinishedTile) -> TileResult:
         planned=np.asarray(tile.constants.planned)[:kept],
         outcome=outcome,
         end_time_s=tally.end_time_s,
+        passed_early=tally.passed_early,
         path_length_m=tally.path_length_m,
         energy_j=tally.energy_j,
         min_clearance_m=tally.min_clearance_m,

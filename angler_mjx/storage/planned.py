@@ -156,3 +156,17 @@ class Failures:
 
 def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
+def early(count: int) -> list[str]:
+    """Return a line on robots that passed their goals early, none where no robot did.
+
+    Args:
+        count: robots that were at their goals before the last approaches of their plans.
+    """
+    if count == 0:
+        return []
+    robots = "1 robot" if count == 1 else f"{count:,} robots"
+    return [
+        f"{robots} passed the goal before the plan's last approach to it: not counted as arrival"
+    ]

@@ -43,6 +43,8 @@ class TileResult:
     outcome: np.ndarray
     """int [w, r]."""
     end_time_s: np.ndarray
+    passed_early: np.ndarray
+    """bool [w, r]."""
     path_length_m: np.ndarray
     energy_j: np.ndarray
     min_clearance_m: np.ndarray
@@ -119,6 +121,7 @@ def episode_table(result: TileResult, variants: Sequence[tuple[str, str]], seed:
         **_factor_columns(result),
         **_task_columns(result),
         **_packet_columns(result),
+        "passed_goal_early": result.passed_early.reshape(-1),
     }
     return pa.table({**columns, **more}, schema=EPISODE_SCHEMA)
 
@@ -280,7 +283,8 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
     Returns:
         Keys ``robots``, ``task`` (of runs with a task), ``outcomes``, ``planned_rate``,
         ``planning`` (`storage.planned.summarise`; None where robots have a task),
-        ``time_to_goal_s``, ``path_length_m``, ``energy_j``, ``min_clearance_m``, ``redraws``,
+        ``passed_goal_early`` (number of robots), ``time_to_goal_s``, ``path_length_m``,
+        ``energy_j``, ``min_clearance_m``, ``redraws``,
         ``by_vehicle``.
     """
     world, redraws = episodes["world"].to_numpy(), episodes["redraws"].to_numpy()
@@ -304,6 +308,7 @@ def summarise(episodes: pa.Table) -> dict[str, Any]:
         "outcomes": rates(episodes),
         "planned_rate": float(planned.mean()) if planned.size else 0.0,
         "planning": how_planned.summarise(episodes),
+        "passed_goal_early": pc.sum(episodes["passed_goal_early"], min_count=0).as_py(),
         "time_to_goal_s": _quantiles(episodes["time_to_goal_s"]),
         "path_length_m": _quantiles(episodes["path_length_m"]),
         "energy_j": _quantiles(episodes["energy_j"]),

@@ -261,7 +261,7 @@ class SitlSession:
             scene, autopilots.pilots, self.robots, self._sight.belief, self._orders.slots.commands()
         )
         autopilots.advance()
-        scene.judge()
+        scene.judge(np.asarray(decision.approaching)[0])
         self._steps += 1
         self._sight.keep(before, decision)
 

@@ -42,6 +42,7 @@ from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import nearness, start
 from angler_mjx.sim.aboard import telling
 from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Phase, Slots, run
@@ -106,10 +107,13 @@ class FusedEngine:
                 fleet=fleet,
             )
         moving = moving_of(fleet, state)
-        after, seen = _control_step(spec, scene, moving, number, command, told)
+        flown = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        begin_s = told.last_approach_s
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(flown, command)
+        after, seen = _control_step(spec, scene, moving, number, command, told, begin_s)
         sample = Sample(**told.record, **to_arrays(seen, 2))
-        around = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-        sample = nearness.completed(spec, around, sample)
+        sample = nearness.completed(spec, flown, sample)
         return world_state(after, state.step + 1, minds), sample
 
     def segment(
@@ -130,6 +134,9 @@ class FusedEngine:
         scene, policy = scene_of(fleet, worlds), telling.asked(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []
+        begin_s = None
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(worlds, command)
 
         @jax.jit  # traced once, for the types of its results and for the loop
         def fly(row: list[jax.Array], minds: Minds, number: jax.Array) -> tuple[Any, Any, Any]:
@@ -141,7 +148,7 @@ class FusedEngine:
                 minds, told = telling.tell_tile(
                     spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
                 )
-            after, sample = _control_step(spec, scene, moving, number, command, told)
+            after, sample = _control_step(spec, scene, moving, number, command, told, begin_s)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
             both = zip(lanes.flatten(after)[0], row, strict=True)
@@ -218,6 +225,10 @@ class OfGroup(Everywhere):
     """See `phase.Here`."""
     loaded: Any = None
     """bool [] who carries a load; None where nobody can."""
+    last_approach_s: Any = None
+    """See `phase.Here`."""
+    approaching: Any = None
+    """See `phase.Here`."""
     met: Contact | None = None
     """The nearest thing to each robot of the group, when all have moved."""
 
@@ -260,11 +271,13 @@ def _control_step(
     number: jax.Array,
     command: Command | None,
     told: Told,
+    begin_s: jax.Array | None,
 ) -> tuple[Moving, dict[str, Any]]:
     """One control step of all worlds, and its part of the sample.
 
     ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
-    paths, and for the policy's; ``told`` [W, R, ...] is what the phases of worlds gave.
+    paths, and for the policy's; ``told`` [W, R, ...] is what the phases of worlds gave; ``begin_s``
+    [W, R] when the last approaches of plans begin.
     """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s
@@ -286,6 +299,9 @@ def _control_step(
         place = OfGroup(
             **where,
             given=given,
+            said=None if begin_s is None else to_lanes(of_group(said, given.group), 2),
+            last_approach_s=to_lanes(of_group(begin_s, given.group), 2),
+            approaching=to_lanes(of_group(told.approaching, given.group), 2),
             finished=to_lanes(of_group(told.finished, given.group), 2),
             met=lanes_of_group(met, given.group),
         )

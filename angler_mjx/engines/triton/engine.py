@@ -28,6 +28,7 @@ from angler_mjx.engines.triton.tile import Tile
 from angler_mjx.sim import nearness
 from angler_mjx.sim.aboard import telling
 from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
@@ -154,6 +155,9 @@ class TritonEngine:
             number = state.step[0] if rows is None else state.step
             ended = state.tally.outcome if spec.by_task else None
             _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
+        begin_s = None
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         steps = n_sample * steps_per_sample
         period = telling.period(spec, policy) if rows is None and steps > 1 else 1
@@ -161,7 +165,15 @@ class TritonEngine:
         def laid_out(ahead: int) -> tuple[Segment, tuple[Launch, Launch]]:
             ahead, also = min(ahead, steps), spec.also
             part = Segment(
-                tile, state, n_sample, steps_per_sample, command, told, ahead=ahead, also=also
+                tile,
+                state,
+                n_sample,
+                steps_per_sample,
+                command,
+                told,
+                ahead=ahead,
+                also=also,
+                last_approach_s=begin_s,
             )
             return part, Kernels(self._program, spec, part).launches()
 

@@ -145,6 +145,16 @@ class OfGroup(Program):
         return self.slot("finished") if "finished" in self._places else None
 
     @property
+    def last_approach_s(self) -> Any:
+        """See `phase.Here`."""
+        return self.slot("last_approach_s") if "last_approach_s" in self._places else None
+
+    @property
+    def approaching(self) -> Any:
+        """See `phase.Here`."""
+        return self.slot("approaching") if "approaching" in self._places else None
+
+    @property
     def fails_at_s(self) -> Any:
         """See `phase.Here`."""
         return self._constants.fails_at_s

@@ -17,7 +17,11 @@ from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, MOVE, OBSTACLES
 
-TOLD = {DECIDE.name: ("command", "loaded"), MOVE.name: ("loaded",), JUDGE.name: ("finished",)}
+TOLD = {
+    DECIDE.name: ("command", "loaded"),
+    MOVE.name: ("loaded",),
+    JUDGE.name: ("command", "finished", "last_approach_s", "approaching"),
+}
 """Slots that phases of robots read, by the phase's name, where somebody gives them."""
 
 _SEEN = OBSTACLES.name

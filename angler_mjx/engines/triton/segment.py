@@ -77,6 +77,7 @@ class Segment:
         *,
         ahead: int = AHEAD,
         also: tuple[str, ...] = (),
+        last_approach_s: jax.Array | None = None,
     ) -> None:
         """Lay everything out.
 
@@ -89,6 +90,7 @@ class Segment:
             told: shapes of what the phases of worlds give; if they give anything.
             ahead: control steps that obstacles are moved ahead of the robots.
             also: what is recorded because it is asked for.
+            last_approach_s: [W, R], of `last_approaches_s`; None where no plans are flown.
         """
         self._also = also
         self.ahead = ahead
@@ -98,6 +100,8 @@ class Segment:
         given = {"vehicle": state.vehicles, "memory": state.carry, "tally": state.tally}
         if command is not None:
             given["command"] = command
+        if last_approach_s is not None:
+            given["last_approach_s"] = last_approach_s
         packed = {name: tile.pack(tree, 2) for name, tree in given.items()}
         self.bodies, bodies = tile.pack(state.obstacles, 2)
         self.layouts = {name: layout for name, (layout, _) in packed.items()}

@@ -116,6 +116,10 @@ class Online(Policy):
             said = guidance.progress(passed, carry.standing)
         return replace(carry, clocks=clocks, standing=standing, progress=said), target
 
+    def flown(self, carry: Memory, path: Plan) -> tuple[Plan, jax.Array]:
+        """See `Policy.flown`."""
+        return path if carry.plans is None else carry.plans.now, carry.clocks.clock_s
+
     def _order(self, path: Plan, known: Known) -> Order | None:
         if not self.keeps_order:
             return None

@@ -8,10 +8,13 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import jax
+
 from angler_mjx.counting import once_in
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.aboard import hearing, senses
 from angler_mjx.sim.aboard.here import Aboard, Sent
+from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.fleet import carrying
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing
 from angler_mjx.sim.record import Progress
@@ -117,7 +120,27 @@ def choose(here: Aboard, now: Slots) -> Done:
         here.number,
         here.every,
     )
-    return Done(slots=lambda: {"policy": memory, "command": command})
+    approaching, begin_s = _approach(here, here.policy, memory.carry, command)
+    return Done(
+        slots=lambda: {
+            "policy": memory,
+            "command": command,
+            "approaching": approaching,
+            "last_approach_s": begin_s,
+        }
+    )
+
+
+def _approach(
+    here: Aboard, policy: policies.Policy, carry: Any, command: Any
+) -> tuple[jax.Array | None, jax.Array | None]:
+    """Return whether robots are on their last approach, bool [R], or when that begins, [R] s."""
+    flown = policy.flown(carry, here.world.path)
+    if flown is None:
+        return None, last_approaches_s(here.spec, here.world, command)
+    plan, time_s = flown
+    begin_s = last_approaches_s(here.spec, here.world, plan)
+    return None if begin_s is None else time_s >= begin_s, None
 
 
 SENSE = Phase(name="sense", of="world", run=sense, reads=("senses",), gives=("senses", "known"))
@@ -140,7 +163,7 @@ POLICY = Phase(
     of="world",
     run=choose,
     reads=("policy", "known", "radio", "sent"),
-    gives=("policy", "command"),
+    gives=("policy", "command", "approaching", "last_approach_s"),
 )
 
 PHASES = (SENSE, HEAR, WORK, POLICY)

@@ -31,6 +31,10 @@ class Told:
     """bool [R] whose part of the task is done; None where each robot has a goal of its own."""
     loaded: jax.Array | None = None
     """bool [R] who carries a load; None where there are none."""
+    approaching: jax.Array | None = None
+    """bool [R] who is on the last approach of a plan that a policy keeps; None where none does."""
+    last_approach_s: jax.Array | None = None
+    """[R] s, of `last_approaches_s` of a policy's command."""
     record: dict[str, Any] = field(default_factory=dict)
     """Of the phases of worlds."""
 
@@ -141,6 +145,8 @@ def tell(
         command=now.get("command"),
         finished=now.get("finished"),
         loaded=now.get("loaded") if fleet is not None and fleet.carries else None,
+        approaching=now.get("approaching"),
+        last_approach_s=now.get("last_approach_s"),
         record=record,
     )
     return after, told

@@ -65,10 +65,13 @@ def _findings(scene: Scene, robot: int) -> list[Finding]:
 
 
 def _sampling(run: Run) -> str:
+    older = ""
+    if run.has_older_rows:
+        older = "; of an older version, in which a robot arrived whenever it was near its goal"
     if run.every > 1:
         return (
             f"every {run.every} control steps: most quantities can only be bounded; record at "
-            f"{1.0 / run.control_dt_s:g} Hz to have them worked out anew"
+            f"{1.0 / run.control_dt_s:g} Hz to have them worked out anew{older}"
         )
     ends = "" if "end" in run.group else ", but not the state after the last step"
-    return f"every control step{ends}"
+    return f"every control step{ends}{older}"

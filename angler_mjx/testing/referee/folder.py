@@ -29,6 +29,9 @@ TASK_NUMBERS = ("jobs_done", "task_progress", "task_completed_s")
 WORDS = ("vehicle", "parameter_set", "outcome", "failure_pair")
 """Columns of ``episodes.parquet`` that are judged."""
 
+LATER = ("variant", "planned", "passed_goal_early")
+"""Columns that older runs, or runs written by others, may lack."""
+
 type Row = dict[str, Any]
 """What was stored of one robot of one world; numbers that are missing are NaN."""
 
@@ -58,7 +61,7 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
     """
     numbers = NUMBERS + TASK_NUMBERS if has_task else NUMBERS
     with reading(path):
-        drawn = [name for name in ("variant",) if name in pq.read_schema(path).names]
+        drawn = [name for name in LATER if name in pq.read_schema(path).names]
         table = pq.read_table(path, columns=["world", "robot", *WORDS, *numbers, *drawn])
         table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
         columns: dict[str, Any] = {
@@ -68,6 +71,7 @@ def read_rows(path: Path, robots: int, *, has_task: bool = False) -> dict[int, l
             **{name: _numbers(table[name], name) for name in numbers},
             **{name: table[name].to_pylist() for name in drawn},
         }
+    columns.setdefault("passed_goal_early", [None] * table.num_rows)
     found: dict[int, list[Row]] = {}
     for i in range(table.num_rows):
         row = {name: values[i] for name, values in columns.items()}

@@ -46,6 +46,9 @@ class Run:
     """Between which times robots may break down; None where none can."""
     task: teamwork.Rules | None
     """Rules of the task that says who has reached; None where the distance to a goal does."""
+    has_flown_plans: bool
+    """Whether robots fly the stored plans and nothing else: neither plans made in flight, nor
+    commands of another policy or of a session."""
     robots: tuple[Robot, ...]
     variants: Sequence[Mapping[str, Any]]
     """Of ``variants.json``, by number; empty where vehicles are as their files say."""
@@ -63,6 +66,12 @@ class Run:
     def by_task(self) -> bool:
         """Whether a task says who has reached, and not the distance to a goal."""
         return self.task is not None
+
+    @property
+    def has_older_rows(self) -> bool:
+        """Whether some worlds were flown when a robot had arrived whenever its goal was near."""
+        rows = (row for world in self.rows.values() for row in world)
+        return not self.by_task and any(row["passed_goal_early"] is None for row in rows)
 
     def robot(self, number: int, row: Row) -> Robot:
         """The robot of a row, as it was drawn for its world."""
@@ -179,16 +188,29 @@ def open_run(path: Path) -> Run:
     with reading(path / "trajectories.zarr"):
         group: Any = zarr.open_group(path / "trajectories.zarr", mode="r")
         whole = group["pwm_us"].dtype.kind in "iu"
+    has_task, one_scene = facts["task"] is not None, _is_one_scene(path / "summary.json")
+    rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
     return Run(
         path=path,
         robots=robots,
         variants=drawn,
-        rows=read_rows(path / "episodes.parquet", len(robots), has_task=facts["task"] is not None),
-        one_scene=_is_one_scene(path / "summary.json"),
+        rows=rows,
+        has_flown_plans="plan_time_s" in group
+        and not (has_task or one_scene)
+        and _flies_stored_plans(path, config),
+        one_scene=one_scene,
         whole_us=whole,
         group=group,
         **facts,
     )
+
+
+def _flies_stored_plans(path: Path, config: Mapping[str, Any]) -> bool:
+    """Return whether the robots of a run fly the plans that are stored with it."""
+    if config.get("planner", {}).get("replan_hz", 0.0):
+        return False
+    policy = path / "policy.json"
+    return not policy.exists() or str(read_json(policy).get("class")).endswith(".Online")
 
 
 def _breakdowns_s(table: Mapping[str, Any], horizon_s: float) -> tuple[float, float] | None:
@@ -247,6 +269,8 @@ def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
             stored |= {name: read(f"task/{name}") for name in ("target", "carrying")}
             once = OF_TASK + (OF_SURVEY if run.task.kind == "survey" else ())
             place |= {name: read(name) for name in once}
+        if run.has_flown_plans:
+            place |= {name: read(name) for name in ("plan_time_s", "plan_m", "target_m")}
     for index in chosen:
         with reading(where):
             yield _world(

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.testing.referee import contacts, teamwork
+from angler_mjx.testing.referee import approach, contacts, teamwork
 from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, Ints, Near, Pairs
 from angler_mjx.testing.referee.folder import Row
 from angler_mjx.testing.referee.geometry import Floats, rotate
@@ -100,6 +100,41 @@ class Scene:
         return rules is not None and rules.is_told_all and judged is not None and not judged.doubt
 
     @cached_property
+    def arrives(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Bool [T, R] twice: whether a robot at its goal may have arrived, and whether it has.
+
+        They differ where the record does not say how far along its plan it was.
+        """
+        may = np.ones(self.world.p.shape[:2], bool)
+        must = may.copy()
+        for robot, row in enumerate(self.rows):
+            if row["passed_goal_early"] is None:  # of an older version
+                continue
+            must[:, robot] = not row["passed_goal_early"]
+            if self.run.has_flown_plans and row.get("planned", True):
+                self._approach(robot, may[:, robot], must[:, robot])
+        return may, must
+
+    def _approach(self, robot: int, may: NDArray[np.bool_], must: NDArray[np.bool_]) -> None:
+        """Write `arrives` of a robot that flies its stored plan, [T] each, where that shows it."""
+        place, tolerance_m = self.world.place, self.run.goal_tolerance_m
+        time_s = np.asarray(place["plan_time_s"][robot], float)
+        point_m = np.asarray(place["plan_m"][robot], float)
+        goal_m = np.asarray(place["goal_m"][robot], float)
+        begin_s = approach.last_approach_s(time_s, point_m, goal_m, tolerance_m)
+        within_m = tolerance_m + approach.APPROACH_M
+        passes = approach.passes_before(time_s, point_m, goal_m, within_m, begin_s)
+        if must.all() and not passes:
+            return
+        spans_s = np.diff(self.world.step, prepend=0) * self.run.control_dt_s
+        aim_m = np.asarray(place["target_m"], float)[: len(spans_s), robot]
+        aim_m = aim_m[np.isfinite(aim_m).all(axis=1)]
+        bounds = approach.progress_s(time_s, point_m, aim_m, spans_s)
+        if bounds is not None:
+            low_s, high_s = bounds
+            may[:], must[:] = high_s >= begin_s - 1e-6, low_s >= begin_s
+
+    @cached_property
     def outside_m(self) -> Floats:
         """[T, R] how far outside the region: left it above zero."""
         p, world = self.world.p, self.world
@@ -170,7 +205,8 @@ class Scene:
         for robot, step in enumerate(self.stored_step):
             after = 0 if step is None else int(np.searchsorted(self.world.step, step))
             named[robot] = min(max(named[robot], after), final)
-        over = (self.to_goal_m < -self.place_m) | (self.outside_m > self.place_m)
+        arrived = (self.to_goal_m < -self.place_m) & self.arrives[1]
+        over = arrived | (self.outside_m > self.place_m)
         over[0] = False
         return np.where(over.any(axis=0), np.minimum(named, over.argmax(axis=0)), named)
 
@@ -222,7 +258,9 @@ class Episode:
         self._least = np.full(len(scene.world.step), np.inf)
         np.minimum.at(self._least, self._pairs.state, self._pairs.gap_m)
         goal, out = scene.to_goal_m[:, robot], scene.outside_m[:, robot]
-        self._over = ~scene.sound[:, robot] | (self._least <= 0.0) | (out > 0.0) | (goal < 0.0)
+        self._may, self._must = (of_all[:, robot] for of_all in scene.arrives)
+        arrived = (goal < 0.0) & self._must
+        self._over = ~scene.sound[:, robot] | (self._least <= 0.0) | (out > 0.0) | arrived
 
     def first(self, last: int) -> int | None:
         """First state after the start, up to ``last``, that ends the episode."""
@@ -252,7 +290,8 @@ class Episode:
             return scene.collision(int(nearest.kind[0]), int(nearest.index[0]))
         if scene.outside_m[state, self.robot] > 0.0:
             return "out_of_bounds"
-        return "reached" if scene.to_goal_m[state, self.robot] < 0.0 else "running"
+        arrived = scene.to_goal_m[state, self.robot] < 0.0 and self._may[state]
+        return "reached" if arrived else "running"
 
     def possible(self, state: int) -> set[str]:
         """What a state can mean to somebody who rounds."""
@@ -275,9 +314,10 @@ class Episode:
             found.add("out_of_bounds")
         if out > band:
             return found
-        if goal < band:
+        if goal < band and self._may[state]:
             found.add("reached")
-        return found if goal < -band else found | {"running"}
+        arrived = goal < -band and self._must[state]
+        return found if arrived else found | {"running"}
 
     def numbers(self, state: int) -> str:
         """The numbers that decided about a state."""

@@ -33,9 +33,11 @@ from angler_sitl.scene.motion import (
 class Judging:
     """`judge`, compiled for worlds of one shape, with few arrays in and out."""
 
-    step: Callable[[Arrays, Arrays, NDArray[Any], NDArray[np.int32]], tuple[Arrays, Arrays]]
-    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step: to state and
-    record."""
+    step: Callable[
+        [Arrays, Arrays, NDArray[Any], NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
+    ]
+    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step, who is on
+    the last approach of its plan: to state and record."""
     world: Flat
     state: Flat
     record: Flat
@@ -71,7 +73,7 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
     records: list[Flat] = []
 
     def step(
-        world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array
+        world: Arrays, state: Arrays, told: jax.Array, inputs: jax.Array, approaching: jax.Array
     ) -> tuple[Arrays, Arrays]:
         # One world is not batched: that would make tracing it take half as long again.
         judged, record = judge(
@@ -81,19 +83,24 @@ def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Jud
             jax.vmap(motion.vehicles.split)(told[:, 1:]),
             inputs[:, :thrusters],
             told[:, 0] > 0,
+            approaching,
         )
         record = jax.tree.map(lambda x: x[None], record)
         records.append(Flat.of(record))
         return of_state.pack(judged), records[-1].pack(record)
 
     inputs = jax.ShapeDtypeStruct((len(like), INPUTS), jnp.int32)
-    lowered = jax.jit(step).lower(of_world.like, of_state.like, like, inputs)
+    approaching = jax.ShapeDtypeStruct((len(like),), jnp.bool_)
+    lowered = jax.jit(step).lower(of_world.like, of_state.like, like, inputs, approaching)
     compiled: Any = lowered.compile(ONE_THREAD)
     return Judging(step=compiled, world=of_world, state=of_state, record=records[-1])
 
 
 def _unplanned(world: World) -> World:
-    """A world [1] without its plans: nobody judges by them, and they have any type and length."""
+    """A world [1] without its plans, which have any type and length.
+
+    The judgement needs no more of them than who is on the last approach.
+    """
     robots, real = world.variant.shape, world.environment.start_m.dtype
     nothing: dict[str, Any] = {
         "time_s": np.zeros((*robots, 0), real),
@@ -110,6 +117,7 @@ def judge(
     vehicles: VehicleState,
     pulses: jax.Array,
     broken: jax.Array,
+    approaching: jax.Array,
 ) -> tuple[WorldState, dict[str, Any]]:
     """One world at the end of a control period.
 
@@ -120,13 +128,14 @@ def judge(
         vehicles: [N] at its end.
         pulses: int32 [N, n_thruster] us, as the autopilots sent them last; for the energy.
         broken: bool [N] who diverged in it.
+        approaching: bool [N] who is on the last approach of its plan.
 
     Returns:
         The state at the end of it, and what the phases recorded.
     """
     before = state.vehicles
     t = state.step.astype(before.p.dtype) * spec.control_dt_s
-    here = OneWorld(spec=spec, world=world, t=t)
+    here = OneWorld(spec=spec, world=world, t=t, approaching=approaching)
     sent = signals(pulses, before.p.dtype)
     _, power = here.each(robot.thrust_and_power, here.params.vehicle, sent)
     slots = {

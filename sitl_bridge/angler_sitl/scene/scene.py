@@ -170,14 +170,22 @@ class Scene:
         self.states = States(numbers=np.asarray(self._rows)[:, :STATE_NUMBERS])
         return self.states
 
-    def judge(self) -> None:
+    def judge(self, approaching: NDArray[np.bool_] | None = None) -> None:
         """Close a control period: obstacles move, contact is looked for, accounts are kept.
+
+        Args:
+            approaching: [N] who is on the last approach of its plan; if left out, the goals alone
+                count.
 
         A robot that failed stands still from now on, as an obstacle to the others. To be called
         after every `period` steps, but for those in which the vehicles were moored.
         """
         told = self._motion.told(self._rows)
-        self.judged, record = self._judging.step(self._known, self.judged, told, self._inputs)
+        if approaching is None:
+            approaching = np.ones(len(told), bool)
+        self.judged, record = self._judging.step(
+            self._known, self.judged, told, self._inputs, approaching
+        )
         self.record = self._judging.record.unpack(tuple(map(np.asarray, record)))
         self.state = self._judging.end(self.judged)
         self._inputs[:, motion.OUTCOME] = self.state.tally.outcome[0]

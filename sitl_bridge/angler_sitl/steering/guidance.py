@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control import stack
+from angler_mjx.control import mixed, stack
 from angler_mjx.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Memory
@@ -30,6 +30,8 @@ class Decision:
     """[1, R, 3] position aimed at, in W."""
     output: Any
     """A command of the type that the stack's last stage gives."""
+    approaching: jax.Array
+    """bool [1, R] who is on the last approach of its plan, or has none."""
     current_mps: jax.Array
     """[1, R, 3] water velocity at the robots, in W."""
 
@@ -103,7 +105,16 @@ def _decide(
             told,
             known.flow if stack.wants_flow(spec.stages) else None,
         )
-        return Decision(memory=after, target_m=target, output=output, current_mps=flow)
+        begin_s = jax.vmap(partial(mixed.last_approach_s, tolerance_m=spec.goal_tolerance_m))(
+            told, world.environment.goal_m
+        )
+        return Decision(
+            memory=after,
+            target_m=target,
+            output=output,
+            approaching=jax.vmap(partial(robot.approaches, spec))(after, told, begin_s),
+            current_mps=flow,
+        )
 
     decision: Decision = jax.vmap(one)(worlds, p, step, memory, known, told)
     return decision

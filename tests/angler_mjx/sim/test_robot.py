@@ -162,7 +162,8 @@ for _outcome in ENDED:
 def tally_of(outcome):
     kept = {name: jnp.asarray(value, float) for name, value in BEFORE.items()}
     whole = {name: jnp.asarray(BEFORE[name], jnp.int32) for name in ("touched", "touched_index")}
-    return Tally(outcome=jnp.asarray(outcome, jnp.int32), **(kept | whole))
+    early = jnp.zeros(jnp.shape(outcome), bool)
+    return Tally(outcome=jnp.asarray(outcome, jnp.int32), passed_early=early, **(kept | whole))
 
 
 def contact_of(given):
@@ -248,6 +249,42 @@ def test_a_task_says_who_has_finished_and_whatever_is_worse_comes_first():
     assert dict(zip(TASKS, map(Outcome, found.tolist()), strict=True)) == dict(
         zip(TASKS, expected, strict=True)
     )
+
+
+PASSES = {
+    "on its way": ({}, False, Outcome.RUNNING, False),
+    "arrives": (AT_GOAL, True, Outcome.REACHED, False),
+    "passes its goal early": (AT_GOAL, False, Outcome.RUNNING, True),
+    "meets a robot at its goal, early": (ROBOT | AT_GOAL, False, Outcome.COLLISION_ROBOT, True),
+    "has ended before": (AT_GOAL | {"outcome": Outcome.TIMEOUT}, False, Outcome.TIMEOUT, False),
+}
+
+
+def test_a_robot_arrives_on_the_last_approach_of_its_plan_alone():
+    rows = [CALM | changed for changed, *_ in PASSES.values()]
+    each = {name: jnp.array([row[name] for row in rows]) for name in CALM}
+
+    def one(given, approaching):
+        after = robot.account(
+            SPEC,
+            given["goal"],
+            jnp.array(LO),
+            jnp.array(HI),
+            tally_of(given["outcome"]),
+            given["before"],
+            given["after"],
+            contact_of(given),
+            jnp.asarray(30.0),
+            given["broken"],
+            jnp.asarray(4.0),
+            approaching=approaching,
+        )
+        return after.outcome, after.passed_early
+
+    _, approaching, outcome, early = zip(*PASSES.values(), strict=True)
+    found = jax.jit(jax.vmap(one))(each, jnp.array(approaching))
+    assert tuple(map(Outcome, found[0].tolist())) == outcome
+    assert tuple(found[1].tolist()) == early
 
 
 FAST, BRISK = (9.0, -9.0, 9.0, -9.0, 9.0, -9.0), (8.0, -8.0, 8.0, -8.0, 8.0, -8.0)

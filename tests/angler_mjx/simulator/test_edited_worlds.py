@@ -98,6 +98,37 @@ def test_rock_that_is_put_into_a_world_is_met(simulator, worlds):
     assert np.all(tally.touched == Touched.CELL)
 
 
+def test_a_plan_is_flown_on_its_last_approach_alone(simulator, worlds):
+    """A closed plan of 8 m, and one of 9 m that passes its goal after 3 m and turns back at 6 m.
+
+    Before, both ended at the first pass: after 0.05 s, and after 6 s.
+    """
+    environment, path = worlds.environment, worlds.path
+    start, goal = (np.asarray(x)[0] for x in (environment.start_m, environment.goal_m))
+    along = (goal - start) / np.linalg.norm(goal - start, axis=-1, keepdims=True)
+    time, point = np.array(path.time_s), np.array(path.position_m)
+    goals = np.array(environment.goal_m)
+    for robot, (first_m, turn_m, end_m) in enumerate(((2.0, 4.0, 0.0), (3.0, 6.0, 3.0))):
+        at_m = np.array([0.0, first_m, turn_m, end_m])
+        at_s = np.cumsum(np.abs(np.diff(at_m, prepend=0.0))) / 0.5
+        time[0, robot], time[0, robot, :4] = at_s[-1], at_s
+        rows = start[robot] + at_m[:, None] * along[robot]
+        point[0, robot], point[0, robot, :4] = rows[-1], rows
+        goals[0, robot] = rows[-1]
+    edited = replace(
+        worlds,
+        environment=replace(environment, goal_m=jnp.asarray(goals)),
+        path=replace(path, time_s=jnp.asarray(time), position_m=jnp.asarray(point)),
+    )
+    tally = fly(simulator, edited)
+    assert np.all(tally.outcome == Outcome.REACHED)
+    assert np.all(tally.passed_early)
+    # Less the tolerance, and what is cut at the turn.
+    np.testing.assert_array_less([[8.0 - 0.3 - 1.0, 9.0 - 0.3 - 1.0]], tally.path_length_m)
+    np.testing.assert_array_less([[14.0, 16.0]], tally.end_time_s)
+    assert not np.any(fly(simulator, worlds).passed_early)
+
+
 def test_a_segment_may_begin_where_a_single_step_ended(simulator, worlds):
     before, _ = simulator.step(worlds, simulator.reset(worlds))
     before, _ = simulator.segment(worlds, before)

@@ -144,6 +144,7 @@ def fly(robots, rock, balls, pwm, place):
         tally = Tally(
             outcome=jnp.zeros(n, jnp.int32),
             end_time_s=jnp.zeros(n),
+            passed_early=jnp.zeros(n, bool),
             path_length_m=jnp.zeros(n),
             energy_j=jnp.zeros(n),
             min_clearance_m=contact.clearance_m,
@@ -172,6 +173,7 @@ def fly(robots, rock, balls, pwm, place):
             name: getattr(tally, name)[None]
             for name in (
                 "end_time_s",
+                "passed_early",
                 "path_length_m",
                 "energy_j",
                 "min_clearance_m",

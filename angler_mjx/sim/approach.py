@@ -1,0 +1,32 @@
+"""When the robots of a world may arrive: on the last approach of their plans, or at any time."""
+
+from typing import Any
+
+import jax
+
+from angler_mjx.control import mixed, plans
+from angler_mjx.control.joint_trajectory import JointTrajectory
+from angler_mjx.control.mixed import Mixed
+from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.sim.state import SimSpec, World
+
+
+def last_approaches_s(spec: SimSpec, world: World, command: Any = None) -> jax.Array | None:
+    """Return when the last approaches of the robots' plans begin, [R] s along the plans.
+
+    Args:
+        spec: settings.
+        world: one world.
+        command: [R] leading; if left out, robots fly the plans of the world.
+
+    Returns:
+        None where the goal alone counts: a task, or commands that are no plans.
+    """
+    flown = world.path if command is None else command
+    if spec.by_task or not isinstance(flown, Trajectory | JointTrajectory | Mixed):
+        return None
+    of_one: Any = mixed.last_approach_s if isinstance(flown, Mixed) else plans.last_approach_s
+    begin_s: jax.Array = jax.vmap(of_one, (0, 0, None))(
+        flown, world.environment.goal_m, spec.goal_tolerance_m
+    )
+    return begin_s

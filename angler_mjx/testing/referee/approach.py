@@ -1,0 +1,89 @@
+"""How far along its plan a robot was: a plan is flown no sooner than on its last approach.
+
+Where a controller aimed is on the plan. A time on the plan never goes back and runs no faster than
+the clock, so the aims of a flight, one after another, bound it from both sides.
+"""
+
+import numpy as np
+
+from angler_mjx.testing.referee.geometry import Floats
+
+APPROACH_M = 1.0
+"""The last approach begins so far outside the goal's tolerance."""
+AIM_M = 1e-3
+"""Rounding of an aim in float32, and of the plan's time behind it."""
+
+
+def last_approach_s(time_s: Floats, point_m: Floats, goal_m: Floats, tolerance_m: float) -> float:
+    """Return the time at which a plan's last approach to its goal begins, s.
+
+    The time of the last way-point at least the tolerance and `APPROACH_M` from the goal, or of the
+    farthest one where none is so far.
+
+    Args:
+        time_s: [P] of the way-points.
+        point_m: [P, 3].
+        goal_m: [3].
+        tolerance_m: of the goal.
+    """
+    away = np.linalg.norm(point_m - goal_m, axis=1)
+    return float(time_s[away >= min(tolerance_m + APPROACH_M, away.max())][-1])
+
+
+def passes_before(
+    time_s: Floats, point_m: Floats, goal_m: Floats, within_m: float, until_s: float
+) -> bool:
+    """Return whether the plan comes within a distance of its goal before a time."""
+    for k in np.flatnonzero(time_s[:-1] < until_s):
+        leg, off = point_m[k + 1] - point_m[k], goal_m - point_m[k]
+        square = float(leg @ leg)
+        part = np.clip(off @ leg / square, 0.0, 1.0) if square > 0.0 else 0.0
+        if np.linalg.norm(off - part * leg) < within_m:
+            return True
+    return False
+
+
+def progress_s(
+    time_s: Floats, point_m: Floats, aim_m: Floats, spans_s: Floats
+) -> tuple[Floats, Floats] | None:
+    """Return bounds of the time on a plan with each state, [T] and [T] s.
+
+    Args:
+        time_s: [P] of the way-points.
+        point_m: [P, 3] joined by lines.
+        aim_m: [A, 3] where the controller aimed with each state; the last state may have none.
+        spans_s: [T] time since the state before; the first is not looked at.
+
+    Returns:
+        None where an aim is not on the lines: the plan is bent, or the controller aims elsewhere.
+    """
+    low, high = np.zeros(len(spans_s)), np.zeros(len(spans_s))
+    real = np.flatnonzero(np.diff(time_s) > 0)
+    begin, length = time_s[real], np.diff(time_s)[real]
+    start, leg = point_m[real], np.diff(point_m, axis=0)[real]
+    square = np.sum(leg * leg, axis=1)
+    for k, span in enumerate(spans_s):
+        earliest, latest = (low[k - 1], high[k - 1] + span) if k else (0.0, 0.0)
+        if k >= len(aim_m):
+            low[k], high[k] = earliest, latest
+            continue
+        # Parts of each line that lie within the rounding of the aim, as shares of it.
+        off = aim_m[k] - start
+        middle = np.sum(off * leg, axis=1) / np.where(square > 0.0, square, 1.0)
+        miss = np.sum((off - middle[:, None] * leg) ** 2, axis=1)
+        stands = square <= AIM_M**2
+        half = np.sqrt(np.maximum(AIM_M**2 - miss, 0.0) / np.where(stands, 1.0, square))
+        first, last = middle - half, middle + half
+        on = (miss <= AIM_M**2) & (stands | ((first <= 1.0) & (last >= 0.0)))
+        first = np.where(stands, 0.0, np.clip(first, 0.0, 1.0))
+        last = np.where(stands, 1.0, np.clip(last, 0.0, 1.0))
+        # Beyond the last way-point the aim stays there for ever.
+        at_end = np.linalg.norm(aim_m[k] - point_m[-1]) <= AIM_M
+        since = np.append(begin + first * length, time_s[-1])
+        until = np.append(begin + last * length, np.inf)
+        on = np.append(on, at_end) & (since <= latest + 1e-6) & (until >= earliest - 1e-6)
+        if not on.any():
+            return None
+        low[k] = max(earliest, float(since[on].min()))
+        high[k] = min(latest, float(until[on].max()))
+    return low, high
