@@ -76,7 +76,13 @@ def test_a_simulation_fills_its_row(measured):
     assert "all worlds different" in measured.inside
 
 
-SIMULATED = [name for name, workload in WORKLOADS.items() if workload.kind == "simulation"]
+SIMULATED = [
+    name
+    if name in ("mjx", "closed_loop_8")
+    else pytest.param(name, marks=pytest.mark.nightly(by="mjx and closed_loop_8: either engine"))
+    for name, workload in WORKLOADS.items()
+    if workload.kind == "simulation"
+]
 
 
 @pytest.mark.parametrize("name", SIMULATED)
