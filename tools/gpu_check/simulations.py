@@ -16,11 +16,12 @@ BOUNDS = {
     "goal_m": Bound(atol=1e-4, why=ROUNDING),
     "planned": Bound(fraction=0.95, axes=2, why=ROUNDING),
     "plan_m": Bound(atol=1e-2, fraction=0.5, axes=2, why=TIES),
-    "plan_s": Bound(rtol=0.02, fraction=0.95, axes=2, why=ROUNDING),
+    "plan_s": Bound(rtol=0.02, fraction=0.9, why=TIES),
     "early_m": Bound(atol=1e-2, fraction=0.95, axes=2, why=ROUNDING, equal="plan_m"),
     "outcome": Bound(fraction=0.85, axes=2, why=ROUNDING),
 }
-"""Of robots [world, robot]; cells must be equal."""
+"""Of robots [world, robot]; cells must be equal. Of durations of plans the mean of each world's
+team counts: which robot of a team waits for another can be a tie."""
 
 
 def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
@@ -32,7 +33,8 @@ def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
 
     Returns:
         Cells, starts, goals, plans [world, robot, ...], positions after the first segment and
-        outcomes [world, robot]; way-points and durations of plans only where a planner made them.
+        outcomes [world, robot]; way-points of plans and mean durations
+        [world] only where a planner made them.
     """
     from angler_mjx.control import plans
     from angler_mjx.scenario.scenario import load_scenario
@@ -64,6 +66,6 @@ def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
         arrays |= {
             "planned": worlds.planned,
             "plan_m": plans.points_m(worlds.path),
-            "plan_s": worlds.path.time_s[..., -1],
+            "plan_s": np.mean(worlds.path.time_s[..., -1], axis=-1),
         }
     return {name: np.asarray(array) for name, array in arrays.items()}
