@@ -78,6 +78,22 @@ class Benchmark:
             and (not one.presets or setting.preset in one.presets)
         ]
 
+    def blind(self) -> list[str]:
+        """Return a line on each contestant that steers in flight and is not given what moves."""
+        labels = {
+            one.label
+            for setting in self.settings
+            for one in self.asked(setting)
+            if (one.policy is not None or one.online.get("replan_hz"))
+            and setting.knows.obstacles == "nothing"
+            and setting.scenario.obstacles_move
+        }
+        return [
+            f"planner {shown(label)} flies blind: it has no information about obstacles that move; "
+            'give it knows = { obstacles = "observed" }'
+            for label in sorted(labels)
+        ]
+
     def resolved(self) -> dict[str, Any]:
         """All of it in plain values: the same table is the same benchmark."""
         return {

@@ -65,8 +65,9 @@ def fly(
         prepare(isolate=isolate, gcs=None)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_to_fly, unseen
+    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_to_fly
     from angler_mjx.planning.online import host_planner
+    from angler_mjx.scenario import notices
     from angler_mjx.session.flying import course
     from angler_mjx.session.flying import fly as flying
     from angler_mjx.session.online import Flyer
@@ -88,9 +89,8 @@ def fly(
             "--replan-hz, --order kept, --policy mppi or --policy routes (angler rollout flies "
             "plans as they are)"
         )
-    notice = unseen(loaded)
-    if notice:
-        print(notice, file=sys.stderr)
+    for line in notices.lines(loaded, planned=loaded.task_spec() is None):
+        print(line, file=sys.stderr)
     opener: opening.Opener = opening.simulated
     if session == "sitl":
         opener = real_autopilots(

@@ -97,7 +97,6 @@ def rollout(
         require_planned,
         scenario_given,
         scenario_to_fly,
-        unseen,
     )
     from angler_mjx.cli.shared.progress import Bar
     from angler_mjx.runs import rollout as runs
@@ -127,9 +126,6 @@ def rollout(
         flags = ", ".join(map(flag, named))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario) if resume else scenario_to_fly(scenario, **overrides)
-    notice = None if resume else unseen(loaded)
-    if notice and shared.index == 0:
-        print(notice, file=sys.stderr)
     place = out or Path("runs") / loaded.name
     with Bar(quiet=json or shared.index > 0) as bar:
         how: dict[str, Any] = {

@@ -1,5 +1,6 @@
 """Planners by their names: of this package, of other packages, of files.
 
+    auto                            grid or priority, resolved by the scenario
     grid, priority, current         part of the program that draws the worlds
     RRTConnect                      an entry point of that name, in the group `GROUP`
     planners/straight.py:Straight   a class of a file
@@ -20,6 +21,7 @@ from types import ModuleType
 from typing import Any
 
 from angler_mjx.errors import ConfigError, UnsupportedError, described, shown
+from angler_mjx.planning.automatic import AUTO, CHOICES
 from angler_mjx.planning.planner import MOST_POINTS
 
 GROUP = "angler_mjx.planners"
@@ -104,8 +106,8 @@ class PlannerSpec:
 
 
 def names() -> list[str]:
-    """Planners that can be named, the built-in first."""
-    return [*DEVICE, *sorted(_installed())]
+    """Return the planners that scenarios can name, the built-in ones first."""
+    return [AUTO, *DEVICE, *sorted(_installed())]
 
 
 def beside(name: str, folder: Path) -> str:
@@ -138,6 +140,11 @@ def find(name: str) -> Reference:
             qualname=qualname,
             sha256=hashlib.sha256(data).hexdigest(),
             text=data,
+        )
+    if name == AUTO:
+        raise ConfigError(
+            f"planner {shown(AUTO)}: is chosen in a scenario, by the number of robots; name "
+            f"{' or '.join(CHOICES)}"
         )
     place = DEVICE.get(name) or _installed().get(name)
     if place is None:

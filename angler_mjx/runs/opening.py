@@ -132,6 +132,7 @@ def require_same(place: Path, scenario: Scenario) -> None:
 _GIVEN = (
     ("time", "record_hz"),
     ("planner", "name"),
+    ("planner", "requested"),
     ("planner", "replan_hz"),
     ("planner", "knows"),
     ("execution", "order"),

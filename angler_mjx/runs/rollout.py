@@ -19,6 +19,7 @@ from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
+from angler_mjx.scenario import notices
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
 from angler_mjx.simulator import scenario_policy
@@ -243,6 +244,8 @@ class _Rollout:
         tiles, done = self._share()
         total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
         self._progress.start(done + total, done)
+        for line in notices.lines(self._scenario, planned=self._sim.planner is not None):
+            self._progress.tell(line)
         self._progress.compiling()
         clock = _Clock(compile=self._sim.compile())
         self._progress.compiled(clock.compile)

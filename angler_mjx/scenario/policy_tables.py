@@ -12,7 +12,13 @@ from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
 from angler_mjx.scenario.fleet_entry import FleetEntry
-from angler_mjx.scenario.tables import ControllerConfig, KnowsConfig, TimeConfig, whole
+from angler_mjx.scenario.tables import (
+    ControllerConfig,
+    KnowsConfig,
+    PlannerConfig,
+    TimeConfig,
+    whole,
+)
 from angler_mjx.vehicles import library
 
 MOST_STEPS = 1000
@@ -110,10 +116,24 @@ class PolicyConfig(FileModel):
     no plan. routes: each flies along a way that was worked out for every place of the world, and
     gets out of the way of what it meets."""
     knows: KnowsConfig | None = None
-    """What it may know of what moves, whenever it acts; what the planner may if left out. routes is
-    told where obstacles are and how fast if neither says anything."""
+    """Information level of what moves, whenever the policy acts. If left out: `planner.knows` where
+    the file gives that, else obstacles = "observed". Set explicitly to "nothing", the policy
+    receives no obstacle, and commands say so."""
     mppi: MppiConfig = MppiConfig()
     routes: RoutesConfig = RoutesConfig()
+
+
+def default_knows(policy: PolicyConfig, planner: PlannerConfig) -> KnowsConfig:
+    """Return the information level of a policy whose own table gives none.
+
+    A policy that steers in flight observes obstacles unless ``planner.knows`` gives a level.
+    Run folders of older versions store ``knows = null``: the level that was flown then is kept.
+    """
+    if "knows" in policy.model_fields_set:  # null, which no file in TOML can hold
+        is_open = policy.name == "routes" and planner.knows == KnowsConfig()
+    else:
+        is_open = not planner.knows.model_fields_set
+    return KnowsConfig(obstacles="observed") if is_open else planner.knows
 
 
 def _steps(key: str, hz: float, time: TimeConfig) -> int:

@@ -20,7 +20,7 @@ from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdo
 from angler_mjx.scenario.editing import anchored
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
-from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable
+from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable, default_knows
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.scenario.tables import (
@@ -93,10 +93,26 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _planner_of_team(self) -> Self:
+        """Put the planner of this team in place of auto."""
+        self.__dict__["planner"] = self.planner.resolved(sum(entry.count for entry in self.fleet))
+        return self
+
+    @model_validator(mode="after")
     def _policy_of_task(self) -> Self:
         """Who flies from place to place, where the file does not say."""
         if not isinstance(self.task, GoalTask) and "name" not in self.policy.model_fields_set:
             self.__dict__["policy"] = self.policy.model_copy(update={"name": "routes"})
+        return self
+
+    @model_validator(mode="after")
+    def _information_of_policy(self) -> Self:
+        """Set the information level of the policy, where the file gives none to it."""
+        if self.policy.name != "none" and self.policy.knows is None:
+            knows = default_knows(self.policy, self.planner)
+            policy = self.policy.model_copy(update={"knows": knows})
+            policy.model_fields_set.discard("knows")
+            self.__dict__["policy"] = policy
         return self
 
     @model_validator(mode="after")
@@ -177,6 +193,14 @@ class Scenario(FileModel):
     def online(self) -> bool:
         """Whether plans are looked after while they are flown."""
         return self.execution.order == "kept" or self.planner.replan_hz > 0.0
+
+    @property
+    def obstacles_move(self) -> bool:
+        """Whether the worlds have obstacles that move."""
+        obstacles = resolve(self.world).obstacles
+        return obstacles.dynamic.count > 0 or any(
+            one.motion.type != "static" for one in obstacles.explicit
+        )
 
     @property
     def senses(self) -> bool:

@@ -20,8 +20,9 @@ from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, folder_of
 from angler_mjx.planning import register
+from angler_mjx.planning.automatic import AUTO, CHOICES, for_team
 from angler_mjx.planning.planner import MOST_POINTS
-from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.planning.register import PlannerSpec, Reference
 from angler_mjx.quantities import Length
 from angler_mjx.sim.knowledge import Knows, Level
 
@@ -180,8 +181,12 @@ type PlannerName = Annotated[str, Field(max_length=4096), AfterValidator(_from_i
 class PlannerConfig(FileModel):
     """The planner that gives each robot its path; its own settings stand in [planner.NAME]."""
 
-    name: PlannerName = "grid"
-    """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours."""
+    name: PlannerName = AUTO
+    """One that `angler plan --list` names, or FILE.py:CLASS of a file of yours. auto: grid or
+    priority, by the number of robots; see `docs/planners.md`."""
+    requested: Literal["auto"] | None = None
+    """Written into run folders beside the name of the planner that auto resolved to; not set by
+    hand."""
     margin_m: Length = 0.1
     """Kept free around each robot beside its own radius."""
     points: int = Field(default=32, ge=2, le=MOST_POINTS)
@@ -213,6 +218,32 @@ class PlannerConfig(FileModel):
             own["settings"] = {**(before if isinstance(before, Mapping) else {}), **tables}
         return {**own, **rest}
 
+    @model_validator(mode="after")
+    def _requested_by_auto(self) -> Self:
+        if self.requested is not None and self.name not in (AUTO, *CHOICES):
+            raise ValueError(
+                f"requested = {self.requested!r}: auto never resolves to {self.name}; leave "
+                "requested out"
+            )
+        return self
+
+    def resolved(self, robots: int) -> Self:
+        """Return the table with the planner of a team of ``robots`` in place of auto.
+
+        A table with another name is returned as it is. The name counts as left out: a table made
+        anew from the keys of the file, such as one for another team, is resolved again.
+        """
+        if self.name != AUTO:
+            return self
+        made = self.model_copy(update={"name": for_team(robots), "requested": AUTO})
+        made.model_fields_set.difference_update(("name", "requested"))
+        return made
+
+    def title(self, robots: int) -> str:
+        """Return the planner's name, with the reason where auto chose it for a team."""
+        team = f"{robots} robot{'s' if robots > 1 else ''}"
+        return f"{self.name} (auto: {team})" if self.requested else self.name
+
     @property
     def table(self) -> str:
         """Name of the chosen planner's own table: of a class in a file, that of the class."""
@@ -226,19 +257,17 @@ class PlannerConfig(FileModel):
             UnsupportedError: its libraries are not installed.
         """
         reference = register.find(self.name)
-        given = self.settings.get(self.table, {})
-        others = sorted(set(self.settings) - {self.table})
+        usable = CHOICES if self.requested else (self.table,)
+        others = sorted(set(self.settings) - set(usable))
         if others:
             raise ConfigError(
                 f"[planner.{others[0]}]: the planner is {self.name}; its settings stand in "
                 f"[planner.{self.table}]"
             )
-        model = register.settings_of(reference.load())
-        if model is None and given:
-            raise ConfigError(f"[planner.{self.table}]: this planner has no settings")
-        if model is not None:
-            _check_settings(model, given, self.table)
-        return PlannerSpec(reference=reference, settings=given)
+        for name in usable:
+            owner = reference if name == self.table else register.find(name)
+            _check_table(owner, self.settings.get(name, {}), name)
+        return PlannerSpec(reference=reference, settings=self.settings.get(self.table, {}))
 
 
 class ExecutionConfig(FileModel):
@@ -283,6 +312,15 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
 
 
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+def _check_table(reference: Reference, given: Mapping[str, Any], table: str) -> None:
+    """Refuse settings of a planner that has none, or other ones."""
+    model = register.settings_of(reference.load())
+    if model is None and given:
+        raise ConfigError(f"[planner.{table}]: this planner has no settings")
+    if model is not None:
+        _check_settings(model, given, table)
 
 
 def _check_settings(model: type, given: Mapping[str, Any], table: str) -> None:

@@ -106,8 +106,14 @@ def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
     if name == GRID:
         return replace(config, **spec.settings)
     chosen = priority.PrioritySettings(**spec.settings)
+    room_m = chosen.room_m
+    if room_m is None:
+        room_m = priority.ROOM_M if scenario.obstacles_move or scenario.world.currents else 0.0
     return replace(
-        config, start_hold_s=chosen.start_hold_s, n_layer=chosen.layers or config.n_layer
+        config,
+        start_hold_s=chosen.start_hold_s,
+        n_layer=chosen.layers or config.n_layer,
+        room_m=room_m,
     )
 
 

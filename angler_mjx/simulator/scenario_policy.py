@@ -1,6 +1,7 @@
 """The policy that a scenario asks for: one by name, or order kept and plans made anew in flight."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from angler_mjx.control.laws.follow import FollowGains
@@ -15,6 +16,7 @@ from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, gives_joints
 from angler_mjx.planning.routes.policy import AlongRoutes
+from angler_mjx.scenario.policy_tables import default_knows
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
@@ -59,10 +61,7 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
 
 def along_routes(scenario: Scenario) -> AlongRoutes:
     """Flight along routes with a scenario's settings."""
-    settings, given = scenario.policy.routes, scenario.policy.knows
-    knows = (given or scenario.planner.knows).knows()
-    if given is None and knows == Knows():
-        knows = Knows(obstacles="observed")
+    settings = scenario.policy.routes
     period = settings.period(scenario.time)
     return AlongRoutes(
         dt_s=scenario.time.control_dt_s,
@@ -70,14 +69,13 @@ def along_routes(scenario: Scenario) -> AlongRoutes:
         routes_margin_m=scenario.planner.margin_m,
         period=period,
         looks=period,
-        knows=knows,
+        knows=_knows(scenario),
     )
 
 
 def mppi(scenario: Scenario) -> Mppi:
     """Path integral control with a scenario's settings."""
     settings, time = scenario.policy.mppi, scenario.time
-    knows = scenario.policy.knows or scenario.planner.knows
     return Mppi(
         weights=Weights(**settings.weights),
         density_kgpm3=scenario.water.density_kgpm3,
@@ -88,9 +86,14 @@ def mppi(scenario: Scenario) -> Mppi:
         dt_s=settings.dt_s,
         knots=settings.knots,
         period=settings.period(time),
-        knows=knows.knows(),
+        knows=_knows(scenario),
         ahead_s=settings.horizon_s,
     )
+
+
+def _knows(scenario: Scenario) -> Knows:
+    """Return the information level of the policy that the scenario names."""
+    return (scenario.policy.knows or default_knows(scenario.policy, scenario.planner)).knows()
 
 
 def made(scenario: Scenario) -> Online:
@@ -139,7 +142,7 @@ def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
         config = ways_config(scenario, spec)
         if spec.reference.name == GRID:
             return GridAnew(config=config)
-        return PriorityAnew(config=config, budget=priority_budget(spec))
+        return PriorityAnew(config=replace(config, room_m=0.0), budget=priority_budget(spec))
     settings = tuple(sorted(spec.settings.items()))
     if _on_host(spec):
         return _of_host(scenario, spec, settings)

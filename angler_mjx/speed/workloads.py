@@ -338,7 +338,10 @@ def _resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Scenario
     scenario = load_scenario(name, **changes)
     if len(scenario.members()) == robots:
         return scenario
-    return load_scenario(name, **changes, fleet=_fleet(scenario.fleet, robots))
+    # Teams of all sizes are measured with one planner, or rates would compare two.
+    planner = {"name": scenario.planner.name}
+    fleet = _fleet(scenario.fleet, robots)
+    return load_scenario(name, **changes, fleet=fleet, planner=planner)
 
 
 def _fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:

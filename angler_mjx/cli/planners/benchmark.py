@@ -60,6 +60,8 @@ def benchmark(
     if source.is_dir() and resume and (place / "about.json").is_file():
         _compare(source, place)
         return
+    for line in found.blind():
+        print(line, file=sys.stderr)
     pool = _pool(at_least_one("workers", workers), ray)
     with _Bar() as bar:
         try:

@@ -68,6 +68,7 @@ def plan(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.scenario import notices
     from angler_mjx.simulator.simulator import Simulator
     from angler_mjx.storage.planned import lines as planned_lines
     from angler_mjx.storage.plans import write as plan_writer
@@ -80,6 +81,8 @@ def plan(
     }
     chosen = {key: value for key, value in table.items() if value is not None}
     loaded = scenario_to_fly(scenario, worlds=worlds, seed=seed, planner=chosen or None)
+    if line := notices.planner(loaded):
+        print(line, file=sys.stderr)
     if debug is not None:
         _debug(loaded, debug)
         return

@@ -69,21 +69,6 @@ def knows_given(text: str | None) -> dict[str, str] | None:
     return made
 
 
-def unseen(scenario: "Scenario") -> str | None:
-    """What to say of a scenario that plans anew and is told of nothing that moves in it."""
-    if scenario.planner.replan_hz == 0.0 or scenario.planner.knows.obstacles != "nothing":
-        return None
-    from angler_mjx.world.config import resolve
-
-    there = resolve(scenario.world).obstacles
-    if there.dynamic.count == 0 and all(one.motion.type == "static" for one in there.explicit):
-        return None
-    return (
-        f"planner.replan_hz = {scenario.planner.replan_hz:g}, but planners are told of no moving "
-        "obstacle: add --knows obstacles=observed"
-    )
-
-
 def planner_given(name: str | None, **keys: Any) -> dict[str, Any] | None:
     """The scenario's table of a planner that flags give.
 

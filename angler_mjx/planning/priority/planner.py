@@ -18,6 +18,10 @@ from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig
 from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.world.environment import Environment
 
+ROOM_M = 0.8
+"""Room between robots where a current carries slow ones, or drifting obstacles stop some of them in
+the way of others; see `docs/planners.md` for its measurement."""
+
 SLOTS = 1024
 """Worlds that are searched side by side; what they come to does not depend on it."""
 
@@ -32,11 +36,16 @@ class PrioritySettings:
     """Searches of single robots, for each robot of the team; then what is planned is flown."""
     layers: int = 0
     """Layers of time that are searched; 0: as many as the fastest robot's steps need."""
+    room_m: float | None = None
+    """Distance between hulls beyond the margin, where a way allows it; if left out `ROOM_M` where
+    the water or obstacles move, else 0. Plans made anew in flight keep the margin alone."""
 
     def __post_init__(self) -> None:
         """Refuse what is none."""
         if not 0.0 <= self.start_hold_s <= 86400.0:
             raise ValueError(f"start_hold_s = {self.start_hold_s:g}: must be 0 to 86400 s")
+        if self.room_m is not None and not 0.0 <= self.room_m <= 1000.0:
+            raise ValueError(f"room_m = {self.room_m:g}: must be 0 to 1000 m")
         for name, low, high in (("budget", 1, 10000), ("layers", 0, MOST_LAYERS)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be {low} to {high}")

@@ -24,7 +24,10 @@ from angler_mjx.planning.ways.traffic import Others, Traffic, met_by
 _NEVER = 2**31 - 1
 
 _LEFT_OUT = 0.25
-"""Share of the planned robots that is not looked at, for each try that failed before."""
+"""Fraction of the planned robots that is not looked at, for each try that failed before."""
+
+_STAGES = 2
+"""Searches of a robot with room beyond the margin: with all of it, then with half of it."""
 
 
 @jax.tree_util.register_dataclass
@@ -94,11 +97,14 @@ def step(task: Task, search: Search, config: WayConfig) -> Search:
     planned = search.plans.found
     waits = ~planned & ~search.hopeless
     i = jnp.argmin(jnp.where(waits, search.turn, _NEVER))
-    chance = jnp.minimum(_LEFT_OUT * search.tries[i], 1.0)
+    tries = search.tries[i]
+    stages = _STAGES if config.room_m > 0.0 else 0
+    chance = jnp.clip(_LEFT_OUT * (tries - stages), 0.0, 1.0)
+    room = config.room_m * jnp.clip(1.0 - tries / _STAGES, 0.0, 1.0)
     key = jax.random.fold_in(jax.random.key(task.seed), search.used)
     seen = planned & (jax.random.uniform(key, planned.shape) >= chance)
     held = hold(task.start_m, config.n_point)
-    reach = task.radius_m + task.radius_m[i] + config.margin_m
+    reach = task.radius_m + task.radius_m[i] + config.margin_m + room
     # Who is not looked at is taken to stand at its start for a while, less at each try; who has no
     # hope stands there for ever.
     stays = jnp.where(search.hopeless, jnp.inf, config.start_hold_s * (1.0 - chance))

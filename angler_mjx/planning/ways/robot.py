@@ -35,6 +35,8 @@ class WayConfig:
     than the robot can, and finds less. Diagonal steps are up to 16 % slow: allow that much more."""
     start_hold_s: float = 30.0
     """How long the start of a robot that is not planned yet is kept clear."""
+    room_m: float = 0.0
+    """Distance between robots beyond the margin, where a way allows it; for priority."""
 
 
 def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:

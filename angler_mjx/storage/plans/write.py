@@ -145,7 +145,8 @@ def _about(scenario: Scenario) -> dict[str, Any]:
         "scenario": scenario.name,
         "seed": scenario.seed,
         "digest": scenario.digest(),
-        "planner": scenario.planner.model_dump(mode="json"),
+        # Files of older versions lack the keys that are null here.
+        "planner": scenario.planner.model_dump(mode="json", exclude_none=True),
     }
 
 

@@ -203,6 +203,16 @@ def test_who_flies_otherwise_flies_the_same_problems_by_another_scenario(tmp_pat
     assert len(digests) == 1
 
 
+def test_a_contestant_that_steers_without_what_moves_is_named(tmp_path):
+    steers = '[[planner]]\npolicy = "mppi"\n'
+    (line,) = read(tmp_path, "", steers).blind()
+    assert "'mppi' flies blind" in line
+    seeing = 'knows = { obstacles = "observed" }\n'
+    assert read(tmp_path, "", steers + seeing).blind() == []
+    with pytest.raises(ConfigError, match="'auto': is chosen in a scenario"):
+        read(tmp_path, "", '[[planner]]\nname = "auto"\n')
+
+
 def test_the_policy_of_the_scenario_flies_nobody_else(tmp_path):
     table = (tmp_path / "own.toml").absolute()
     text = shipped()["reef_fleet"].read_text()

@@ -3,8 +3,12 @@
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given, unseen
+from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given
 from angler_mjx.errors import ConfigError
+from angler_mjx.files import check
+from angler_mjx.scenario.editing import table_of
+from angler_mjx.scenario.notices import blind
+from angler_mjx.scenario.scenario import Scenario
 
 
 def loaded(name, **keys):
@@ -37,14 +41,50 @@ def test_a_command_names_the_flag(capsys):
 
 
 def test_only_those_who_plan_anew_unaware_of_what_moves_are_told():
-    blind = unseen(loaded("dense_dynamic", replan_hz=1.0))
-    assert blind is not None
-    assert "--knows obstacles=observed" in blind
-    assert "\n" not in blind
-    assert unseen(loaded("dense_dynamic")) is None
+    line = blind(loaded("dense_dynamic", replan_hz=1.0))
+    assert line is not None
+    assert "--knows obstacles=observed" in line
+    assert "\n" not in line
+    assert blind(loaded("dense_dynamic")) is None
     seeing = knows_given("obstacles=observed")
-    assert unseen(loaded("dense_dynamic", replan_hz=1.0, knows=seeing)) is None
-    assert unseen(loaded("open_water_current", replan_hz=1.0)) is None
+    assert blind(loaded("dense_dynamic", replan_hz=1.0, knows=seeing)) is None
+    assert blind(loaded("open_water_current", replan_hz=1.0)) is None
+
+
+@pytest.mark.parametrize("name", ["mppi", "routes"])
+def test_a_policy_observes_unless_a_level_is_given(name):
+    def policy(planner=None, **policy):
+        changes = {"policy": {"name": name, **policy}, "planner": planner}
+        return scenario_given("dense_dynamic", **changes)
+
+    seeing = policy()
+    assert (seeing.policy.knows.obstacles, seeing.policy.knows.current) == ("observed", "nothing")
+    assert blind(seeing) is None
+    # The run folder stores the level; a table of the file's own keys leaves it open.
+    stored = check(Scenario, seeing.model_dump(mode="json"))
+    assert stored == seeing
+    assert "knows" not in table_of(seeing)["policy"]
+    flag = policy(planner={"knows": knows_given("obstacles=predicted")})
+    assert flag.policy.knows.obstacles == "predicted"
+    for unaware, remedy in (
+        (policy(planner={"knows": knows_given("obstacles=nothing")}), "--knows obstacles"),
+        (policy(planner={"knows": knows_given("current=truth")}), "--knows obstacles"),
+        (policy(knows={"obstacles": "nothing"}), "policy.knows.obstacles = "),
+    ):
+        assert unaware.policy.knows.obstacles == "nothing"
+        line = blind(unaware)
+        assert f"policy {name} flies blind" in line
+        assert remedy in line
+        assert "\n" not in line
+    still = {"obstacles": {"dynamic": {"count": 0}, "explicit": []}}
+    assert blind(scenario_given("dense_dynamic", policy={"name": name}, world=still)) is None
+
+
+def test_run_folders_of_older_versions_keep_the_level_that_was_flown():
+    for name, level in (("mppi", "nothing"), ("routes", "observed")):
+        stored = scenario_given("dense_dynamic", policy={"name": name}).model_dump(mode="json")
+        stored["policy"]["knows"] = None
+        assert check(Scenario, stored).policy.knows.obstacles == level
 
 
 def test_too_many_plans_a_second_are_refused_with_those_that_are_possible():

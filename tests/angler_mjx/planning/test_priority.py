@@ -1,5 +1,6 @@
 """Search over priorities: teams that one order cannot plan, judged by places sampled with NumPy."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -49,13 +50,19 @@ def easy():
     return make_world(rock, [(0, 2, 2), (0, 0, 2), (0, 0, 4)], [(8, 2, 2), (8, 0, 2), (8, 4, 4)])
 
 
+def crossing():
+    """Open water: straight lines of robots 0 and 1 cross in the middle at the same time."""
+    rock = np.zeros((9, 5, 5), bool)
+    return make_world(rock, [(0, 2, 2), (8, 0, 2), (0, 0, 4)], [(8, 2, 2), (0, 4, 2), (8, 0, 4)])
+
+
 WORLDS = stack([tube(), walled(), easy(), tube()])
 SEEDS = np.arange(4, dtype=np.uint32)
 
 
-def plans(worlds, seeds, slots):
+def plans(worlds, seeds, slots, config=CONFIG):
     n = len(seeds)
-    run = partial(planner.plan, config=CONFIG, budget=BUDGET, slots=slots)
+    run = partial(planner.plan, config=config, budget=BUDGET, slots=slots)
     return quickly(run)(worlds, np.tile(RADIUS, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
 
 
@@ -99,6 +106,31 @@ def test_no_two_robots_meet_whether_they_have_ways_or_not(found):
                 gap = np.linalg.norm(at[r] - at[other], axis=1).min()
                 # Sampled every 1 cm of way.
                 assert gap >= RADIUS[r] + RADIUS[other] + CONFIG.margin_m - 0.02
+
+
+def least_gap(paths, w):
+    """Least distance of robots 0 and 1 of world w, sampled every 1 cm of way."""
+    t = np.arange(0.0, CONFIG.horizon_s, 0.02)
+    times, points = np.asarray(paths.time_s[w]), np.asarray(paths.position_m[w])
+    at = [
+        np.stack([np.interp(t, times[r], points[r, :, k]) for k in range(3)], axis=1)
+        for r in (0, 1)
+    ]
+    return np.linalg.norm(at[0] - at[1], axis=1).min()
+
+
+def test_room_beyond_the_margin_is_kept_where_there_is_some():
+    worlds = stack([crossing(), tube()])
+    close, wide = (
+        plans(worlds, SEEDS[:2], slots=2, config=replace(CONFIG, room_m=room))
+        for room in (0.0, 0.8)
+    )
+    reach = 2 * RADIUS[0] + CONFIG.margin_m
+    assert reach - 0.02 <= least_gap(close, 0) < reach + 0.8 - 0.02
+    assert least_gap(wide, 0) >= reach + 0.8 - 0.02
+    # Robots that share a tube have none, and have ways all the same.
+    assert np.asarray(wide.found).all()
+    assert reach - 0.02 <= least_gap(wide, 1)
 
 
 def test_a_world_is_planned_alike_whatever_lies_beside_it(found):
