@@ -106,8 +106,8 @@ class PlannerSpec:
 
 
 def names() -> list[str]:
-    """Return the planners that scenarios can name, the built-in ones first."""
-    return [AUTO, *DEVICE, *sorted(_installed())]
+    """Return the planners that can be named anywhere, the built-in ones first; auto is none."""
+    return [*DEVICE, *sorted(_installed())]
 
 
 def beside(name: str, folder: Path) -> str:

@@ -59,9 +59,10 @@ def plan(
         scenario_to_fly,
     )
     from angler_mjx.planning import register
+    from angler_mjx.planning.automatic import AUTO
 
     if list_:
-        print("\n".join(register.names()))
+        print("\n".join([AUTO, *register.names()]))
         return
     if scenario is None:
         raise ConfigError("angler plan: name a scenario; angler scenarios lists those that ship")
