@@ -137,6 +137,7 @@ _GIVEN = (
     ("planner", "knows"),
     ("execution", "order"),
     ("policy", "name"),
+    ("policy", "knows"),
 )
 """Keys of tables that flags of a run change."""
 

@@ -76,6 +76,14 @@ def test_holds_one_row_per_robot_per_world(run, scenario):
     assert environment["versions"]["mujoco"] == environment["versions"]["mujoco-mjx"]
 
 
+def test_the_planner_that_auto_resolved_to_is_said_and_stored(run, scenario):
+    stored = json.loads((run.path / folder.CONFIG).read_text())["planner"]
+    assert (stored["name"], stored["requested"]) == ("grid", "auto")
+    assert Run(run.path).scenario.planner == scenario.planner
+    first = (run.path / folder.LOG).read_text().splitlines()[1]
+    assert first.endswith(f"planner: grid (auto: {len(scenario.members())} robots)")
+
+
 def test_the_referee_agrees_as_far_as_two_samples_a_second_say(run):
     verdict = referee.judge(run.path)
     assert [one.line() for one in verdict.differences] == []
