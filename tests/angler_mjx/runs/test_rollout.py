@@ -194,8 +194,8 @@ def test_the_command_prints_the_documented_keys(
     assert sorted(summary) == sorted(
         [
             "scenario", "engine", "kernels", "seed", "tile", "devices", "processes", "worlds",
-            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "planning", "passed_goal_early",
-            "time_to_goal_s",
+            "worlds_done", "complete", "robots", "outcomes", "planned_rate", "planning",
+            "passed_goal_early", "time_to_goal_s",
             "path_length_m", "energy_j",
             "min_clearance_m", "redraws", "by_vehicle", "timing", "peak_memory_bytes", "run",
         ]
