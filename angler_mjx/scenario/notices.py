@@ -16,7 +16,7 @@ def lines(scenario: Scenario, *, planned: bool = True) -> list[str]:
 
 def planner(scenario: Scenario) -> str | None:
     """Return a line on the planner that auto resolved to; None where the file names one."""
-    if scenario.planner.requested is None:
+    if not scenario.planner.by_auto:
         return None
     return f"planner: {scenario.planner.title(sum(entry.count for entry in scenario.fleet))}"
 

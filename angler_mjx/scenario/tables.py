@@ -218,14 +218,10 @@ class PlannerConfig(FileModel):
             own["settings"] = {**(before if isinstance(before, Mapping) else {}), **tables}
         return {**own, **rest}
 
-    @model_validator(mode="after")
-    def _requested_by_auto(self) -> Self:
-        if self.requested is not None and self.name not in (AUTO, *CHOICES):
-            raise ValueError(
-                f"requested = {self.requested!r}: auto never resolves to {self.name}; leave "
-                "requested out"
-            )
-        return self
+    @property
+    def by_auto(self) -> bool:
+        """Whether auto chose the planner; not where code put another name in its place later."""
+        return self.requested is not None and self.name in CHOICES
 
     def resolved(self, robots: int) -> Self:
         """Return the table with the planner of a team of ``robots`` in place of auto.
@@ -242,7 +238,7 @@ class PlannerConfig(FileModel):
     def title(self, robots: int) -> str:
         """Return the planner's name, with the reason where auto chose it for a team."""
         team = f"{robots} robot{'s' if robots > 1 else ''}"
-        return f"{self.name} (auto: {team})" if self.requested else self.name
+        return f"{self.name} (auto: {team})" if self.by_auto else self.name
 
     @property
     def table(self) -> str:
@@ -257,7 +253,7 @@ class PlannerConfig(FileModel):
             UnsupportedError: its libraries are not installed.
         """
         reference = register.find(self.name)
-        usable = CHOICES if self.requested else (self.table,)
+        usable = CHOICES if self.by_auto else (self.table,)
         others = sorted(set(self.settings) - set(usable))
         if others:
             raise ConfigError(

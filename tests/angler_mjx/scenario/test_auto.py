@@ -75,8 +75,16 @@ def test_settings_of_either_planner_may_stand_beside_auto():
             load(robots, priority={"budge": 4})
         with pytest.raises(ConfigError, match=r"\[planner\.current\]"):
             load(robots, current={"budget": 4})
-    with pytest.raises(ConfigError, match=r"requested = 'auto': auto never resolves to current"):
-        load(2, name="current", requested="auto")
+
+
+def test_a_name_that_code_puts_in_place_of_the_resolved_one_holds():
+    scenario = load(64)
+    planner = scenario.planner.model_copy(update={"name": "current"})
+    other = scenario.model_copy(update={"planner": planner})
+    again = check(Scenario, other.model_dump(mode="json"))
+    assert again == other
+    assert again.planner.chosen().reference.name == "current"
+    assert notices.lines(again) == []
 
 
 def test_where_no_team_is_known_the_name_is_refused():
