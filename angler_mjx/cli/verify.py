@@ -64,6 +64,7 @@ def _report(verdict: "Verdict") -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
+    from angler_mjx.storage import planned
     from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
 
     for one in verdict.differences[:SHOWN]:
@@ -92,6 +93,8 @@ def _report(verdict: "Verdict") -> None:
         table.add_row(name, *map(str, numbers), largest)
     Console().print(table)
     print(f"outcomes: {verdict.counts['outcome'].text()}")
+    for line in planned.early(verdict.passed_goal_early):
+        print(line)
     print(_conclusion(verdict))
 
 

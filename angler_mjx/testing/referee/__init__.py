@@ -51,6 +51,7 @@ def judge(
             verdict.add(_findings(scene, robot))
         verdict.worlds += 1
         verdict.robots += len(run.robots)
+        verdict.passed_goal_early += sum(bool(row["passed_goal_early"]) for row in scene.rows)
         progress(verdict.worlds, len(there))
     return verdict
 

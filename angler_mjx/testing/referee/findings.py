@@ -130,6 +130,8 @@ class Verdict:
     worlds: int = 0
     """Those that were judged."""
     robots: int = 0
+    passed_goal_early: int = 0
+    """Robots that were at their goals before the last approaches of their plans, as stored."""
     sampled: str = ""
     counts: dict[str, Count] = field(default_factory=lambda: {q: Count() for q in QUANTITIES})
     differences: list[Finding] = field(default_factory=list)
@@ -174,6 +176,7 @@ class Verdict:
             "finished_worlds": self.finished_worlds,
             "worlds": self.worlds,
             "robots": self.robots,
+            "passed_goal_early": self.passed_goal_early,
             "sampled": self.sampled,
             "counts": {name: asdict(count) for name, count in self.counts.items()},
             "differences": [one.table() for one in self.differences],

@@ -210,12 +210,23 @@ class Telling:
             )
         ):
             faults.append("it moves after its episode has failed")
+        faults += self._early_faults(end)
         vehicle = self._scene.run.robots[robot]
         if self.row["vehicle"] not in vehicle.names:
             faults.append(f"it is called {self.row['vehicle']}, not {vehicle.names[0]}")
         if self.row["parameter_set"] not in vehicle.parameter_sets:
             faults.append(f"its fleet has no set {self.row['parameter_set']}")
         return faults
+
+    def _early_faults(self, end: int) -> list[str]:
+        """Return what is wrong with `passed_goal_early`; ``end`` is the state of the end."""
+        scene, is_early = self._scene, self.row["passed_goal_early"]
+        if not is_early or scene.run.by_task or scene.run.every > 1:
+            return []
+        to_goal_m = scene.to_goal_m[1 : end + 1, self._robot]
+        if np.any(to_goal_m < scene.place_m):
+            return []
+        return ["it was never at its goal, and passed_goal_early is true"]
 
 
 def _outcome(number: int) -> str:

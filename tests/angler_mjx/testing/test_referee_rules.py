@@ -238,6 +238,33 @@ def test_what_a_robot_touches_comes_before_its_breakdown(tmp_path):
     assert "outcome" in wrong(referee.judge(path))
 
 
+def passes_its_goal():
+    """To its goal, and over it within the horizon: `to_a_goal` of a plan that ends elsewhere."""
+    made = to_a_goal()
+    rows = row("timeout", STEPS * DT_S, made.p[STEPS, 0], min_clearance_m=CAP)
+    rows |= {"energy_j": 8 * WATTS * STEPS * DT_S, "path_length_m": 0.5 * STEPS * DT_S}
+    rows["passed_goal_early"] = True
+    return replace(made, outcome=made.outcome * 0, rows=[rows])
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_early_passes_are_counted_and_fit_the_distances_to_the_goal(every, tmp_path):
+    """The pass is between 0.7 and 1 m along x: states 29 to 40, of which every fourth shows it."""
+    path = write(tmp_path / "run", passes_its_goal(), every=every)
+    verdict = referee.judge(path)
+    assert verdict.passed_goal_early == 1
+    assert not wrong(verdict)
+    edit_rows(path, 0, 0, passed_goal_early=False)
+    assert "outcome" in wrong(referee.judge(path))
+
+
+def test_an_early_pass_far_from_the_goal_is_named(tmp_path):
+    made = past_a_rock()
+    rows = [{**made.rows[0], "passed_goal_early": True}]
+    path = write(tmp_path / "run", replace(made, rows=rows))
+    assert wrong(referee.judge(path)) == {"record"}
+
+
 DAMAGE = {
     "outcome": {"outcome": "out_of_bounds"},
     "end_time_s": {"failure_time_s": 18 * DT_S + 1e-3},
