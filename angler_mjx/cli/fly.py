@@ -65,7 +65,12 @@ def fly(
         prepare(isolate=isolate, gcs=None)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_to_fly
+    from angler_mjx.cli.shared.given import (
+        knows_given,
+        planner_given,
+        policy_given,
+        scenario_to_fly,
+    )
     from angler_mjx.planning.online import host_planner
     from angler_mjx.scenario import notices
     from angler_mjx.session.flying import course
@@ -81,7 +86,7 @@ def fly(
         seed=seed,
         planner=planner_given(planner, replan_hz=replan_hz, knows=knows_given(knows)),
         execution=None if order is None else {"order": order},
-        policy=None if policy is None else {"name": policy},
+        policy=policy_given(policy, knows_given(knows)),
     )
     if not loaded.flown:
         raise ConfigError(

@@ -94,6 +94,7 @@ def rollout(
         flag,
         knows_given,
         planner_given,
+        policy_given,
         require_planned,
         scenario_given,
         scenario_to_fly,
@@ -109,7 +110,7 @@ def rollout(
         "tile": tile,
         "planner": planner_given(planner, replan_hz=replan_hz, knows=knows_given(knows)),
         "execution": None if order is None else {"order": order},
-        "policy": None if policy is None else {"name": policy},
+        "policy": policy_given(policy, knows_given(knows)),
     }
     if planner is not None and plans is not None:
         raise ConfigError("--planner and --plans: give one of them; plans are made already")
@@ -123,7 +124,7 @@ def rollout(
             for key in overrides
             for x in (overrides[key] if key in tables else [key])
         ]
-        flags = ", ".join(map(flag, named))
+        flags = ", ".join(dict.fromkeys(map(flag, named)))
         raise ConfigError(f"--resume takes everything from the run folder; leave out {flags}")
     loaded = scenario_given(scenario) if resume else scenario_to_fly(scenario, **overrides)
     place = out or Path("runs") / loaded.name

@@ -41,7 +41,4 @@ def blind(scenario: Scenario) -> str | None:
         return None
     if knows.obstacles != "nothing" or not scenario.obstacles_move:
         return None
-    remedy = "add --knows obstacles=observed"
-    if policy.name != "none" and "knows" in policy.model_fields_set:
-        remedy = 'set policy.knows.obstacles = "observed" in the scenario'
-    return f"{who}: it has no information about obstacles that move; {remedy}"
+    return f"{who}: it has no information about obstacles that move; add --knows obstacles=observed"

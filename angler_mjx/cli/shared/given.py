@@ -69,6 +69,17 @@ def knows_given(text: str | None) -> dict[str, str] | None:
     return made
 
 
+def policy_given(name: str | None, knows: dict[str, str] | None) -> dict[str, Any] | None:
+    """Return the scenario's table of a policy that flags give.
+
+    Args:
+        name: of the policy; the scenario's if None.
+        knows: of `knows_given`, in place of the policy's own level; the scenario's if None.
+    """
+    given = {"name": name, "knows": knows}
+    return {key: value for key, value in given.items() if value is not None} or None
+
+
 def planner_given(name: str | None, **keys: Any) -> dict[str, Any] | None:
     """The scenario's table of a planner that flags give.
 

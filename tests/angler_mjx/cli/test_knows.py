@@ -3,12 +3,18 @@
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given
+from angler_mjx.cli.shared.given import (
+    knows_given,
+    planner_given,
+    policy_given,
+    scenario_given,
+)
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import check
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.notices import blind
-from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.scenario import Scenario, find
+from angler_mjx.sim.knowledge import Knows
 
 
 def loaded(name, **keys):
@@ -66,18 +72,27 @@ def test_a_policy_observes_unless_a_level_is_given(name):
     assert "knows" not in table_of(seeing)["policy"]
     flag = policy(planner={"knows": knows_given("obstacles=predicted")})
     assert flag.policy.knows.obstacles == "predicted"
-    for unaware, remedy in (
-        (policy(planner={"knows": knows_given("obstacles=nothing")}), "--knows obstacles"),
-        (policy(planner={"knows": knows_given("current=truth")}), "--knows obstacles"),
-        (policy(knows={"obstacles": "nothing"}), "policy.knows.obstacles = "),
+    for unaware in (
+        policy(planner={"knows": knows_given("obstacles=nothing")}),
+        policy(planner={"knows": knows_given("current=truth")}),
+        policy(knows={"obstacles": "nothing"}),
     ):
         assert unaware.policy.knows.obstacles == "nothing"
         line = blind(unaware)
         assert f"policy {name} flies blind" in line
-        assert remedy in line
+        assert "--knows obstacles=observed" in line
         assert "\n" not in line
     still = {"obstacles": {"dynamic": {"count": 0}, "explicit": []}}
     assert blind(scenario_given("dense_dynamic", policy={"name": name}, world=still)) is None
+
+
+def test_the_flag_holds_for_a_policy_whose_file_gives_another_level(tmp_path):
+    text = find("dense_dynamic").read_text() + '[policy.knows]\nobstacles = "truth"\n'
+    (tmp_path / "own.toml").write_text(text)
+    given = policy_given("mppi", knows_given("obstacles=observed"))
+    found = scenario_given(str(tmp_path / "own.toml"), policy=given)
+    assert found.policy.knows.knows() == Knows(obstacles="observed")
+    assert policy_given(None, None) is None
 
 
 def test_run_folders_of_older_versions_keep_the_level_that_was_flown():
