@@ -64,6 +64,7 @@ def progress_s(
     square = np.sum(leg * leg, axis=1)
     for k, span in enumerate(spans_s):
         earliest, latest = (low[k - 1], high[k - 1] + span) if k else (0.0, 0.0)
+        latest += float(np.spacing(np.float32(latest)))  # the clock is a sum in float32
         if k >= len(aim_m):
             low[k], high[k] = earliest, latest
             continue

@@ -40,6 +40,20 @@ def test_a_clock_that_runs_and_stands_lies_within_its_bounds(case):
     assert np.all(clock_s <= high_s + 1e-9)
 
 
+def test_a_long_clock_in_float32_lies_within_its_bounds():
+    """Over 170 s at 20 Hz the sum runs ahead of the steps by more than the rounding of an aim."""
+    time_s, point_m = plan([(0, -12, 0), (68, 15, 0), (142, -14.5, 0), (173, -2, 0)])
+    clock_s = np.cumsum(np.full(3450, DT_S, np.float32), dtype=np.float32) - np.float32(DT_S)
+    ahead_s = clock_s - DT_S * np.arange(len(clock_s))
+    assert 0.4 * ahead_s.max() > approach.AIM_M  # at 0.4 m/s
+    bounds = approach.progress_s(
+        time_s, point_m, aims(time_s, point_m, clock_s), np.full(len(clock_s), DT_S)
+    )
+    assert bounds is not None
+    assert np.all(bounds[0] <= clock_s + 1e-9)
+    assert np.all(clock_s <= bounds[1] + 1e-9)
+
+
 def test_way_points_on_one_line_do_not_blur_the_bounds():
     """The bounds are as near as the rounding of an aim allows: 1 mm is 2 ms at 0.5 m/s."""
     time_s = np.linspace(0.0, 16.0, 9)
