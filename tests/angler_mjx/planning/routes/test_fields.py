@@ -185,6 +185,27 @@ def test_steps_lead_down_to_the_place_over_moves_that_the_rule_allows(graph, dra
     assert walked > 1000
 
 
+def test_of_equally_long_paths_the_step_that_ends_nearest_to_the_goal_is_taken(graph, drawn):
+    clear, lengths = graph
+    (after, _, _, _), _ = drawn
+    chosen = 0
+    for goal, to in zip(PLACES, after, strict=True):
+        whole = lengths[:, np.ravel_multi_index(goal, SHAPE)].reshape(SHAPE)
+        for cell in map(tuple, np.argwhere(clear & np.isfinite(whole) & (whole > 0.0))):
+            off = []
+            for step in itertools.product((-1, 0, 1), repeat=3):
+                b = tuple(np.add(cell, step))
+                if not all(0 <= i < n for i, n in zip(b, SHAPE, strict=True)) or not any(step):
+                    continue
+                longer = whole[b] + CELL * np.linalg.norm(step) - whole[cell]
+                if abs(longer) < 1e-6 and may_go(clear, cell, b):
+                    off.append(np.linalg.norm(b - goal))
+            taken = to[np.ravel_multi_index(cell, SHAPE)]
+            assert np.linalg.norm(taken - goal) == pytest.approx(min(off))
+            chosen += max(off) > min(off) + 1e-6
+    assert chosen > 100
+
+
 def test_cells_without_clearance_lead_to_a_free_one_beside_them(graph, drawn):
     clear, _ = graph
     (after, length, _, _), _ = drawn

@@ -201,6 +201,10 @@ def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
     sent, nowhere = jnp.array([0, 1]), jnp.array([-1, 1])
     memory, command = told(state.policy.carry, start, sent)
     assert command.velocity_mps[0, 0] > 0.4
+    # A command holds for 5 steps of 0.05 s; the point is where half of that time leads.
+    np.testing.assert_allclose(
+        command.position_m - start, 0.125 * command.velocity_mps, rtol=1e-3, atol=1e-6
+    )
     memory, command = told(memory, start + drift, nowhere)
     np.testing.assert_allclose(command.velocity_mps[0], np.zeros(3), atol=1e-6)
     # Carried away from there, it goes back; the other flies on.
