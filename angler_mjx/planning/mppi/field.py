@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.obstacles import STATIC, Obstacles
 
 FAR = 1e6
 """Way left, m, from where none is known yet."""
@@ -41,13 +39,12 @@ def nodes_m(grid: Grid) -> jax.Array:
     return jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def gap(grid: Grid, floor_z_m: jax.Array, obstacles: Obstacles | None) -> jax.Array:
-    """Distance from the nodes to rock, to the cube's faces, to the floor and to still obstacles.
+def gap(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
+    """Return the distance from the nodes to rock, to the cube's faces and to the floor.
 
     Args:
         grid: rock; in it the distance to free water counts, below zero.
         floor_z_m: [] height of the floor.
-        obstacles: [n]; those that move are left out. None where there is none.
 
     Returns:
         [nx, ny, nz] m.
@@ -56,25 +53,7 @@ def gap(grid: Grid, floor_z_m: jax.Array, obstacles: Obstacles | None) -> jax.Ar
     upper = grid.origin_m + grid.cell_m * jnp.array(grid.occupied.shape)
     to_face = jnp.min(jnp.minimum(node - grid.origin_m, upper - node), axis=-1)
     outside = _to_cells(grid.occupied) - _to_cells(~grid.occupied)
-    least = jnp.minimum(jnp.minimum(outside * grid.cell_m, to_face), node[..., 2] - floor_z_m)
-    if obstacles is None or STATIC not in obstacles.motions:
-        return least
-
-    def one(least: jax.Array, row: tuple[jax.Array, ...]) -> tuple[jax.Array, None]:
-        p, q, kind, size, stands = row
-        zero = jnp.zeros(1, p.dtype)
-
-        def to_body(x: jax.Array) -> jax.Array:
-            return capsules_obstacle(
-                x[None], x[None], zero, p, q, kind, size, kinds=obstacles.kinds
-            )
-
-        away = jax.vmap(to_body)(node.reshape(-1, 3)).reshape(least.shape)
-        return jnp.where(stands, jnp.minimum(least, away), least), None
-
-    stands = obstacles.exists & (obstacles.motion == STATIC)
-    rows = (obstacles.p0, obstacles.q0, obstacles.kind, obstacles.size_m, stands)
-    return jax.lax.scan(one, least, rows)[0]
+    return jnp.minimum(jnp.minimum(outside * grid.cell_m, to_face), node[..., 2] - floor_z_m)
 
 
 def _to_cells(cells: jax.Array) -> jax.Array:

@@ -75,7 +75,7 @@ class Mppi(Policy):
         grid, floor = known.grid, known.floor_z_m
         if grid is None or floor is None:
             raise ConfigError("policy Mppi: is told no map; give it knows = Knows()")
-        gap, h = fields.gap(grid, floor, None), 0.5 * grid.cell_m
+        gap, h = fields.gap(grid, floor), 0.5 * grid.cell_m
 
         def of_robot(goal: jax.Array, radius: jax.Array) -> fields.Field:
             left = fields.way_left(gap >= radius + ROOM_M, goal, grid.origin_m, h)

@@ -34,7 +34,7 @@ def fields(rock):
 
     @jax.jit
     def both(goal):
-        gap = field.gap(grid, jnp.asarray(FLOOR), None)
+        gap = field.gap(grid, jnp.asarray(FLOOR))
         left = field.way_left(gap >= RADIUS, goal, grid.origin_m, 0.5 * grid.cell_m)
         return gap, left
 

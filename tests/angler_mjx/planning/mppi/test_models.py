@@ -85,6 +85,17 @@ def test_forces_end_at_the_speed_at_which_drag_is_all_their_thrust(hull):
     assert v @ bow == pytest.approx(root, rel=1e-3)
 
 
+def test_forces_at_their_limit_accelerate_the_mass_with_added_mass(hull, params):
+    """One step from rest along the bow: (m + m_a + dt D_l) v = dt F, lift left out."""
+    bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])
+    model = Forces(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
+    v, _ = model.step(jnp.zeros((3, 1)), jnp.asarray(9.0 * bow)[:, None], jnp.zeros(3), DT)
+    force = float(hull.most_n) / np.abs(np.asarray(hull.thrusters)[:, 0]).max()
+    inertia = float(params.vehicle.mass_kg + params.vehicle.M_A[0, 0])
+    expected = DT * force / (inertia + DT * float(params.vehicle.D_l[0]))
+    assert float(v[:, 0] @ bow) == pytest.approx(expected, rel=1e-4)
+
+
 def test_forces_without_limit_answer_as_a_lag_does(hull):
     strong = replace(hull, most_n=jnp.asarray(1e9), fastest_mps=jnp.full(3, 1e9))
     rows = np.random.default_rng(2).normal(size=(2, 3, 20)).astype(np.float32)
@@ -128,3 +139,20 @@ def test_the_wrench_takes_up_a_velocity_by_the_mass_with_added_mass(params):
     ahead = outputs.wrench(params.vehicle, rest, jnp.array([0.3, 0.0, 0.0]), *numbers).tau
     inertia = float(params.vehicle.mass_kg + params.vehicle.M_A[0, 0])
     assert float(ahead[0] - hold[0]) == pytest.approx(inertia * 0.3 / RESPONSE, rel=1e-5)
+
+
+def test_the_wrench_returns_to_the_heading_with_critical_damping(params):
+    """Angular acceleration k^2 e - 2 k r about z, of the error e and the yaw rate r."""
+    k, rate, error = 2.5, 0.4, 0.3
+    level = jnp.array([1.0, 0.0, 0.0, 0.0])
+    turning = Estimate(
+        p=jnp.zeros(3), q=level, nu=jnp.array([0.0, 0.0, 0.0, 0.0, 0.0, rate]), flow=None
+    )
+
+    def moment(attitude_per_s):
+        numbers = (jnp.asarray(error), attitude_per_s, RESPONSE, DENSITY, GRAVITY)
+        return float(outputs.wrench(params.vehicle, turning, jnp.zeros(3), *numbers).tau[5])
+
+    inertia = float(params.vehicle.inertia_kgm2[2, 2] + params.vehicle.M_A[5, 5])
+    expected = inertia * (k**2 * 2.0 * np.sin(error / 2.0) - 2.0 * k * rate)
+    assert moment(k) - moment(0.0) == pytest.approx(expected, rel=1e-4)

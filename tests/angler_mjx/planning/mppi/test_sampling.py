@@ -34,7 +34,7 @@ def fly():
         origin = jnp.array([-6.0, -6.0, -7.0])
         grid = Grid(occupied=occupied, origin_m=origin, cell_m=jnp.asarray(1.5))
         h = 0.5 * grid.cell_m
-        gap = field.gap(grid, origin[2], None)
+        gap = field.gap(grid, origin[2])
         left = field.way_left(gap >= RADIUS + 0.1, jnp.asarray(GOAL), origin, h)
         seen = field.Field(values=jnp.stack([gap, left], -1), origin_m=origin, spacing_m=h)
         better = partial(improve, Weights(), Loop(), samples=SAMPLES, dt_s=DT)
@@ -106,3 +106,11 @@ def test_a_ball_that_crosses_its_way_is_let_pass(fly):
     assert arrival_s(way) < 25.0
     straight = fly(np.zeros((8, 8, 4), bool))
     assert np.linalg.norm(straight - (ball + drift * t[:, None]), axis=1).min() < 2 * RADIUS
+
+
+def test_knots_are_shifted_along_the_lines_between_them_and_held_after_the_last():
+    knots = np.random.default_rng(5).normal(size=(4, 3))
+    time = np.linspace(0.0, 3.0, 4)
+    for by in (0.0, 0.4, 1.7, 5.0):
+        expected = np.stack([np.interp(time + by, time, knots[:, i]) for i in range(3)], axis=1)
+        np.testing.assert_allclose(shifted(jnp.asarray(knots), by, 3.0), expected, atol=1e-5)
