@@ -56,7 +56,7 @@ def danger(
     Args:
         weights: of the cost.
         p: [3, S] in W.
-        clear_m: [S] gap to what stands still.
+        clear_m: [S] gap to rock, faces and floor.
         centre_m: [n, 3] of bodies, in W.
         reach_m: [n] as in `Bodies`.
     """

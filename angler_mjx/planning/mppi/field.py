@@ -1,4 +1,4 @@
-"""What one world is to a robot that flies: the gap to what stands still, and the way that is left.
+"""Fields of one world for a robot: gap to rock, faces and floor, and length of path to the goal.
 
 Both are numbers at nodes half a cell apart, at the centres of cells and in the middles of their
 faces, edges and corners, read by trilinear interpolation. Along a flat wall, and in a passage of
