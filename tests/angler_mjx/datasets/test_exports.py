@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.spatial.transform import Rotation
 
 from angler_mjx import datasets
 from angler_mjx.cli import main
@@ -54,8 +55,6 @@ def test_a_flight_is_what_its_episode_holds(data, every):
 
 
 def test_others_are_seen_from_the_robot(data, every):
-    from scipy.spatial.transform import Rotation
-
     for flight in every:
         episode = data.episode(flight.episode)
         team = episode.running.shape[1]
@@ -168,7 +167,9 @@ def test_solutions_go_from_start_to_end_evenly_in_time():
     state = np.zeros((steps, 19), np.float32)
     state[:, 0] = np.linspace(0.0, 3.0, steps) ** 2
     heading = np.linspace(3.0, 3.6, steps)  # through pi
-    state[:, 3], state[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
+    pitch, roll = np.full((2, steps), [[0.4], [-0.7]])
+    turned = Rotation.from_euler("ZYX", np.stack([heading, pitch, roll], axis=-1))
+    state[:, 3:7] = turned.as_quat()[:, [3, 0, 1, 2]]
     flight = flights.Flight(
         episode=0,
         robot=0,
@@ -183,7 +184,7 @@ def test_solutions_go_from_start_to_end_evenly_in_time():
     found = mpinets.solution(flight)
     assert found.shape == (mpinets.POINTS, 4)
     np.testing.assert_allclose(found[[0, -1], 0], [0.0, 9.0], atol=1e-5)
-    np.testing.assert_allclose(np.diff(found[:, 3]), 0.6 / (mpinets.POINTS - 1), atol=1e-4)
+    np.testing.assert_allclose(found[:, 3], np.linspace(3.0, 3.6, mpinets.POINTS), atol=1e-5)
 
 
 def test_hdf5_of_motion_policy_networks(made, every, tmp_path):

@@ -1,7 +1,6 @@
-"""What is read is what Zarr reads; windows hold what episodes hold; orders can be had again."""
+"""Arrays, episodes and statistics against Zarr and the runs; orders and loaders of windows."""
 
 import itertools
-import pickle
 
 import numpy as np
 import pyarrow as pa
@@ -115,68 +114,6 @@ def test_episodes_are_what_the_runs_hold(data, made):
         assert episode.environment["grid/occupied"].ndim == 3
 
 
-def test_windows_hold_episodes_padded_and_masked(data):
-    windows = data.windows(5, stride=2, every=2)
-    starts = np.maximum((data.samples - 9) // 2 + 1, 0)
-    assert len(windows) == starts.sum()
-    seen = set()
-    for window in windows:
-        i, first = int(window["episode"]), int(window["first"])
-        seen.add((i, first))
-        episode, times = data.episode(i), slice(first, first + 9, 2)
-        team = episode.running.shape[1]
-        np.testing.assert_array_equal(window["p_m"][:, :team], episode.arrays["p_m"][times])
-        assert not window["p_m"][:, team:].any()
-        np.testing.assert_array_equal(window["mask"][:, :team], episode.running[times])
-        assert not window["mask"][:, team:].any()
-        np.testing.assert_array_equal(window["goal_m"][:team], episode.goal_m)
-        assert window["p_m"].shape == (5, 2, 3)
-        assert window["obstacle_p_m"].shape == (5, 2, 3)
-        assert window["obstacle_mask"].all()
-    assert len(seen) == len(windows)
-    with pytest.raises(IndexError):
-        windows[len(windows)]
-
-
-def test_windows_of_robots_lead_with_the_robot_and_its_nearest(data):
-    windows = data.windows(4, of="robot", neighbours=1)
-    both = data.windows(4)
-    robots = {0: 0, 1: 0}
-    for window in windows:
-        i, first = int(window["episode"]), int(window["first"])
-        episode = data.episode(i)
-        places = episode.arrays["p_m"][first : first + 4]
-        mine = [
-            r
-            for r in range(places.shape[1])
-            if np.array_equal(places[:, r], window["p_m"][:, 0])
-            and np.array_equal(episode.goal_m[r], window["goal_m"][0])
-        ]
-        assert mine
-        robots[mine[0]] += 1
-        if places.shape[1] == 2:
-            np.testing.assert_array_equal(window["p_m"][:, 1], places[:, 1 - mine[0]])
-        else:
-            assert not window["mask"][:, 1].any()
-    assert len(windows) == robots[0] + robots[1]
-    assert robots[0] == len(both)
-
-
-@pytest.mark.parametrize(
-    ("how", "said"),
-    [
-        ({"length": 0}, "length = 0"),
-        ({"length": 10_000}, "longest episode has"),
-        ({"length": 2, "stride": 0}, "stride = 0"),
-        ({"length": 2, "of": "fleet"}, '"team" or "robot"'),
-        ({"length": 2, "neighbours": 2}, "of windows of single robots"),
-    ],
-)
-def test_windows_that_cannot_be_are_refused(data, how, said):
-    with pytest.raises(ConfigError, match=said):
-        data.windows(**how)
-
-
 def test_only_what_is_asked_for_is_opened(made):
     assert len(datasets.open(made, split="test_there")) == 2
     there = set(datasets.open(made).index["split"].to_pylist())
@@ -264,11 +201,6 @@ def test_statistics_leave_padding_out_and_tell_vehicles_apart(copy):
         data.statistics(vehicle="boat")
 
 
-def test_windows_without_obstacles_have_no_arrays_of_them(made):
-    window = datasets.open(made, fields=("p_m", "q")).windows(4)[0]
-    assert window.keys() == {"p_m", "q", "mask", "goal_m", "episode", "first"}
-
-
 def test_orders_can_be_had_again_and_are_shared_without_a_gap(data):
     windows = data.windows(3)
     first = order.shuffled(windows, 7, 0, group=2)
@@ -289,14 +221,6 @@ def test_orders_can_be_had_again_and_are_shared_without_a_gap(data):
         assert sorted(itertools.chain(*parts)) == sorted(first[5:].tolist())
     with pytest.raises(ConfigError, match="seed = -1"):
         order.shuffled(windows, -1, 0)
-
-
-def test_windows_go_to_other_processes(data):
-    windows = data.windows(4)
-    before = windows[2]
-    there = pickle.loads(pickle.dumps(windows))
-    for name, values in there[2].items():
-        np.testing.assert_array_equal(values, before[name])
 
 
 def test_pytorch_sees_every_window_once_whatever_shares_it(data):
