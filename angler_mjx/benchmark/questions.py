@@ -190,6 +190,9 @@ def _settings(
         "deadline_s": config.deadline_s,
     }
     base["policy"] = {**base.get("policy", {}), "name": "none"}
+    # Contestants fly plans of their own, and auto goes by the planner that it chose.
+    if scenario.execution.by_auto:
+        base["execution"] = {"order": "free"}
     if config.presets:  # The scenario's horizon is that of its own world.
         base = without_horizon(base)
     base = merged(base, config.set)

@@ -23,7 +23,7 @@ def fly(
     planner: str | None = None,
     replan_hz: float | None = None,
     knows: str | None = None,
-    order: Literal["free", "kept"] | None = None,
+    order: Literal["auto", "free", "kept"] | None = None,
     policy: Literal["none", "mppi", "routes"] | None = None,
     session: Literal["sim", "sitl"] = "sim",
     out: Path | None = None,

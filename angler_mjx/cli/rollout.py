@@ -34,7 +34,7 @@ def rollout(
     planner: str | None = None,
     replan_hz: float | None = None,
     knows: str | None = None,
-    order: Literal["free", "kept"] | None = None,
+    order: Literal["auto", "free", "kept"] | None = None,
     policy: Literal["none", "mppi", "routes"] | None = None,
     workers: int | None = None,
     plans: Path | None = None,

@@ -316,8 +316,15 @@ def make(
             devices or a policy.
     """
     if simulator.devices != 1 or simulator.policy is not None:
+        instead = ""
+        if simulator.scenario.keeps_order_by_auto:
+            instead = (
+                "; the order of passing is kept by default in this team: load the scenario with "
+                'execution={"order": "free"}'
+            )
         raise ConfigError(
-            "an environment wants a simulator with devices=1 and no policy: the agent is the policy"
+            "an environment wants a simulator with devices=1 and no policy: the agent is the "
+            f"policy{instead}"
         )
     most = simulator.scenario.time.control_steps
     steps = most if horizon is None else horizon

@@ -136,6 +136,7 @@ _GIVEN = (
     ("planner", "replan_hz"),
     ("planner", "knows"),
     ("execution", "order"),
+    ("execution", "requested"),
     ("policy", "name"),
     ("policy", "knows"),
 )

@@ -14,6 +14,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.online import host_planner
+from angler_mjx.planning.online.policy import Online
 from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
@@ -244,7 +245,10 @@ class _Rollout:
         tiles, done = self._share()
         total = sum(min(self._sim.tile, self._scenario.worlds - first) for first in tiles)
         self._progress.start(done + total, done)
-        for line in notices.lines(self._scenario, planned=self._sim.planner is not None):
+        commanded = not isinstance(self._sim.policy, Online | None)
+        for line in notices.lines(
+            self._scenario, planned=self._sim.planner is not None, commanded=commanded
+        ):
             self._progress.tell(line)
         self._progress.compiling()
         clock = _Clock(compile=self._sim.compile())

@@ -115,11 +115,16 @@ def check_steering(controller: ControllerConfig, fleet: Sequence[FleetEntry]) ->
             )
 
 
+def takes_poses(controller: ControllerConfig) -> bool:
+    """Whether a stage of the controller can be guided by poses."""
+    return any(PoseTarget in stage.takes for stage in controller.stack()[0])
+
+
 def check_guided(
     planner: PlannerConfig, execution: ExecutionConfig, controller: ControllerConfig
 ) -> None:
     """Refuse controllers that cannot be guided by poses, where plans are looked after in flight."""
-    if any(PoseTarget in stage.takes for stage in controller.stack()[0]):
+    if takes_poses(controller):
         return
     key = f"planner.replan_hz = {planner.replan_hz:g}"
     if execution.order == "kept":

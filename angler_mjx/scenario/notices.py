@@ -1,16 +1,21 @@
-"""Lines that a run begins with: which planner was chosen, and who steers without information."""
+"""Lines that a run begins with: planner and order by auto, and who steers without information."""
 
 from angler_mjx.scenario.scenario import Scenario
 
 
-def lines(scenario: Scenario, *, planned: bool = True) -> list[str]:
+def lines(scenario: Scenario, *, planned: bool = True, commanded: bool = False) -> list[str]:
     """Return the lines that a run of a scenario begins with.
 
     Args:
         scenario: of the run.
         planned: whether the scenario's planner makes the plans.
+        commanded: whether a policy of the caller's commands the robots.
     """
-    said = [planner(scenario) if planned else None, blind(scenario)]
+    said = [
+        planner(scenario) if planned else None,
+        None if commanded else order(scenario),
+        blind(scenario),
+    ]
     return [line for line in said if line]
 
 
@@ -19,6 +24,13 @@ def planner(scenario: Scenario) -> str | None:
     if not scenario.planner.by_auto:
         return None
     return f"planner: {scenario.planner.title(sum(entry.count for entry in scenario.fleet))}"
+
+
+def order(scenario: Scenario) -> str | None:
+    """Return a line on the order of passing where auto keeps it; None where it does not."""
+    if not scenario.keeps_order_by_auto:
+        return None
+    return f"order: kept (auto: {sum(entry.count for entry in scenario.fleet)} robots)"
 
 
 def blind(scenario: Scenario) -> str | None:

@@ -14,6 +14,7 @@ from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.physics.step import Water
+from angler_mjx.planning.automatic import LARGE_TEAM
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
 from angler_mjx.scenario import fits, instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
@@ -106,6 +107,22 @@ class Scenario(FileModel):
         return self
 
     @model_validator(mode="after")
+    def _order_of_team(self) -> Self:
+        """Put the order that this team's plans are flown in in place of auto."""
+        kept = (
+            self.planner.by_auto
+            and sum(entry.count for entry in self.fleet) >= LARGE_TEAM
+            and self.water_or_obstacles_move
+            and self.policy.name == "none"
+            and self.planner.replan_hz == 0.0
+            and self.acoustics.model == "perfect"
+            and isinstance(self.task, GoalTask)
+            and fits.takes_poses(self.controller)
+        )
+        self.__dict__["execution"] = self.execution.resolved(kept=kept)
+        return self
+
+    @model_validator(mode="after")
     def _information_of_policy(self) -> Self:
         """Set the information level of the policy, where the file gives none to it."""
         if self.policy.name != "none" and self.policy.knows is None:
@@ -195,12 +212,22 @@ class Scenario(FileModel):
         return self.execution.order == "kept" or self.planner.replan_hz > 0.0
 
     @property
+    def keeps_order_by_auto(self) -> bool:
+        """Whether plans are looked after for the order of passing alone, which nobody requested."""
+        return self.execution.by_auto and self.execution.order == "kept"
+
+    @property
     def obstacles_move(self) -> bool:
         """Whether the worlds have obstacles that move."""
         obstacles = resolve(self.world).obstacles
         return obstacles.dynamic.count > 0 or any(
             one.motion.type != "static" for one in obstacles.explicit
         )
+
+    @property
+    def water_or_obstacles_move(self) -> bool:
+        """Whether the worlds have currents or obstacles that move."""
+        return self.obstacles_move or bool(self.world.currents)
 
     @property
     def senses(self) -> bool:

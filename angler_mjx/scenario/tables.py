@@ -269,9 +269,30 @@ class PlannerConfig(FileModel):
 class ExecutionConfig(FileModel):
     """How the robots of a world fly their plans together; see `docs/online.md`."""
 
-    order: Literal["free", "kept"] = "free"
-    """Free: each by itself, however late the others are. Kept: who passes a place first by the
-    plans passes first, and the others wait for it."""
+    order: Literal["auto", "free", "kept"] = "auto"
+    """Free: each by itself, however late the others are. Kept: the robot that passes a place first
+    by the plans passes first, and the others wait for it. auto: kept for the teams that
+    planner.name = "auto" plans by priority where water or obstacles move, else free; see
+    `docs/online.md`."""
+    requested: Literal["auto"] | None = None
+    """Written into run folders beside the order that auto resolved to; not set by hand."""
+
+    @property
+    def by_auto(self) -> bool:
+        """Whether auto chose the order."""
+        return self.requested is not None
+
+    def resolved(self, *, kept: bool) -> Self:
+        """Return the table with free or kept in place of auto; another table as it is.
+
+        The order counts as left out, as in `PlannerConfig.resolved`.
+        """
+        if self.order != AUTO:
+            return self
+        order = "kept" if kept else "free"
+        made = self.model_copy(update={"order": order, "requested": AUTO})
+        made.model_fields_set.difference_update(("order", "requested"))
+        return made
 
 
 def check_online(planner: PlannerConfig, time: TimeConfig) -> None:

@@ -108,7 +108,7 @@ def ways_config(scenario: Scenario, spec: PlannerSpec) -> WayConfig:
     chosen = priority.PrioritySettings(**spec.settings)
     room_m = chosen.room_m
     if room_m is None:
-        room_m = priority.ROOM_M if scenario.obstacles_move or scenario.world.currents else 0.0
+        room_m = priority.ROOM_M if scenario.water_or_obstacles_move else 0.0
     return replace(
         config,
         start_hold_s=chosen.start_hold_s,

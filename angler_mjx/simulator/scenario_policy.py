@@ -34,11 +34,13 @@ def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
 
     Args:
         scenario: that may name a policy, or ask for order or replanning.
-        given: a policy of the caller's.
+        given: a policy of the caller's; it takes the place of an order that auto chose.
 
     Raises:
         ConfigError: both ask for the robots, or the planner cannot plan while they fly.
     """
+    if given is not None and scenario.keeps_order_by_auto:
+        return given
     if not scenario.flown:
         if given is None and scenario.task_spec() is not None:
             raise ConfigError(

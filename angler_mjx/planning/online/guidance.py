@@ -17,7 +17,7 @@ from angler_mjx.planning.online.order import Order, Seen, limits
 SLACK_M = 0.2
 """How far a robot may be from its place on the plan and still count as there; order keeps it free
 beside the radii."""
-PATIENCE_S = 15.0
+PATIENCE_S = 5.0
 """Nobody waits longer for a robot that gets no further and does not wait for one that does."""
 FURTHER_S = 0.5
 """Of its plan; who has come less far than this in all that time got no further."""

@@ -27,7 +27,11 @@ _LEFT_OUT = 0.25
 """Fraction of the planned robots that is not looked at, for each try that failed before."""
 
 _STAGES = 2
-"""Searches of a robot with room beyond the margin: with all of it, then with half of it."""
+"""Searches of a robot among all that are planned: with all the room beyond the margin, then with
+half of it."""
+
+_LEAST_ROOM = 0.25
+"""Fraction of the room that every search keeps."""
 
 
 @jax.tree_util.register_dataclass
@@ -100,7 +104,7 @@ def step(task: Task, search: Search, config: WayConfig) -> Search:
     tries = search.tries[i]
     stages = _STAGES if config.room_m > 0.0 else 0
     chance = jnp.clip(_LEFT_OUT * (tries - stages), 0.0, 1.0)
-    room = config.room_m * jnp.clip(1.0 - tries / _STAGES, 0.0, 1.0)
+    room = config.room_m * jnp.clip(1.0 - tries / _STAGES, _LEAST_ROOM, 1.0)
     key = jax.random.fold_in(jax.random.key(task.seed), search.used)
     seen = planned & (jax.random.uniform(key, planned.shape) >= chance)
     held = hold(task.start_m, config.n_point)

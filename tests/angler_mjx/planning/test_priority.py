@@ -17,7 +17,7 @@ from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.simulator.simulator import Simulator
 
 from ..compiling import quickly
-from .test_grid import make_world, stack
+from .test_grid import CELL, make_world, stack
 
 CONFIG = WayConfig(horizon_s=90.0, start_hold_s=5.0)
 BUDGET = 12
@@ -60,10 +60,10 @@ WORLDS = stack([tube(), walled(), easy(), tube()])
 SEEDS = np.arange(4, dtype=np.uint32)
 
 
-def plans(worlds, seeds, slots, config=CONFIG):
+def plans(worlds, seeds, slots, config=CONFIG, radius=RADIUS):
     n = len(seeds)
     run = partial(planner.plan, config=config, budget=BUDGET, slots=slots)
-    return quickly(run)(worlds, np.tile(RADIUS, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
+    return quickly(run)(worlds, np.tile(radius, (n, 1)), np.tile(SPEED, (n, 1)), seeds)
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +131,26 @@ def test_room_beyond_the_margin_is_kept_where_there_is_some():
     # Robots that share a tube have none, and have ways all the same.
     assert np.asarray(wide.found).all()
     assert reach - 0.02 <= least_gap(wide, 1)
+
+
+def two_lanes():
+    """Robots 0 and 1 swap the ends of one of two lanes, one cell apart; robot 2 is alone above."""
+    rock = np.ones((9, 5, 5), bool)
+    rock[:, 2:4, 2] = False
+    rock[:, 0, 4] = False
+    return make_world(rock, [(0, 2, 2), (8, 2, 2), (0, 0, 4)], [(8, 2, 2), (0, 2, 2), (8, 0, 4)])
+
+
+@pytest.mark.parametrize(("spare_m", "passes"), [(0.4, False), (0.6, True)])
+def test_a_quarter_of_the_room_is_kept_by_every_search(spare_m, passes):
+    """Lanes that much further apart than the reach; whoever changes the lane needs 0.35 m of it.
+
+    A quarter of 0.8 m leaves 0.2 and 0.4 m.
+    """
+    radius = np.full(3, (CELL - spare_m - CONFIG.margin_m) / 2, np.float32)
+    config = replace(CONFIG, room_m=0.8)
+    found = plans(stack([two_lanes()]), SEEDS[:1], slots=1, config=config, radius=radius)
+    np.testing.assert_array_equal(found.found[0], [passes, passes, True])
 
 
 def test_a_world_is_planned_alike_whatever_lies_beside_it(found):

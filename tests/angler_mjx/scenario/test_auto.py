@@ -1,4 +1,4 @@
-"""The planner auto: resolved by the number of robots, said in a line, stored with its result."""
+"""Planner and order of passing by auto: by the number of robots, in the run's lines and folder."""
 
 import tomllib
 
@@ -8,9 +8,12 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import check
 from angler_mjx.planning import register
 from angler_mjx.planning.automatic import LARGE_TEAM
+from angler_mjx.planning.mppi.policy import Mppi
+from angler_mjx.planning.online.policy import Online
 from angler_mjx.scenario import notices
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.scenario import Scenario, find, load_scenario
+from angler_mjx.simulator.scenario_policy import policy_of
 from angler_mjx.studies import settings
 from angler_mjx.studies.cells import cells
 
@@ -32,8 +35,11 @@ def test_the_size_of_the_team_chooses_and_a_line_says_so(robots, name):
     for scenario in (load(robots), load(robots, name="auto")):
         assert scenario.planner.chosen().reference.name == name
         team = "1 robot" if robots == 1 else f"{robots} robots"
-        assert notices.lines(scenario) == [f"planner: {name} (auto: {team})"]
-    assert notices.lines(scenario, planned=False) == []
+        kept = [f"order: kept (auto: {team})"] if name == "priority" else []
+        assert scenario.online == bool(kept)
+        assert notices.lines(scenario) == [f"planner: {name} (auto: {team})", *kept]
+        assert notices.lines(scenario, planned=False) == kept
+        assert notices.lines(scenario, planned=False, commanded=True) == []
 
 
 def test_files_that_name_a_planner_are_as_they_were():
@@ -41,7 +47,49 @@ def test_files_that_name_a_planner_are_as_they_were():
         for robots in (1, 64):
             scenario = load(robots, name=name)
             assert (scenario.planner.name, scenario.planner.requested) == (name, None)
+            assert (scenario.execution.order, scenario.online) == ("free", False)
             assert notices.lines(scenario) == []
+
+
+STILL = {"currents": [], "obstacles": {"dynamic": {"count": 0}}}
+DRIFTING = {"currents": [], "obstacles": {"dynamic": {"count": 1}}}
+REQUESTED = {"name": "auto", "replan_hz": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "order"),
+    [
+        ({}, "kept"),
+        ({"world": DRIFTING}, "kept"),
+        ({"world": STILL}, "free"),
+        ({"controller": {"name": "los"}}, "free"),
+        ({"policy": {"name": "mppi"}}, "free"),
+        ({"planner": REQUESTED}, "free"),
+        ({"acoustics": {"model": "range", "range_m": 50.0}}, "free"),
+        ({"execution": {"order": "free"}}, "free"),
+        ({"execution": {"order": "auto"}}, "kept"),
+    ],
+)
+def test_large_teams_keep_the_order_of_passing_where_the_sea_carries_them(changes, order):
+    scenario = load_scenario("reef_fleet", fleet=fleet_of(12), **changes)
+    assert scenario.execution.order == order
+    again = check(Scenario, scenario.model_dump(mode="json"))
+    assert again == scenario
+    # A table made anew from the file's keys is resolved by its own team.
+    small = {**table_of(scenario), "fleet": fleet_of(2)}
+    assert check(Scenario, small).execution.order == "free"
+
+
+def test_a_policy_of_the_callers_takes_the_place_of_an_order_by_auto():
+    given = Mppi()
+    scenario = load_scenario("reef_fleet", fleet=fleet_of(12))
+    assert isinstance(policy_of(scenario, None), Online)
+    assert policy_of(scenario, given) is given
+    stored = check(Scenario, scenario.model_dump(mode="json"))
+    assert policy_of(stored, given) is given
+    requested = load_scenario("reef_fleet", fleet=fleet_of(12), execution={"order": "kept"})
+    with pytest.raises(ConfigError, match=r"policy Mppi: the scenario's execution\.order"):
+        policy_of(requested, given)
 
 
 def test_a_stored_scenario_keeps_what_auto_resolved_to_then(monkeypatch):
@@ -84,7 +132,7 @@ def test_a_name_that_code_puts_in_place_of_the_resolved_one_holds():
     again = check(Scenario, other.model_dump(mode="json"))
     assert again == other
     assert again.planner.chosen().reference.name == "current"
-    assert notices.lines(again) == []
+    assert notices.lines(again) == ["order: kept (auto: 64 robots)"]
 
 
 def test_where_no_team_is_known_the_name_is_refused():
