@@ -1,5 +1,7 @@
 """Maps from above: where robots failed, and examples of what was planned and flown."""
 
+from typing import Any
+
 import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +16,11 @@ from angler_mjx.viewing import style
 
 _HALO = [effects.withStroke(linewidth=2.4, foreground=style.PAPER)]
 _MANY = 400
+_PLANNED: dict[str, Any] = {"linewidth": 0.9, "linestyle": "--"}
+_FLOWN: dict[str, Any] = {"linewidth": 1.5}
+_GOAL: dict[str, Any] = {"marker": "*", "markersize": 9, "linestyle": ""}
+_FAILURE: dict[str, Any] = {"marker": "X", "markersize": 7, "linestyle": "", "color": style.INK}
+"""Of the lines and marks of an example, on its maps and in its legend."""
 
 
 def failures(results: Results) -> Figure | None:
@@ -123,26 +130,26 @@ def _ground(axes: Axes, given: Example) -> None:
 def _robot(axes: Axes, given: Example, way: Way, robot: int) -> None:
     color = style.robot_color(robot)
     planned = way.planned_m[robot]
-    axes.plot(planned[:, 0], planned[:, 1], color=color, linewidth=0.9, linestyle="--", zorder=4)
+    axes.plot(planned[:, 0], planned[:, 1], color=color, zorder=4, **_PLANNED)
     start, goal = given.start_m[robot], given.goal_m[robot]
     axes.plot(*start[:2], "o", color=color, ms=5, mec=style.PAPER, mew=0.6, zorder=6)
-    axes.plot(*goal[:2], "*", color=color, ms=9, mec=style.PAPER, mew=0.6, zorder=6)
+    axes.plot(*goal[:2], color=color, mec=style.PAPER, mew=0.6, zorder=6, **_GOAL)
     if not len(way.flown_m):
         return
     flown = way.flown_m[:, robot]
-    axes.plot(flown[:, 0], flown[:, 1], color=color, linewidth=1.5, zorder=5, path_effects=_HALO)
+    axes.plot(flown[:, 0], flown[:, 1], color=color, zorder=5, path_effects=_HALO, **_FLOWN)
     known = flown[np.isfinite(flown).all(axis=1)]
     if way.outcome[robot] != "reached" and len(known):
-        axes.plot(*known[-1, :2], "X", color=style.INK, ms=7, mec=style.PAPER, zorder=7)
+        axes.plot(*known[-1, :2], mec=style.PAPER, zorder=7, **_FAILURE)
 
 
 def _signs(given: Example) -> list[Line2D | Patch]:
     quiet = style.QUIET
     signs: list[Line2D | Patch] = [
-        Line2D([], [], color=quiet, linewidth=0.9, linestyle="--", label="planned"),
-        Line2D([], [], color=quiet, linewidth=1.8, label="flown"),
-        Line2D([], [], color=quiet, marker="*", ms=9, linestyle="", label="goal (disc: start)"),
-        Line2D([], [], color=style.INK, marker="X", ms=7, linestyle="", label="failure"),
+        Line2D([], [], color=quiet, label="planned", **_PLANNED),
+        Line2D([], [], color=quiet, label="flown", **_FLOWN),
+        Line2D([], [], color=quiet, label="goal (disc: start)", **_GOAL),
+        Line2D([], [], label="failure", **_FAILURE),
     ]
     if given.obstacle_moves.any():
         signs.append(

@@ -250,7 +250,7 @@ def carried_over(knots: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.
         knots: [n] of the axis on which places are said.
         others: [m] of the axis on which they are to be said.
     """
-    below = np.clip(np.searchsorted(others, knots, side="right") - 1, 0, len(others) - 1)
+    below = np.maximum(np.searchsorted(others, knots, side="right") - 1, 0)
     return below.astype(np.int32), knots - others[below]
 
 

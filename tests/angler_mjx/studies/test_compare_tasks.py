@@ -95,5 +95,6 @@ def test_the_figure_has_its_line_at_no_change_and_leaves_out_what_has_no_percent
     figure = told.draw(found)
     for axes in figure.axes:
         assert list(axes.lines[0].get_xdata()) == [0.0, 0.0]
+        assert all(line.get_linewidth() >= 0.5 for line in axes.lines)  # as journals demand
     names = [label.get_text() for label in figure.axes[1].get_yticklabels()]
     assert names == ["time to goal", "energy", "way"]

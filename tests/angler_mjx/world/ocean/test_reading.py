@@ -89,6 +89,62 @@ def test_other_forms_give_the_same_field(small, tmp_path, change):
     np.testing.assert_allclose(found.knots[2], want.knots[2])
 
 
+def heights(small):
+    """Heights by their standard name alone, of levels on both sides of the mean sea level."""
+    about = {"units": "m", "standard_name": "height_above_mean_sea_level"}
+    data = small.isel(depth=slice(None, None, -1))
+    return data.assign_coords(depth=("depth", 1.0 - data.depth.values, about))
+
+
+def test_levels_that_are_heights_by_their_standard_name_are_turned(small, tmp_path):
+    want = field_of(small, tmp_path)
+    (tmp_path / "other").mkdir()
+    found = field_of(heights(small), tmp_path / "other")
+    np.testing.assert_allclose(found.knots[2], want.knots[2] - 1.0)
+    np.testing.assert_allclose(found.values, want.values, atol=1e-7)
+
+
+MPS = {
+    1.0: "m s-1|m/s|m s^-1|m s**-1|m.s-1|ms-1|meter/second|meters/second|metre/second"
+    "|meter second-1|meters s-1",
+    0.01: "cm s-1|cm/s|cm s^-1|cm.s-1|centimeter/second",
+    0.001: "mm s-1|mm/s",
+    1000.0 / 3600.0: "km h-1|km/h",
+    1852.0 / 3600.0: "knot|knots|kt|kts",
+}
+"""Spellings of UDUNITS and of common files; the nautical mile of 1852 m (Monaco, 1929)."""
+METRES = {1.0: "m|meter|meters|metre|metres", 1000.0: "km"}
+
+
+def spellings(table):
+    return [(unit, factor) for factor, units in table.items() for unit in units.split("|")]
+
+
+@pytest.mark.parametrize(("unit", "mps"), spellings(MPS))
+def test_speeds_in_every_unit_are_metres_a_second(small, tmp_path, unit, mps):
+    data = small.isel(time=0, depth=0, drop=True)
+    for name in ("uo", "vo"):
+        data[name] = data[name].assign_attrs(units=unit) / mps
+        data[name].attrs |= {**small[name].attrs, "units": unit}
+    field = field_of(data, tmp_path)
+    east = small.uo.isel(time=0, depth=0).values
+    np.testing.assert_allclose(
+        field.values[:, :, 0, 0, 0][field.wet[:, :, 0]], east[field.wet[:, :, 0]], rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize(("unit", "metres"), spellings(METRES))
+def test_depths_in_every_unit_are_metres(small, tmp_path, unit, metres):
+    about = {**small.depth.attrs, "units": unit}
+    data = small.assign_coords(depth=("depth", small.depth.values / metres, about))
+    np.testing.assert_allclose(field_of(data, tmp_path).knots[2], small.depth.values)
+
+
+def test_every_spelling_that_is_read_is_tried():
+    assert {unit for unit, _ in spellings(MPS)} == set(cf.PER_SECOND)
+    assert {unit for unit, _ in spellings(METRES)} == set(cf.METRES)
+
+
 def test_classic_netcdf_and_steady_files_of_one_level_are_read(small, tmp_path):
     data = small.isel(time=0, depth=0, drop=True)
     field = ocean.load(written(data, tmp_path, engine="scipy"), NONE)
