@@ -226,7 +226,7 @@ def _fly(
     """Calls one behind another as in a run: the next is given while one is still computed."""
     in_flight: deque[jax.Array] = deque()
     for _ in range(calls):
-        state, sample, running = program(simulator.fleet, worlds, state)
+        state, sample, running = program(simulator.fleet, worlds, state, *simulator._driver)
         in_flight.append(running)
         if len(in_flight) == waves.AHEAD:
             in_flight.popleft().block_until_ready()
@@ -240,9 +240,11 @@ def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
         RunError: its memory is more than a device has; nothing was allocated yet.
     """
     shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
-    state = simulator._reset.shape(simulator.fleet, shapes)
-    state = on_devices.placed(state, on_devices.mesh(simulator.devices), on_devices.EACH)
-    lowered = simulator._segment.lower(simulator.fleet, shapes, state)
+    mesh = on_devices.mesh(simulator.devices)
+    driver = on_devices.placed(simulator._driver, mesh, on_devices.SAME)
+    state = simulator._reset.shape(simulator.fleet, shapes, *driver)
+    state = on_devices.placed(state, mesh, on_devices.EACH)
+    lowered = simulator._segment.lower(simulator.fleet, shapes, state, *driver)
     compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
     return compile_s, program

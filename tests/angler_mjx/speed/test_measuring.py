@@ -422,6 +422,16 @@ def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
         assert row["median"] > 0
 
 
+def test_a_scenario_in_which_a_policy_commands_is_measured(tmp_path):
+    """Programs of a simulator with a policy have one more argument."""
+    file = tmp_path / "tiny.toml"
+    whole = TINY.replace("count = 1", "count = 2").replace("horizon_s = 2.0", "horizon_s = 60.0")
+    file.write_text(whole + '[execution]\norder = "kept"\n')
+    row = simulation.measure(load_scenario(file), label="tiny", worlds=2, repeats=10, counted=False)
+    assert row.median > 0
+    assert row.active_share > 0.9
+
+
 @pytest.mark.usefixtures("_known_device")
 def test_the_command_takes_several_of_everything(tmp_path, monkeypatch, capsys):
     def measure(*, worlds, robots, repeats):
