@@ -146,6 +146,7 @@ def test_rows_that_are_there_are_not_measured_again(file, monkeypatch):
     assert list(cost.run([*cost.rungs(["cells"], ["fused"], "cpu")], file, 10, -1.0)) == []
 
 
+@pytest.mark.nightly(by="test_rows_that_are_there_are_not_measured_again")
 def test_the_smoke_run_writes_three_rows_and_goes_on(tmp_path, capsys):
     out = tmp_path / "rows.jsonl"
     cost.main(out=out, smoke=True)
@@ -188,6 +189,7 @@ def test_all_cells_of_the_shipped_sweeps_can_be_flown(name, cells):
     assert [len(one.asked().cells) for one in arrivals.STUDIES[name]] == cells
 
 
+@pytest.mark.nightly(by="studies/test_sweep.py; test_all_cells_of_the_shipped_sweeps_can_be_flown")
 def test_the_smoke_sweep_is_flown_drawn_and_not_flown_again(tmp_path, capsys):
     page = tmp_path / "page.md"
     page.write_text("<!-- smoke: begin -->\n<!-- smoke: end -->\n")

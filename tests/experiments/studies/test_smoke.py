@@ -10,6 +10,9 @@ import angler_experiments.studies
 from angler_mjx.cli import main as cli
 from angler_mjx.studies.fleet_size import folder
 
+pytestmark = pytest.mark.nightly(
+    by="studies/fleet_size/test_running.py; the printed command of commands/test_run.py"
+)
 FOLDER = Path(angler_experiments.studies.__file__).parent
 ASKED = {"survey_reef": "still water", "delivery_corridor": "still water"}
 """Of each study one condition: others that need programs of their own take as long again."""

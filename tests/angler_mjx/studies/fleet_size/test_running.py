@@ -241,6 +241,7 @@ def test_processes_that_share_batches_come_to_the_same_bytes(
     }
 
 
+@pytest.mark.nightly(by="runs/test_many_devices.py: test_the_same_bytes_on_any_number_of_devices")
 def test_the_same_bytes_on_two_devices(whole, source, tmp_path):
     """By the command: the first batch of one size and condition."""
     file, out = tmp_path / "one.toml", tmp_path / "one"
