@@ -137,8 +137,15 @@ def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
         palette: as many colours at most; a third of the size for lines on paper.
 
     Raises:
+        ConfigError: the name has an ending that is no format of figures.
         RunError: the file cannot be written.
     """
+    formats = figure.canvas.get_supported_filetypes()
+    if path.suffix.removeprefix(".").lower() not in formats:
+        raise ConfigError(
+            f"{path}: a figure cannot be written as {path.suffix or 'a name without ending'}; "
+            "give a name that ends in .png, .svg or .pdf"
+        )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole(path) as writing:

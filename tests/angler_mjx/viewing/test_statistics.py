@@ -5,6 +5,7 @@ import pyarrow as pa
 import pytest
 from matplotlib.patches import Rectangle
 
+from angler_mjx.errors import ConfigError
 from angler_mjx.storage.intervals import clustered
 from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.viewing import statistics, style
@@ -126,3 +127,14 @@ def test_a_run_in_which_nobody_arrives_can_be_drawn(outcome, tmp_path):
 def test_every_outcome_has_a_colour_and_words():
     assert set(style.OUTCOMES) == set(style.OUTCOME_TEXT) == set(OUTCOMES)
     assert len(set(style.OUTCOMES.values())) == len(OUTCOMES)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("rows.jsonl", r"as \.jsonl"), ("figure", "as a name without ending")]
+)
+def test_a_name_that_is_none_of_a_figure_is_refused_before_anything_is_written(
+    tmp_path, name, said
+):
+    with pytest.raises(ConfigError, match=rf"{name}: a figure cannot be written {said}; .*\.png"):
+        style.save(style.new_figure(2.0, 2.0, headline_in=0.5), tmp_path / "new" / name)
+    assert not (tmp_path / "new").exists()
