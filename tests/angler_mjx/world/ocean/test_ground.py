@@ -11,6 +11,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.files import parse
 from angler_mjx.world.config import WorldConfig
 from angler_mjx.world.generate import generate_batch
+from angler_mjx.world.ocean.floor import carried_over
 
 SHAPE, CELL = (16, 16, 8), 2.0
 PLACE = {"latitude": [50.518, 50.518], "longitude": [-2.45, -2.45]}
@@ -112,6 +113,15 @@ def test_a_floor_alone_lies_at_places_of_its_own(ocean_file):
     columns = made.grid.occupied.sum(axis=(1, 2, 3))
     assert len(np.unique(columns)) > 3
     assert np.all(made.current == ())
+
+
+def test_knots_are_carried_to_the_knot_below_of_another_axis():
+    """Before, on, between and beyond its knots; where none is below, from the first."""
+    below, between = carried_over(
+        np.array([-2.0, 0.0, 5.0, 10.0, 35.0]), np.array([0.0, 10.0, 30.0])
+    )
+    np.testing.assert_array_equal(below, [0, 0, 0, 1, 2])
+    np.testing.assert_array_equal(between, [-2.0, 0.0, 5.0, 0.0, 5.0])
 
 
 def test_heights_are_read_as_depths(data, tmp_path):
