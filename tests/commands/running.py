@@ -10,6 +10,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+from rich.progress import Progress
+
 from angler_mjx.cli import main as cli
 
 from . import printed
@@ -39,7 +42,8 @@ def small(command):
     """Return the words of a command with the sizes and files of tests.
 
     Flags of ``[flags]`` take its values, or go; words of ``[words]`` are replaced; ``[more]`` adds
-    the flags that the line does not hold, for a verb or for its first three words.
+    the flags that the line does not hold, for its first three words, for a verb and a flag, or for
+    a verb.
     """
     words, verb = list(command.words), command.verb
     result, i = [], 0
@@ -53,11 +57,15 @@ def small(command):
         result += [word, *values] if values else []
         while i < len(words) and not words[i].startswith("-"):
             i += 1
-    more, longer = TABLE["more"], " ".join((command.program, *words[:3]))
-    for flag, *values in more.get(longer, more.get(verb, ())):
+    longer = " ".join((command.program, *words[:3]))
+    for flag, *values in _more(longer, *(f"{verb} {word}" for word in words), verb):
         if flag not in result:
             result += [flag, *values]
     return result
+
+
+def _more(*names):
+    return next((TABLE["more"][name] for name in names if name in TABLE["more"]), ())
 
 
 class Workshop:
@@ -86,18 +94,20 @@ class Workshop:
         words = small(command)
         self._furnish(folder, words)
         if "--resume" in words:
-            self._call(folder, command.program, [word for word in words if word != "--resume"])
-        self._call(folder, command.program, words)
+            first = [word for word in words if word != "--resume"]
+            _interrupt(folder, first + TABLE["interrupted"].get(command.verb, []))
+        self._call(folder, command, words)
 
-    def _call(self, folder, program, words):
-        if program == "angler":
-            _in_process(folder, words)
-        elif program == "python":
+    def _call(self, folder, command, words):
+        right = {0, *(code for begin, code in TABLE["codes"].items() if command.line == begin)}
+        if command.program == "angler":
+            _in_process(folder, words, right)
+        elif command.program == "python":
             _in_a_process(folder, [sys.executable, *words])
         else:
             # The environment is left as it is, also where pyproject.toml is newer.
             words = [word.format(folder=folder) for word in words]
-            _in_a_process(ROOT, [program, "-o", ".venv/.installed", *words])
+            _in_a_process(ROOT, [command.program, "-o", ".venv/.installed", *words])
 
     def _furnish(self, folder, words):
         """Bring what a command reads into its folder."""
@@ -165,14 +175,31 @@ def _block(page, holds):
     return next(block for block in blocks if holds in block)
 
 
-def _in_process(folder, words):
-    code = None
+def _interrupt(folder, words):
+    """Run a command and end it as Ctrl-C does once its bar shows more than one world or flight."""
+
+    def interrupting(call):
+        def then(bar, task, *parts, **fields):
+            call(bar, task, *parts, **fields)
+            if bar.tasks[0].completed > 1:
+                raise KeyboardInterrupt
+
+        return then
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("advance", "update"):
+            patch.setattr(Progress, name, interrupting(getattr(Progress, name)))
+        _in_process(folder, words, {cli.EXIT_INTERRUPTED})
+
+
+def _in_process(folder, words, right):
+    code = 0
     with contextlib.chdir(folder):
         try:
             cli.main(words)
         except SystemExit as left:
-            code = left.code
-    assert code in (0, None), f"exit code {code}: angler {shlex.join(words)}"
+            code = left.code or 0
+    assert code in right, f"exit code {code}: angler {shlex.join(words)}"
 
 
 def _in_a_process(folder, line):
