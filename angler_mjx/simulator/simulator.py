@@ -1,21 +1,19 @@
 """A scenario made runnable: worlds from indices, and the compiled reset, step and segment.
 
-This is where ``jit`` stands. Every call works on one tile a device: a fixed number of worlds with
-consecutive global indices, so a run of any size compiles once, and the same tile on the same kind
-of device gives the same bytes wherever it stands in a run and however many devices there are.
+Its compiled functions are those of `angler_mjx.simulator.programs`. Every call works on one tile a
+device: a fixed number of worlds with consecutive global indices, so a run of any size compiles
+once, and the same tile on the same kind of device gives the same bytes wherever it stands in a run
+and however many devices there are.
 """
 
-import time
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
-from typing import Any
+from collections.abc import Sequence
+from functools import cached_property
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import NamedSharding, PartitionSpec
+from jax.sharding import NamedSharding
 
-from angler_kernels.clearance import cell_neighbours
 from angler_mjx.control import command_checks, stack
 from angler_mjx.control.mixed import Mixed
 from angler_mjx.control.stack import Command
@@ -32,24 +30,15 @@ from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
-from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
-from angler_mjx.simulator import cache, hosted, scenario_policy
+from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.simulator import cache, hosted, programs, scenario_policy
 from angler_mjx.simulator import devices as on_devices
-from angler_mjx.simulator.compiling import Compiled, CompileTime, Program, Together
-from angler_mjx.simulator.devices import (
-    EACH,
-    SAME,
-    Memory,
-    limit_bytes,
-    placed,
-    too_large,
-    tree_bytes,
-)
+from angler_mjx.simulator.compiling import CompileTime
+from angler_mjx.simulator.devices import EACH, SAME
 from angler_mjx.simulator.hosted import Drawn, PlanNotes
-from angler_mjx.simulator.prepare import ask_all, key_number, preparer, with_paths
+from angler_mjx.simulator.prepare import key_number, with_paths
+from angler_mjx.simulator.programs import Programs, Segment
 from angler_mjx.vehicles import library
-from angler_mjx.world import generate
-from angler_mjx.world.config import resolve
 
 DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 """Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
@@ -62,13 +51,6 @@ def default_tile(worlds: int) -> int:
 
 LEAST_POINTS = 2
 """Of paths that nobody flies."""
-
-SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
-"""A segment has at most so many samples, or control steps where that is more. A call took an
-H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
-
-type Segment = tuple[WorldState, Sample, jax.Array]
-"""State after a segment, samples of it, and how many robots of each world still run."""
 
 
 class Simulator:
@@ -113,40 +95,11 @@ class Simulator:
         """
         cache.switch_on()
         on_devices.require_room(scenario.world.held_bytes)
+        given = policy is not None
         self.scenario, policy = scenario, scenario_policy.policy_of(scenario, policy)
         self.tile = tile or scenario.tile or default_tile(scenario.worlds)
-        self._spec = scenario.sim_spec()
         self._mesh = on_devices.mesh(devices)
         self.devices = self._mesh.size
-        self._fleet: Fleet = jax.device_put(
-            fleet.build(
-                scenario.members(), multibody=scenario.engine == "mjx", load=scenario.carried()
-            ),
-            NamedSharding(self._mesh, SAME),
-        )
-        timing = scenario.time
-        self.steps_per_sample = timing.steps_per_sample or _divisor(timing.control_steps, 100)
-        most = max(SEGMENT_SAMPLES, SEGMENT_STEPS // self.steps_per_sample)
-        self.samples = (
-            _divisor(timing.control_steps // self.steps_per_sample, most)
-            if timing.steps_per_sample
-            else 1
-        )
-        radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
-        generate.check_fleet(resolve(scenario.world), radius)
-        # Where robots have one place after another to go to, nobody plans a way to one goal.
-        unplanned = paths is not None or self._spec.by_task
-        self._spec_of_planner = None if unplanned else scenario.planner.chosen()
-        points = LEAST_POINTS if self._spec.by_task else scenario.planner.points
-        self.paths = paths or hosted.shape_of(self._spec_of_planner, points)
-        self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
-        self._prepare_tile = preparer(
-            scenario,
-            None if self._planners else self._spec_of_planner,
-            self.tile,
-            shape=self.paths,
-            policy=policy,
-        )
         self.kernels = scenario.kernels or engines.default_kernels(
             scenario.engine, jax.default_backend()
         )
@@ -155,32 +108,35 @@ class Simulator:
                 'kernels = "triton": needs an NVIDIA GPU, and JAX computes on '
                 f'{jax.default_backend()} here; use kernels = "xla"'
             )
-        self._engine = engines.by_name(scenario.engine, self.kernels)
-        # Arguments of the programs, not numbers in them: others take their place without compiling.
+        by_task = scenario.task_spec() is not None
+        # Where robots have one place after another to go to, nobody plans a way to one goal.
+        unplanned = paths is not None or by_task
+        self._spec_of_planner = None if unplanned else scenario.planner.chosen()
+        points = LEAST_POINTS if by_task else scenario.planner.points
+        self.paths = paths or hosted.shape_of(self._spec_of_planner, points)
+        self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
         self._driver: tuple[Policy, ...] = () if policy is None else (self._on_all(policy),)
-        driver = (SAME,) * len(self._driver)
-        self._memory: Memory | None = None
-        self._compiled = False
-        self._prepare = self._spread(self._prepare_tile, SAME, SAME, EACH)
-        self._asking: dict[Knows, Compiled] = {}
-        self._reset = self._spread(partial(self._engine.reset, self.spec), SAME, EACH, *driver)
-        self._step = self._spread(
-            partial(self._engine.control_step, self.spec), SAME, EACH, EACH, EACH, *driver
+        setup = programs.Setup(
+            scenario=scenario,
+            tile=self.tile,
+            mesh=self._mesh,
+            kernels=self.kernels,
+            paths=self.paths,
+            planner=None if self._planners else self._spec_of_planner,
+            policy=self._driver,
+            owned=given or self._traces_a_planner(),
         )
-        pack = self._spread(jax.vmap(cell_neighbours), EACH)
-        take = self._spread(fleet.parameters, SAME, EACH)
-        self._gate = Gate(
-            self._fleet,
-            take=partial(take, self._fleet),
-            pack=pack if scenario.engine == "fused" else None,
-        )
-        # Of runs, whose segments begin where the one before ended; and of any.
-        of_run, of_any = (partial(self._run_segment, n) for n in (self.segment_steps, 1))
-        self._segment = self._spread(of_run, SAME, EACH, EACH, *driver, donate_argnums=2)
-        self._from_anywhere = self._spread(of_any, SAME, EACH, EACH, *driver, donate_argnums=2)
-        self._commanded = self._spread(
-            self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2
-        )
+        self._programs = programs.shared(setup)
+        self.samples = self._programs.samples
+        self.steps_per_sample = self._programs.steps_per_sample
+        self._gate = Gate(self.fleet, take=self._programs.take, pack=self._programs.pack)
+
+    def _traces_a_planner(self) -> bool:
+        """Whether code of a planner of somebody else is a part of the programs."""
+        if self.scenario.planner.replan_hz:
+            return not self.scenario.planner.chosen().reference.on_device
+        spec = self._spec_of_planner
+        return spec is not None and self._planners is None and not spec.reference.on_device
 
     def _on_all(self, policy: Policy) -> Policy:
         """A policy with its numbers, as arrays of JAX's types, on every device."""
@@ -210,29 +166,15 @@ class Simulator:
         """That commands the robots."""
         return self._driver[0] if self._driver else None
 
-    def _spread(
-        self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
-    ) -> Compiled:
-        """A compiled function that runs on each device, on its tiles.
-
-        Results say themselves that they lie tile by tile: what takes them is then one program,
-        whether it was compiled ahead of time or is called.
-        """
-        return Compiled(
-            on_devices.on_each(self._mesh, function, *specs),
-            out_shardings=NamedSharding(self._mesh, EACH),
-            **options,
-        )
-
     @property
     def fleet(self) -> Fleet:
         """Compiled vehicles; programs hold their numbers, so another fleet is another simulator."""
-        return self._fleet
+        return self._programs.fleet
 
     @property
     def spec(self) -> SimSpec:
         """Settings of the simulation, which its programs hold."""
-        return self._spec
+        return self._programs.spec
 
     @property
     def segment_steps(self) -> int:
@@ -316,11 +258,11 @@ class Simulator:
             (number, np.asarray(indices, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        worlds = self._gate.own(self._prepare(self.fleet, *numbers))
+        worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
         if self._planners is None:
             return Drawn(worlds=worlds)
         names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
-        asked = hosted.one_by_one(self._ask(self._knows)(worlds, *numbers), names)
+        asked = hosted.one_by_one(self._programs.ask(self._knows)(worlds, *numbers), names)
         kept = [self.tile] * len(firsts) if kept is None else kept
         wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
         return Drawn(worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted}))
@@ -362,8 +304,8 @@ class Simulator:
             (number, np.full(self.devices, index, np.uint32)),
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
-        worlds = self._gate.own(self._prepare(self.fleet, *numbers))
-        return worlds, self._ask(knows or self._knows)(worlds, *numbers)
+        worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
+        return worlds, self._programs.ask(knows or self._knows)(worlds, *numbers)
 
     def problems(
         self,
@@ -406,13 +348,6 @@ class Simulator:
     @property
     def _knows(self) -> Knows:
         return self.scenario.planner.knows.knows()
-
-    def _ask(self, knows: Knows) -> Compiled:
-        """The program that makes problems of worlds of which so much may be known."""
-        if knows not in self._asking:
-            asking = partial(ask_all, self.scenario, knows)
-            self._asking[knows] = self._spread(asking, EACH, SAME, EACH)
-        return self._asking[knows]
 
     def with_paths(self, worlds: World, path: Path) -> World:
         """Worlds whose robots are told other paths.
@@ -473,7 +408,7 @@ class Simulator:
     @property
     def engine(self) -> engines.Engine:
         """What advances the worlds, for programs of one's own (`angler_mjx.learning`)."""
-        return self._engine
+        return self._programs.engine
 
     def world_shape(self) -> World:
         """Shapes and types of one tile of worlds, without computing any."""
@@ -481,25 +416,8 @@ class Simulator:
         def of_tile(leaf: jax.ShapeDtypeStruct) -> jax.ShapeDtypeStruct:
             return jax.ShapeDtypeStruct((self.tile, *leaf.shape[1:]), leaf.dtype)
 
-        shapes: World = jax.tree.map(of_tile, self._wave_shape)
+        shapes: World = jax.tree.map(of_tile, self._programs.wave_shape)
         return shapes
-
-    @cached_property
-    def _wave_shape(self) -> World:
-        """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
-        shapes = self._prepare.shape(*self._seed_shapes())
-        worlds: World = placed(shapes, self._mesh, EACH)
-        return worlds
-
-    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
-        """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
-        number = jax.ShapeDtypeStruct((), jnp.uint32)
-        firsts = jax.ShapeDtypeStruct((self.devices,), jnp.uint32)
-        return (
-            placed(self.fleet, self._mesh, SAME),
-            placed(number, self._mesh, SAME),
-            placed(firsts, self._mesh, EACH),
-        )
 
     def reset(self, worlds: World, *, policy: Policy | None = None) -> WorldState:
         """State of each world at t = 0.
@@ -514,7 +432,7 @@ class Simulator:
                 commands, or it is made otherwise than the simulator's.
         """
         admitted, driver = self._gate.admit(worlds), self._driven(policy)
-        state: WorldState = self._reset(self.fleet, admitted, *driver)
+        state: WorldState = self._programs.reset(self.fleet, admitted, *driver)
         return state
 
     def step(
@@ -547,7 +465,7 @@ class Simulator:
             self._check(command, worlds, state)
         admitted = self._gate.admit(worlds)
         driver = self._driven(policy)
-        after, sample = self._step(self.fleet, admitted, state, command, *driver)
+        after, sample = self._programs.step(self.fleet, admitted, state, command, *driver)
         return after, sample
 
     def segment(
@@ -577,11 +495,11 @@ class Simulator:
                 after, sample, _ = self.advance(worlds, state, policy=policy)
                 return after, sample
             admitted, driver = self._gate.admit(worlds), self._driven(policy)
-            after, sample, _ = self._from_anywhere(self.fleet, admitted, state, *driver)
+            after, sample, _ = self._programs.from_anywhere(self.fleet, admitted, state, *driver)
             return after, sample
         self._check(command, worlds, state)
         admitted = self._gate.admit(worlds)
-        after, sample, _ = self._commanded(self.fleet, admitted, state, command)
+        after, sample, _ = self._programs.commanded(self.fleet, admitted, state, command)
         return after, sample
 
     def advance(self, worlds: World, state: WorldState, *, policy: Policy | None = None) -> Segment:
@@ -591,7 +509,7 @@ class Simulator:
         The count is an array of its own: it can be read after the state was used up.
         """
         admitted, driver = self._gate.admit(worlds), self._driven(policy)
-        after, sample, running = self._segment(self.fleet, admitted, state, *driver)
+        after, sample, running = self._programs.segment(self.fleet, admitted, state, *driver)
         return after, sample, running
 
     def _check(self, command: Command | Mixed, worlds: World, state: WorldState) -> None:
@@ -608,52 +526,18 @@ class Simulator:
         """Compile for this tile ahead of time; later calls use the compiled functions.
 
         Returns:
-            What it took; zeros if it was done before.
+            Seconds of each program; zeros if it was done before, also by another simulator that
+            needs the same programs.
 
         Raises:
             RunError: the tile does not fit into device memory; says which one does.
         """
-        if self._compiled:
-            return CompileTime()
-        start = time.perf_counter()
-        worlds, state, begun = self._begin_all()
-        try:
-            made = [program.result() for program in begun]
-        except jax.errors.JaxRuntimeError as error:
-            # There is no account yet of what the programs need: what they give is the least.
-            least = (2 * tree_bytes(worlds) + tree_bytes(state)) // self.devices
-            self._memory = Memory(prepare=least, segment=least)
-            self.explain(error)
-            raise
-        functions, seconds = zip(*made, strict=True)
-        self._memory = on_devices.analyse(*functions)
-        limit = limit_bytes(self._mesh.devices.flat[0])
-        if self._memory is not None and self._memory.needed > limit:
-            raise too_large(self.tile, self._memory.needed, limit, "before the first world")
-        programs = (self._prepare, self._reset, self._segment)
-        for program, executable in zip(programs, functions, strict=True):
-            program.keep(executable)
-        self._compiled = True
-        prepare_s, reset_s, segment_s = seconds
-        return CompileTime(
-            prepare_s=prepare_s,
-            reset_s=reset_s,
-            segment_s=segment_s,
-            total_s=time.perf_counter() - start,
-        )
+        return self._programs.compile()
 
-    def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
-        """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
-        kinds, number, firsts = self._seed_shapes()
-        driver = placed(self._driver, self._mesh, SAME)
-        with Together(3) as programs:
-            # Each is traced for the shapes that come of the one before: tracing that gave them.
-            prepare = programs.begin(self._prepare, kinds, number, firsts)
-            worlds = self._wave_shape
-            reset = programs.begin(self._reset, kinds, worlds, *driver)
-            state = placed(self._reset.shape(kinds, worlds, *driver), self._mesh, EACH)
-            segment = programs.begin(self._segment, kinds, worlds, state, *driver)
-        return worlds, state, [prepare, reset, segment]
+    @property
+    def programs(self) -> Programs:
+        """Compiled functions, which simulators of equal scenarios share."""
+        return self._programs
 
     def explain(self, error: Exception) -> None:
         """Turn a device's error for want of memory into one that says which tile would fit.
@@ -661,43 +545,4 @@ class Simulator:
         Raises:
             RunError: it is one of those; others are left as they are.
         """
-        if not on_devices.is_out_of_memory(error):
-            return
-        limit = limit_bytes(self._mesh.devices.flat[0])
-        # What failed needs more than there is, whatever the account says.
-        needed = None if self._memory is None else max(self._memory.needed, limit)
-        cause = str(error).splitlines()[0][:120]
-        raise too_large(self.tile, needed, limit, cause) from error
-
-    def _run_segment(
-        self,
-        begins: int,
-        kinds: Fleet,
-        worlds: World,
-        state: WorldState,
-        policy: Policy | None = None,
-        command: Command | None = None,
-    ) -> Segment:
-        after, sample = self._engine.segment(
-            self.spec,
-            kinds,
-            worlds,
-            state,
-            n_sample=self.samples,
-            steps_per_sample=self.steps_per_sample,
-            command=command,
-            policy=policy,
-            begins=begins,
-        )
-        running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
-        return after, sample, running
-
-    def _run_commanded(
-        self, kinds: Fleet, worlds: World, state: WorldState, command: Command
-    ) -> Segment:
-        return self._run_segment(1, kinds, worlds, state, None, command)
-
-
-def _divisor(total: int, most: int) -> int:
-    """Largest divisor of ``total`` up to ``most``: short segments make a steady progress bar."""
-    return max(n for n in range(1, most + 1) if total % n == 0)
+        self._programs.explain(error)

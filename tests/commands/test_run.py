@@ -1,12 +1,9 @@
 """Every command line of README and docs runs to its end: one of each verb daily, all at night.
 
-Commands of `angler` share this process, and simulators of one scenario share their programs.
+Commands of `angler` share this process, and with it compiled programs.
 """
 
 import pytest
-
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.speed.measured import compilation
 
 from . import printed, running
 
@@ -31,33 +28,6 @@ def _lines():
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory):
     return running.Workshop(tmp_path_factory.mktemp("commands"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _shared_programs():
-    """Give simulators of one scenario, tile and planner the programs that the first compiled."""
-    made, begin = {}, Simulator.__init__
-
-    def share(self, scenario, **options):
-        options = {name: value for name, value in options.items() if value is not None}
-        options = {"devices": 1, "tile": scenario.tile} | options
-        programs = scenario.model_copy(update={"name": "", "description": "", "worlds": 1})
-        key = (programs.model_dump_json(exclude={"store", "seed"}), repr(sorted(options.items())))
-        if "policy" in options or scenario.planner.name not in ("grid", "priority"):
-            begin(self, scenario, **options)
-        elif key not in made:
-            begin(self, scenario, **options)
-            made[key] = self
-        else:
-            self.__dict__ = made[key].__dict__  # what one compiles, all have
-            self.scenario = scenario
-
-    # What measures compiling compiles: it has simulators of its own.
-    fresh = type("Fresh", (Simulator,), {"__init__": begin})
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Simulator, "__init__", share)
-        patch.setattr(compilation, "Simulator", fresh)
-        yield
 
 
 @pytest.mark.parametrize("command", _lines())

@@ -13,7 +13,7 @@ import jax
 
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.simulator import cache
+from angler_mjx.simulator import cache, programs
 from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.speed.rows import DURATION, HITS, REQUESTS, Row, cache_events
 
@@ -42,6 +42,7 @@ def measure(scenario: Scenario, *, label: str, worlds: int) -> list[Row]:
     with TemporaryDirectory(prefix="angler-compile-") as folder, cache.kept_in(Path(folder)):
         for is_cached in (False, True):
             jax.clear_caches()
+            programs.forget()
             rows += _rows(scenario, label, worlds, is_cached)
     return rows
 

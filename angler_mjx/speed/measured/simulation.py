@@ -242,9 +242,9 @@ def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
     shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
     mesh = on_devices.mesh(simulator.devices)
     driver = on_devices.placed(simulator._driver, mesh, on_devices.SAME)
-    state = simulator._reset.shape(simulator.fleet, shapes, *driver)
+    state = simulator.programs.reset.shape(simulator.fleet, shapes, *driver)
     state = on_devices.placed(state, mesh, on_devices.EACH)
-    lowered = simulator._segment.lower(simulator.fleet, shapes, state, *driver)
+    lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, *driver)
     compile_s, program = seconds_of(lowered.compile)
     _require_room(simulator.tile, program)
     return compile_s, program
