@@ -95,13 +95,13 @@ class Workshop:
         self._furnish(folder, words)
         if "--resume" in words:
             first = [word for word in words if word != "--resume"]
-            _interrupt(folder, first + TABLE["interrupted"].get(command.verb, []))
+            interrupt(folder, first + TABLE["interrupted"].get(command.verb, []))
         self._call(folder, command, words)
 
     def _call(self, folder, command, words):
         right = {0, *(code for begin, code in TABLE["codes"].items() if command.line == begin)}
         if command.program == "angler":
-            _in_process(folder, words, right)
+            in_process(folder, words, right)
         elif command.program == "python":
             _in_a_process(folder, [sys.executable, *words])
         else:
@@ -175,7 +175,7 @@ def _block(page, holds):
     return next(block for block in blocks if holds in block)
 
 
-def _interrupt(folder, words):
+def interrupt(folder, words):
     """Run a command and end it as Ctrl-C does once its bar shows more than one world or flight."""
 
     def interrupting(call):
@@ -189,10 +189,10 @@ def _interrupt(folder, words):
     with pytest.MonkeyPatch.context() as patch:
         for name in ("advance", "update"):
             patch.setattr(Progress, name, interrupting(getattr(Progress, name)))
-        _in_process(folder, words, {cli.EXIT_INTERRUPTED})
+        in_process(folder, words, {cli.EXIT_INTERRUPTED})
 
 
-def _in_process(folder, words, right):
+def in_process(folder, words, right):
     code = 0
     with contextlib.chdir(folder):
         try:
