@@ -6,21 +6,25 @@ The public names are loaded when they are first used, so that importing the pack
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from angler_mjx import _moved
+
 if TYPE_CHECKING:
-    from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-    from angler_mjx.control.joint_goal import JointGoal, JointPoint
-    from angler_mjx.control.joint_trajectory import JointTrajectory
-    from angler_mjx.control.trajectory import Trajectory
     from angler_mjx.planning.planner import BatchPlanner, NoPlan, Planner, joint_path, way_points
     from angler_mjx.planning.problem import Problem
+    from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+    from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+    from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+    from angler_mjx.robot.control.trajectory import Trajectory
     from angler_mjx.runs.rollout import resume, rollout
+    from angler_mjx.runs.session.batch import BatchSession
+    from angler_mjx.runs.session.interface import Observation, Session
+    from angler_mjx.runs.simulator.simulator import Simulator
+    from angler_mjx.runs.storage.folder import Run
     from angler_mjx.scenario.scenario import Scenario, load_scenario
-    from angler_mjx.session.batch import BatchSession
-    from angler_mjx.session.interface import Observation, Session
     from angler_mjx.sim.policy import Policy
     from angler_mjx.sim.state import Outcome
-    from angler_mjx.simulator.simulator import Simulator
-    from angler_mjx.storage.folder import Run
+
+_moved.install()
 
 __version__ = "0.1.0"
 
@@ -54,25 +58,25 @@ __all__ = [
 
 _HOME = {
     "BatchPlanner": "angler_mjx.planning.planner",
-    "BatchSession": "angler_mjx.session.batch",
-    "BodyTwist": "angler_mjx.control.commands",
-    "BodyWrench": "angler_mjx.control.commands",
-    "JointGoal": "angler_mjx.control.joint_goal",
-    "JointPoint": "angler_mjx.control.joint_goal",
-    "JointTrajectory": "angler_mjx.control.joint_trajectory",
+    "BatchSession": "angler_mjx.runs.session.batch",
+    "BodyTwist": "angler_mjx.robot.control.commands",
+    "BodyWrench": "angler_mjx.robot.control.commands",
+    "JointGoal": "angler_mjx.robot.control.joint_goal",
+    "JointPoint": "angler_mjx.robot.control.joint_goal",
+    "JointTrajectory": "angler_mjx.robot.control.joint_trajectory",
     "NoPlan": "angler_mjx.planning.planner",
-    "Observation": "angler_mjx.session.interface",
+    "Observation": "angler_mjx.runs.session.interface",
     "Outcome": "angler_mjx.sim.state",
     "Planner": "angler_mjx.planning.planner",
     "Policy": "angler_mjx.sim.policy",
-    "PoseTarget": "angler_mjx.control.commands",
+    "PoseTarget": "angler_mjx.robot.control.commands",
     "Problem": "angler_mjx.planning.problem",
-    "Run": "angler_mjx.storage.folder",
+    "Run": "angler_mjx.runs.storage.folder",
     "Scenario": "angler_mjx.scenario.scenario",
-    "Session": "angler_mjx.session.interface",
-    "Simulator": "angler_mjx.simulator.simulator",
-    "ThrusterPwm": "angler_mjx.control.commands",
-    "Trajectory": "angler_mjx.control.trajectory",
+    "Session": "angler_mjx.runs.session.interface",
+    "Simulator": "angler_mjx.runs.simulator.simulator",
+    "ThrusterPwm": "angler_mjx.robot.control.commands",
+    "Trajectory": "angler_mjx.robot.control.trajectory",
     "joint_path": "angler_mjx.planning.planner",
     "load_scenario": "angler_mjx.scenario.scenario",
     "resume": "angler_mjx.runs.rollout",

@@ -27,7 +27,7 @@ LONG = (
 So does the one that makes what a file beside it asks for too, lest a worker wait for the other.
 """
 
-TOGETHER = ("angler_mjx/datasets/", "experiments/learned_planner/")
+TOGETHER = ("angler_mjx/learning/datasets/", "experiments/learned_planner/")
 """Folders whose files share what is made or compiled once in a process: one worker takes them."""
 
 deviation = deviations.deviation

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from angler_mjx.speed import chart
-from angler_mjx.speed import rows as speed
-from angler_mjx.speed.compare import latest
-from angler_mjx.vehicles import library, properties
+from angler_mjx.robot.vehicles import library, properties
+from angler_mjx.studies.speed import chart
+from angler_mjx.studies.speed import rows as speed
+from angler_mjx.studies.speed.compare import latest
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results.jsonl"

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import pytest
 from jax import monitoring
 
-from angler_mjx.simulator import cache
+from angler_mjx.runs.simulator import cache
 
 from .compile_times import CompileTimes
 

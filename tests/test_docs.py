@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from angler_mjx.datasets import index, manifest
+from angler_mjx.learning.datasets import index, manifest
 from angler_mjx.scenario import reference
 
 ROOT = Path(__file__).parent.parent
@@ -23,7 +23,7 @@ def test_the_reference_is_that_of_the_models(kind):
 def test_the_reference_has_every_key_of_the_shipped_files():
     for kind, folder in (
         ("scenario", ROOT / "angler_mjx" / "scenario" / "shipped"),
-        ("vehicle", ROOT / "angler_mjx" / "vehicles" / "data"),
+        ("vehicle", ROOT / "angler_mjx" / "robot" / "vehicles" / "data"),
     ):
         page = reference.page(kind)
         for path in folder.rglob("*.toml"):

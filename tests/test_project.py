@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import load_scenario, shipped
-from angler_mjx.vehicles import library
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -21,7 +21,7 @@ DRAWN = re.findall(r"^    (angler_[a-z_]+(?:\.[a-z_]+)?)(?: |$)", PAGE, re.M)
 def rooms(package):
     """Folders and modules of a package that stand at its top."""
     for entry in sorted(PLACES[package].iterdir()):
-        if entry.suffix == ".py" and entry.name != "__init__.py":
+        if entry.suffix == ".py" and not entry.name.startswith("_"):
             yield entry.stem
         elif (entry / "__init__.py").is_file():
             yield entry.name
@@ -29,7 +29,7 @@ def rooms(package):
 
 def layers():
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    (order,) = (c for c in contracts["contracts"] if c["type"] == "layers")
+    order = next(c for c in contracts["contracts"] if c["type"] == "layers")
     return [set(line.split(" | ")) for line in order["layers"]]
 
 

@@ -112,11 +112,11 @@ def test_extras_are_imported_where_they_are_used_and_not_with_the_simulator():
     # The bridge is made of pymavlink; who draws replays is imported when one is drawn, and who
     # plans on the host when somebody names such a planner.
     # Who reads for a library of others, or gives it an environment, is imported by its users alone.
-    at_once -= {("torch", "datasets"), ("grain", "datasets"), ("gymnasium", "learning")}
+    at_once -= {("torch", "learning"), ("grain", "learning"), ("gymnasium", "learning")}
     of_host = {name for name, extra in OF_EXTRAS.items() if extra == "plan"}
     assert {room for name, room in at_once if name in of_host} <= {"planning/host"}
     assert {name for name, _ in at_once} - of_host <= {"rerun-sdk"}
-    assert {room for name, room in at_once if name not in of_host} <= {"viewing", "teleop"}
+    assert {room for name, room in at_once if name not in of_host} <= {"report", "teleop"}
 
 
 def test_what_is_declared_is_imported():

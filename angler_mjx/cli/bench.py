@@ -7,7 +7,7 @@ from angler_mjx.cli.shared.device import Device, choose
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
-    from angler_mjx.speed.rows import Row
+    from angler_mjx.studies.speed.rows import Row
 
 RESULTS = Path("benchmarks/results.jsonl")
 CHART = Path("docs/images/performance.png")
@@ -67,7 +67,7 @@ def bench(
         _table(table, out)
     else:
         choose(device)
-        from angler_mjx.speed.workloads import Request
+        from angler_mjx.studies.speed.workloads import Request
 
         asked = Request(
             profile=profile,
@@ -88,9 +88,9 @@ def bench(
 def _measure(asked: Any, out: Path) -> None:
     from rich.console import Console
 
-    from angler_mjx.speed import measuring, roofline, workloads
-    from angler_mjx.speed.report import around, complete
-    from angler_mjx.speed.rows import record
+    from angler_mjx.studies.speed import measuring, roofline, workloads
+    from angler_mjx.studies.speed.report import around, complete
+    from angler_mjx.studies.speed.rows import record
 
     chosen = workloads.cases(asked)
     console = Console(stderr=True)
@@ -120,7 +120,7 @@ def _show(rows: "list[Row]", device: Any) -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.speed.report import complete
+    from angler_mjx.studies.speed.report import complete
 
     shown = text_table("workload", "worlds x robots", "median (spread)", "of roofline", "compile")
     console = Console()
@@ -201,7 +201,7 @@ def _compare(a: str, b: str, results: Path) -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.speed.compare import compare
+    from angler_mjx.studies.speed.compare import compare
 
     shown = text_table("workload", "worlds x robots", a, b, "ratio", "by the repeats")
     found = compare(a, b, results)
@@ -234,15 +234,15 @@ def _by_the_repeats(row: Any) -> str:
 
 
 def _chart(rows: Path, out: Path) -> None:
-    from angler_mjx.speed import chart
-    from angler_mjx.viewing import style
+    from angler_mjx.report.viewing import style
+    from angler_mjx.studies.speed import chart
 
     style.save(chart.draw(rows), out)
     print(out)
 
 
 def _table(rows: Path, out: Path | None) -> None:
-    from angler_mjx.speed import chart
+    from angler_mjx.studies.speed import chart
 
     if out is None:
         print("\n\n".join(filter(None, (chart.table(rows), chart.compile_table(rows)))))

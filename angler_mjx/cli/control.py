@@ -31,8 +31,8 @@ def control(
     if draws < 0 or (draw is not None and draw < 0):
         raise ConfigError("--draws, --draw: give 0 or more")
     choose(device)
-    from angler_mjx.control.stages import CONTROLLERS
-    from angler_mjx.flights import kinds
+    from angler_mjx.robot.control.stages import CONTROLLERS
+    from angler_mjx.studies.flights import kinds
 
     names = controller or tuple(CONTROLLERS)
     for name in names:
@@ -44,7 +44,7 @@ def control(
 
 
 def _one_draw(names: Sequence[str], seed: int) -> None:
-    from angler_mjx.trials import draws, listing
+    from angler_mjx.studies.trials import draws, listing
 
     for name in names:
         (verdict,) = draws.fly(name, [seed])
@@ -54,9 +54,9 @@ def _one_draw(names: Sequence[str], seed: int) -> None:
 def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
     from rich.console import Console
 
-    from angler_mjx.flights import kinds
-    from angler_mjx.trials import document, figures, listing, steps, trial
-    from angler_mjx.viewing import style
+    from angler_mjx.report.viewing import style
+    from angler_mjx.studies.flights import kinds
+    from angler_mjx.studies.trials import document, figures, listing, steps, trial
 
     if out is not None:
         document.require_place(out)

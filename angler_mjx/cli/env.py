@@ -48,7 +48,7 @@ def make(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from angler_mjx.files import parse
-    from angler_mjx.storage import environments as store
+    from angler_mjx.runs.storage import environments as store
     from angler_mjx.world.config import WorldConfig
 
     given: dict[str, Any] = {"preset": preset, "density": density, "placement": placement}
@@ -74,8 +74,8 @@ def show(file: Annotated[Path, tyro.conf.Positional], index: int = 0, *, out: Pa
         index: Which world.
         out: Picture to write, for example env.png.
     """
-    from angler_mjx.storage import environments as store
-    from angler_mjx.viewing import environment, style
+    from angler_mjx.report.viewing import environment, style
+    from angler_mjx.runs.storage import environments as store
 
     style.require_format(out)
     group = store.open_file(file)

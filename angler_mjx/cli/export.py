@@ -29,9 +29,9 @@ def export(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.interop import mcap as bags
-    from angler_mjx.storage.folder import Run
-    from angler_mjx.viewing.choose import good_world, worst_world
+    from angler_mjx.report.interop import mcap as bags
+    from angler_mjx.report.viewing.choose import good_world, worst_world
+    from angler_mjx.runs.storage.folder import Run
 
     loaded = Run(run)
     columns = ("samples", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

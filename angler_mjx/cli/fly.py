@@ -72,12 +72,12 @@ def fly(
         scenario_to_fly,
     )
     from angler_mjx.planning.online import host_planner
+    from angler_mjx.runs.session.flying import course
+    from angler_mjx.runs.session.flying import fly as flying
+    from angler_mjx.runs.session.online import Flyer
+    from angler_mjx.runs.session.recording import SessionRecording
+    from angler_mjx.runs.storage import folder
     from angler_mjx.scenario import notices
-    from angler_mjx.session.flying import course
-    from angler_mjx.session.flying import fly as flying
-    from angler_mjx.session.online import Flyer
-    from angler_mjx.session.recording import SessionRecording
-    from angler_mjx.storage import folder
     from angler_mjx.teleop import opening
     from angler_mjx.teleop.signals import stoppable
 

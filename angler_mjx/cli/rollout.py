@@ -11,7 +11,7 @@ from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
 from angler_mjx.errors import ConfigError, UnsupportedError
 
 if TYPE_CHECKING:
-    from angler_mjx.storage.folder import Run
+    from angler_mjx.runs.storage.folder import Run
 
 
 def rollout(
@@ -173,7 +173,7 @@ def figures(
     Raises:
         ConfigError: the runs are not of the same worlds, or do not hold what is to be drawn.
     """
-    from angler_mjx.storage.folder import FIGURES, Run
+    from angler_mjx.runs.storage.folder import FIGURES, Run
 
     if beside is None:
         if world is not None or robot is not None or at:
@@ -181,9 +181,9 @@ def figures(
         _draw(Run(run))
         print(run / "figures")
         return
-    from angler_mjx.viewing import style
-    from angler_mjx.viewing.maps import beside as pictures
-    from angler_mjx.viewing.maps import pairing
+    from angler_mjx.report.viewing import style
+    from angler_mjx.report.viewing.maps import beside as pictures
+    from angler_mjx.report.viewing.maps import pairing
 
     what = pairing.choose([Run(run), Run(beside)], world, robot, at)
     name = f"beside_world_{what.scenes[0].world}_robot_{what.robot}.png"
@@ -202,8 +202,8 @@ def replay(
         world: Index of the world; the worst one if left out.
         out: Replay file (.rrd) to write instead of opening the viewer; an older one is replaced.
     """
-    from angler_mjx.storage.folder import Run
-    from angler_mjx.viewing import replay as viewer
+    from angler_mjx.report.viewing import replay as viewer
+    from angler_mjx.runs.storage.folder import Run
 
     loaded = Run(run)
     chosen = viewer.worst_world(loaded) if world is None else world
@@ -218,8 +218,8 @@ def replay(
 
 def _draw(run: "Run") -> None:
     """Figures and replay of a run; without trajectories or viewer it says what is missing."""
-    from angler_mjx.viewing import figures as drawing
-    from angler_mjx.viewing import replay as viewer
+    from angler_mjx.report.viewing import figures as drawing
+    from angler_mjx.report.viewing import replay as viewer
 
     drawing.make(run)
     if run.scenario.time.record_hz == 0:
@@ -259,7 +259,7 @@ def _report(run: "Run", *, as_json: bool) -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.storage import planned
+    from angler_mjx.runs.storage import planned
 
     table = text_table(
         "outcome",

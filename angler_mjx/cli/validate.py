@@ -31,9 +31,9 @@ def validate(
         store: What is found is what is expected from now on, also where it got worse.
         out: Folder for validation.md and validation.json; docs/ of the checkout if left out.
     """
-    from angler_mjx.validation import terms
-    from angler_mjx.validation.validate import Request
-    from angler_mjx.validation.validate import validate as run
+    from angler_mjx.testing.validation import terms
+    from angler_mjx.testing.validation.validate import Request
+    from angler_mjx.testing.validation.validate import validate as run
 
     request = Request(
         quick=quick, measured=from_, page_only=page, check=check, store=store, out=out

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from angler_mjx.vehicles.properties import Properties
+    from angler_mjx.robot.vehicles.properties import Properties
 
 
 def list_() -> None:
@@ -14,7 +14,7 @@ def list_() -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.vehicles.library import available, load
+    from angler_mjx.robot.vehicles.library import available, load
 
     table = text_table("vehicle", "thrusters", "parameter sets (default first)", "description")
     for name in available():
@@ -45,8 +45,8 @@ def show(
     from rich.console import Console
     from rich.table import Table
 
-    from angler_mjx.vehicles.library import load
-    from angler_mjx.vehicles.properties import describe
+    from angler_mjx.robot.vehicles.library import load
+    from angler_mjx.robot.vehicles.properties import describe
 
     config = load(name)
     facts = describe(config, parameter_set, voltage_v)
@@ -85,8 +85,8 @@ def export(
         parameter_set: Parameter set; the vehicle's default if left out.
     """
     from angler_mjx.errors import ConfigError
-    from angler_mjx.vehicles.library import load
-    from angler_mjx.vehicles.mjcf import to_xml
+    from angler_mjx.robot.vehicles.library import load
+    from angler_mjx.robot.vehicles.mjcf import to_xml
 
     text = to_xml(load(name), parameter_set)
     try:

@@ -64,7 +64,7 @@ def _report(verdict: "Verdict") -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.storage import planned
+    from angler_mjx.runs.storage import planned
     from angler_mjx.testing.referee import QUANTITIES, TASK_QUANTITIES
 
     for one in verdict.differences[:SHOWN]:

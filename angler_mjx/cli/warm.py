@@ -37,7 +37,7 @@ def warm(
     import jax
 
     from angler_mjx.cli.shared.given import scenario_given
-    from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.runs.simulator.simulator import Simulator
 
     given = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}
     overrides: dict[str, Any] = {key: value for key, value in given.items() if value is not None}

@@ -1,1 +1,1 @@
-"""Environments for reinforcement learning over a `Simulator`: pure JAX, and Gymnasium's vectors."""
+"""Environments for reinforcement learning over a `Simulator`, and datasets of flights."""

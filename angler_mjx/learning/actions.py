@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import quaternion
-from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.sim.physics.step import VehicleState
 
 POSE = (2.0, 2.0, 2.0, 3.14159265)
 """Offset along forward, left (level), up, m, and of the heading, rad."""

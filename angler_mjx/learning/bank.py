@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.sim.state import Laid, World, WorldState
-from angler_mjx.simulator.simulator import Simulator
 
 
 @jax.tree_util.register_dataclass

@@ -12,18 +12,18 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import stack
-from angler_mjx.engines.base import Engine
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning import bank as banks
 from angler_mjx.learning.actions import Action
 from angler_mjx.learning.bank import Bank
 from angler_mjx.learning.observations import Part, Sight
+from angler_mjx.robot.control import stack
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.sim.aboard import senses
+from angler_mjx.sim.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, WorldState
-from angler_mjx.simulator.simulator import Simulator
 
 type Aim = Literal["goal", "start"]
 """What robots are rewarded for being near to: their goals, or the poses that they start at."""

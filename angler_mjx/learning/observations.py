@@ -11,7 +11,7 @@ import numpy as np
 
 from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import World, WorldState
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import bounding_radius

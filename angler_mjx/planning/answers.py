@@ -11,7 +11,10 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from angler_mjx.control.joint_trajectory import (
+from angler_mjx.errors import shown
+from angler_mjx.planning.planner import MOST_POINTS, NoPlan, Path
+from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.joint_trajectory import (
     CUBIC,
     LINEAR,
     QUINTIC,
@@ -20,10 +23,7 @@ from angler_mjx.control.joint_trajectory import (
     JointTrajectory,
     segment,
 )
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.errors import shown
-from angler_mjx.planning.planner import MOST_POINTS, NoPlan, Path
-from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
 
 type Status = Literal["planned", "partial", "none", "timeout", "error", "died"]
 """All robots have a path; some; none; it took too long; it threw; its process died, twice."""

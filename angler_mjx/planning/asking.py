@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning.problem import Problem, Team
+from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim import knowledge
 from angler_mjx.sim.knowledge import Knows, Observation
 from angler_mjx.sim.state import SimSpec, World

@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import terrain
 from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
 from angler_mjx.planning.ways.traffic import Others, Traffic
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.world.environment import Environment
 

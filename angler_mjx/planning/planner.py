@@ -11,10 +11,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from angler_mjx.control.joint_trajectory import CUBIC, LINEAR, VEHICLE_JOINTS, JointTrajectory
-from angler_mjx.control.plans import Plan
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.joint_trajectory import CUBIC, LINEAR, VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.trajectory import Trajectory
 
 type Path = Plan
 """Of one robot: way-points joined by lines; or points with headings, and with velocities cubics."""

@@ -1,1 +1,1 @@
-"""From a scenario file to a run folder: tiles of worlds, recording, results."""
+"""One run: compiled programs, device batches, one scene step by step, and the results folder."""

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TextIO
 
 from angler_mjx.runs.progress import Progress
-from angler_mjx.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.compiling import CompileTime
 
 EVERY_S = 10.0
 """Between two lines of progress."""

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.vehicles import library
 from angler_mjx.runs import sizes
 from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.provenance import describe_environment, write_policy
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import claims, folder, mending
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.damage import read_table
+from angler_mjx.runs.storage.plans.read import Plans, open_plans
+from angler_mjx.runs.storage.recorder import Recorder
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims, folder, mending
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table
-from angler_mjx.storage.plans.read import Plans, open_plans
-from angler_mjx.storage.recorder import Recorder
-from angler_mjx.vehicles import library
 
 PLANS = "plans.json"
 """Says which plans are flown."""

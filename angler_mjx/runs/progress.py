@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from angler_mjx.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.compiling import CompileTime
 
 
 class Progress(Protocol):

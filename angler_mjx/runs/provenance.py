@@ -13,10 +13,10 @@ from typing import Any
 import jax
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.policy import Policy
-from angler_mjx.storage import folder
-from angler_mjx.storage.damage import read_table
 
 
 def describe_environment() -> dict[str, Any]:

@@ -20,18 +20,18 @@ from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress, Silent
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
+from angler_mjx.runs.simulator import scenario_policy
+from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import claims, folder, harvest, planned, results
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage.plans.read import Plans, open_plans
+from angler_mjx.runs.storage.recorder import Recorder
+from angler_mjx.runs.storage.writer import Writer
 from angler_mjx.scenario import notices
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.simulator import scenario_policy
-from angler_mjx.simulator.compiling import CompileTime
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import claims, folder, harvest, planned, results
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.harvest import FinishedTile
-from angler_mjx.storage.plans.read import Plans, open_plans
-from angler_mjx.storage.recorder import Recorder
-from angler_mjx.storage.writer import Writer
 
 
 class NothingKeptError(RunError):
@@ -76,8 +76,8 @@ def rollout(
         policy: that commands the robots, where no simulator is given; ``policy.json`` says which.
         workers: processes that plan, where the planner is one of the host; one for each processor
             if left out. Changes no byte of the results.
-        plans: file of plans to fly (`angler_mjx.storage.plans`), instead of the scenario's planner;
-            ``plans.json`` says which.
+        plans: file of plans to fly (`angler_mjx.runs.storage.plans`), instead of the scenario's
+            planner; ``plans.json`` says which.
 
     Returns:
         The run. After an interruption (Ctrl-C) it holds what was finished, ``complete`` is false,

@@ -15,11 +15,11 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import OneOfMany, Processes
 from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.storage import claims, folder
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.storage import claims, folder
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table
 
 MAKING = "making.json"
 """What is made, while it is; a resume must ask for the same."""

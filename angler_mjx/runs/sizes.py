@@ -3,11 +3,11 @@
 import numpy as np
 import psutil
 
-from angler_mjx.control.joint_trajectory import JointTrajectory
 from angler_mjx.errors import ConfigError, RunError, size
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.harvest import task_sizes
-from angler_mjx.storage.recorder import Shape
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.harvest import task_sizes
+from angler_mjx.runs.storage.recorder import Shape
 
 
 def shape_of(simulator: Simulator) -> Shape:

@@ -14,15 +14,15 @@ from typing import Protocol
 import jax
 import numpy as np
 
-from angler_mjx.control.plans import Plan
+from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.progress import Progress
+from angler_mjx.runs.simulator import devices
+from angler_mjx.runs.simulator.hosted import Drawn, PlanNotes
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import harvest
+from angler_mjx.runs.storage.harvest import End, FinishedTile, Last
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World
-from angler_mjx.simulator import devices
-from angler_mjx.simulator.hosted import Drawn, PlanNotes
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import harvest
-from angler_mjx.storage.harvest import End, FinishedTile, Last
 
 AHEAD = 2
 """Segments that the device has been given and the host has not taken."""

@@ -2,60 +2,16 @@
 
 import copy
 import json
-from collections.abc import Callable, Mapping
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, ValidationInfo
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import folder_of
-from angler_mjx.planning import register
+from angler_mjx.scenario.paths import anchored
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
-
-if TYPE_CHECKING:
-    from angler_mjx.scenario.scenario import Scenario
-
-
-def _file(path: str, folder: Path) -> str:
-    return str((folder / path).absolute()) if path else path
-
-
-def _vehicle(name: str, folder: Path) -> str:
-    return _file(name, folder) if name.endswith(".toml") else name
-
-
-PATHS: Mapping[tuple[str, ...], Callable[..., str]] = {
-    ("fleet", "*", "vehicle"): _vehicle,
-    ("planner", "name"): register.beside,
-    ("world", "currents", "*", "file"): _file,
-    ("world", "bathymetry", "file"): _file,
-}
-"""Keys that may hold paths, and what makes them absolute."""
-
-
-def anchored(table: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Keys of a scenario with the paths in them made absolute.
-
-    Args:
-        table: whole, or some of its keys; faults of it are left to who checks it.
-        folder: in which paths begin.
-    """
-    made: Any = table
-    for key, absolute in PATHS.items():
-        made = _anchored(made, key, partial(absolute, folder=folder))
-    return dict(made)
-
-
-def _anchored(at: Any, key: tuple[str, ...], absolute: Callable[[str], str]) -> Any:
-    if not key:
-        return absolute(at) if isinstance(at, str) else at
-    if key[0] == "*" and isinstance(at, list | tuple):
-        return [_anchored(one, key[1:], absolute) for one in at]
-    if isinstance(at, Mapping) and key[0] in at:
-        return {**at, key[0]: _anchored(at[key[0]], key[1:], absolute)}
-    return at
 
 
 def _from_its_file(table: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
@@ -96,7 +52,7 @@ def first_difference(now: Mapping[str, Any], then: Mapping[str, Any]) -> str | N
     return None
 
 
-def table_of(scenario: "Scenario") -> dict[str, Any]:
+def table_of(scenario: Scenario) -> dict[str, Any]:
     """What a scenario's file said, in plain values; paths in it are absolute."""
     table = scenario.model_dump(mode="json", exclude_unset=True)
     table["fleet"] = [one.model_dump(mode="json", exclude_unset=True) for one in scenario.fleet]

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from angler_mjx.acoustics.config import AcousticsConfig
-from angler_mjx.control.commands import PoseTarget
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.robot.sensing import params as instruments
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.randomise_table import AS_SAID, RandomiseConfig
@@ -18,8 +19,7 @@ from angler_mjx.scenario.tables import (
     TimeConfig,
     WaterConfig,
 )
-from angler_mjx.sensing import params as instruments
-from angler_mjx.vehicles import library
+from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GaussMarkovConfig, GridConfig
 from angler_mjx.world.generate import check_fleet

@@ -8,14 +8,14 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, absolute
+from angler_mjx.robot.sensing.config import SensorsConfig
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.drive import Drive, drive, require_flyable, wrench_matrix
+from angler_mjx.robot.vehicles.rotor_config import RotorResponse
+from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario import instrumented
 from angler_mjx.scenario.randomise_table import RandomiseConfig
-from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.fleet import Member, Variant
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.drive import Drive, drive, require_flyable, wrench_matrix
-from angler_mjx.vehicles.rotor_config import RotorResponse
-from angler_mjx.vehicles.thrusters import tables_at
 
 type Weight = Annotated[float, Field(gt=0, le=1e9)]
 

@@ -8,9 +8,9 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.navigation import NavigationParams
-from angler_mjx.sensing import params
-from angler_mjx.sensing.config import SensorsConfig
+from angler_mjx.robot.control.navigation import NavigationParams
+from angler_mjx.robot.sensing import params
+from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.sim.state import InstrumentedRobots
 
 type Source = Literal["truth", "noisy", "ekf"]
@@ -33,7 +33,7 @@ def build(
         gravity_mps2: m/s^2.
 
     Raises:
-        ConfigError: see `angler_mjx.sensing.params.check`.
+        ConfigError: see `angler_mjx.robot.sensing.params.check`.
     """
     groups, first = [], 0
     for (source, true, _), members in itertools.groupby(robots, _alike):

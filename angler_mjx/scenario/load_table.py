@@ -8,11 +8,11 @@ from pydantic import Field
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.load import Load, laden
+from angler_mjx.robot.vehicles.variation import Variation, heave
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.randomise_table import SPARE
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.load import Load, laden
-from angler_mjx.vehicles.variation import Variation, heave
 
 SPHERE_CD = 0.47
 """Drag coefficient of a sphere below the drag crisis (Hoerner, Fluid-Dynamic Drag, 1965, ch. 3)."""

@@ -6,11 +6,12 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Output
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.tables import (
     ControllerConfig,
@@ -19,7 +20,6 @@ from angler_mjx.scenario.tables import (
     TimeConfig,
     whole,
 )
-from angler_mjx.vehicles import library
 
 MOST_STEPS = 1000
 """Of a sample: 50 s at 50 ms."""

@@ -14,8 +14,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel
-from angler_mjx.vehicles.config import VehicleConfig
-from angler_mjx.vehicles.variation import Variation, heave
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.variation import Variation, heave
 
 
 def _rises(span: tuple[float, float]) -> tuple[float, float]:

@@ -18,10 +18,10 @@ from pydantic_core import PydanticUndefined
 
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import FASTEST_MPS, no_faster
+from angler_mjx.robot.vehicles import checks
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.thruster_config import ThrusterTable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.vehicles import checks
-from angler_mjx.vehicles.config import VehicleConfig
-from angler_mjx.vehicles.thruster_config import ThrusterTable
 
 type Kind = Literal["scenario", "vehicle"]
 
@@ -39,10 +39,10 @@ _PAGES: dict[str, tuple[str, str, tuple[tuple[str, type[FileModel]], ...]]] = {
     "vehicle": (
         "Vehicle and thruster files",
         "A vehicle is a TOML file; `angler vehicle list` names those that ship, in "
-        "`angler_mjx/vehicles/data/`. Its base frame has the axes of F (x forward, y left, z up) "
-        "and an origin of the file's choice; everything under `parameter_sets` is about the centre "
-        "of mass. Every group of numbers carries its `source`. Types are strict, and keys that are "
-        "not here are refused.",
+        "`angler_mjx/robot/vehicles/data/`. Its base frame has the axes of F (x forward, y left, "
+        "z up) and an origin of the file's choice; everything under `parameter_sets` is about the "
+        "centre of mass. Every group of numbers carries its `source`. Types are strict, and keys "
+        "that are not here are refused.",
         (("", VehicleConfig), ("Thruster file", ThrusterTable)),
     ),
 }

@@ -9,18 +9,17 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from angler_mjx.acoustics.channel import Channel
-from angler_mjx.acoustics.config import AcousticsConfig
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
-from angler_mjx.physics.step import Water
 from angler_mjx.planning.automatic import LARGE_TEAM
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.scenario import fits, instrumented
 from angler_mjx.scenario.breakdowns_table import BreakdownsConfig, check_breakdowns
-from angler_mjx.scenario.editing import anchored
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.load_table import check_load
+from angler_mjx.scenario.paths import anchored
 from angler_mjx.scenario.policy_tables import PolicyConfig, check_flyable, default_knows
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.store_table import StoreConfig
@@ -40,13 +39,14 @@ from angler_mjx.scenario.task_table import (
     spec_of,
 )
 from angler_mjx.sim.fleet import Member
+from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.tasks.spec import TaskSpec
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.load import Load
 from angler_mjx.world import presets
+from angler_mjx.world.acoustics.channel import Channel
+from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.currents import GridConfig
+from angler_mjx.world.tasks.spec import TaskSpec
 
 
 class Scenario(FileModel):

@@ -15,8 +15,6 @@ from pydantic import (
     model_validator,
 )
 
-from angler_mjx.control import stack, stages
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FileModel, folder_of
 from angler_mjx.planning import register
@@ -24,6 +22,8 @@ from angler_mjx.planning.automatic import AUTO, CHOICES, for_team
 from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.planning.register import PlannerSpec, Reference
 from angler_mjx.quantities import Length
+from angler_mjx.robot.control import stack, stages
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.knowledge import Knows, Level
 
 
@@ -104,7 +104,7 @@ class ControllerConfig(FileModel):
     """The controllers: a stack by its name or by its stages, and gains that differ from theirs."""
 
     name: str | None = None
-    """One of `angler_mjx.control.stages.CONTROLLERS`; the cascade if nothing is given."""
+    """One of `angler_mjx.robot.control.stages.CONTROLLERS`; the cascade if nothing is given."""
     stages: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Stages from the highest down, instead of a name."""
     gains: dict[str, dict[str, float]] = Field(default_factory=dict)

@@ -13,11 +13,11 @@ from angler_mjx.quantities import FARTHEST_M
 from angler_mjx.scenario.load_table import LoadConfig
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.tables import TimeConfig, whole
-from angler_mjx.tasks import allocation, sight
-from angler_mjx.tasks.drawing import WHOLE, Places
-from angler_mjx.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
 from angler_mjx.world.config import Vector, WorldRecipe
 from angler_mjx.world.rules import OpenRule
+from angler_mjx.world.tasks import allocation, sight
+from angler_mjx.world.tasks.drawing import WHOLE, Places
+from angler_mjx.world.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
 
 MOST_ROBOTS = 64
 """Of a fleet with a task."""

@@ -1,1 +1,1 @@
-"""The simulator itself: state, one step, contact detection, outcomes."""
+"""State, physics, one control step, contact detection, outcomes, and the engines that repeat it."""

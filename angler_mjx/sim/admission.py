@@ -22,10 +22,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics.mjx_engine import BodyInertia
+from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.state import World
 
 type Pack = Callable[[jax.Array], jax.Array]

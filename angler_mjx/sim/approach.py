@@ -4,10 +4,10 @@ from typing import Any
 
 import jax
 
-from angler_mjx.control import mixed, plans
-from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.control.mixed import Mixed
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.robot.control import mixed, plans
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.state import SimSpec, World
 
 

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import clearance, neighbour_search, quaternion
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Touched
-from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import STATIC, ObstacleState
 

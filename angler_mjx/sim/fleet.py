@@ -15,19 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.lanes.planes import is_table
-from angler_mjx.control import allocation
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics import mjx_engine
-from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.robot.control import allocation
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles import library, mjcf, params
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.load import Load, laden
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.rotor_config import RotorResponse
+from angler_mjx.robot.vehicles.variation import Variation, varied
+from angler_mjx.sim.physics import mjx_engine
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
 from angler_mjx.sim.state import World
-from angler_mjx.vehicles import library, mjcf, params
-from angler_mjx.vehicles.config import VehicleConfig
-from angler_mjx.vehicles.load import Load, laden
-from angler_mjx.vehicles.params import VehicleParams
-from angler_mjx.vehicles.rotor_config import RotorResponse
-from angler_mjx.vehicles.variation import Variation, varied
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,9 @@ from typing import Any, Literal, Protocol
 
 import jax
 
-from angler_mjx.control.stack import ControlParams
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import ObstacleState

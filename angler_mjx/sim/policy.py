@@ -16,15 +16,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.acoustics.channel import Others, unheard
-from angler_mjx.control import command_checks, stack
-from angler_mjx.control.mixed import Mixed
-from angler_mjx.control.plans import Plan
-from angler_mjx.control.stack import ControlParams, Stages
 from angler_mjx.counting import once_in
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control import command_checks, stack
+from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import ControlParams, Stages
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
 from angler_mjx.sim.record import Belief
+from angler_mjx.world.acoustics.channel import Others, unheard
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.routes import Routes
 

@@ -9,16 +9,16 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import rigid_body, thruster
-from angler_mjx.control import mixed, stack
-from angler_mjx.control.commands import Estimate, ThrusterPwm
-from angler_mjx.control.mixed import Mixed
-from angler_mjx.control.stack import ControlParams, Memory
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import mixed, stack
+from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
+from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.stack import ControlParams, Memory
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
-from angler_mjx.vehicles.params import VehicleParams
-from angler_mjx.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 
 SPEED_OF_NONSENSE_MPS = 50.0
 """A robot faster than this has diverged: ten times what any of them can reach."""

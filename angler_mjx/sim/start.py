@@ -8,20 +8,20 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.acoustics import channel
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics import step as physics
-from angler_mjx.physics.step import Multibody
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
 from angler_mjx.sim.aboard import hearing, phases, senses
 from angler_mjx.sim.aboard.here import Aboard, Sent
 from angler_mjx.sim.detection import detect
+from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
-from angler_mjx.tasks import work as tasks
-from angler_mjx.tasks.spec import TaskState
 from angler_mjx.world import obstacles as obstacle_motion
+from angler_mjx.world.acoustics import channel
+from angler_mjx.world.tasks import work as tasks
+from angler_mjx.world.tasks.spec import TaskState
 
 
 def reset(

@@ -6,20 +6,20 @@ from typing import Any, Literal
 
 import jax
 
-from angler_mjx.acoustics.channel import Channel, Radio
-from angler_mjx.control import plans, stages
-from angler_mjx.control.measurements import NavigationCarry
-from angler_mjx.control.navigation import NavigationParams
-from angler_mjx.control.plans import Plan
-from angler_mjx.control.stack import ControlParams, Memory, Stages
-from angler_mjx.physics.mjx_engine import BodyInertia
-from angler_mjx.physics.step import VehicleState, Water
-from angler_mjx.sensing.readings import SensorCarry
+from angler_mjx.robot.control import plans, stages
+from angler_mjx.robot.control.measurements import NavigationCarry
+from angler_mjx.robot.control.navigation import NavigationParams
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import ControlParams, Memory, Stages
+from angler_mjx.robot.sensing.readings import SensorCarry
+from angler_mjx.sim.physics.mjx_engine import BodyInertia
+from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.sim.policy import PolicyMemory
-from angler_mjx.tasks.spec import TaskSpec, TaskState, TaskWorld
+from angler_mjx.world.acoustics.channel import Channel, Radio
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
+from angler_mjx.world.tasks.spec import TaskSpec, TaskState, TaskWorld
 
 type Laid = tuple[jax.Array, ...]
 """A bank's constants as an engine reads them; see `Engine.lay_out`."""
@@ -78,7 +78,7 @@ class SimSpec:
     """The controllers, from the highest down."""
     gains: tuple[Any, ...] = tuple(stage.gains() for stage in CASCADE)
     """Of each stage: numbers in a run; a pytree, so that they can be differentiated
-    (`angler_mjx.engines.gradients`)."""
+    (`angler_mjx.sim.engines.gradients`)."""
     instrumented: tuple[InstrumentedRobots, ...] = ()
     """All other robots' controllers are told the truth."""
     also: tuple[str, ...] = ()

@@ -8,10 +8,10 @@
     obstacles   obstacle   drifting and scripted bodies
     judge       robot      contact, outcome and accounts, among all that moved
 
-`PHASES` is that table, and engines run what stands in it: `angler_mjx.engines.mjx` by ``vmap``, the
-fused engines on lanes and in kernels, one for each phase of robots. A phase is a pure function of
-what it reads; `Here` is how an engine applies a function of one body to all that it works on, and
-holds what does not change. What a phase gives to the record is declared in
+`PHASES` is that table, and engines run what stands in it: `angler_mjx.sim.engines.mjx` by ``vmap``,
+the fused engines on lanes and in kernels, one for each phase of robots. A phase is a pure function
+of what it reads; `Here` is how an engine applies a function of one body to all that it works on,
+and holds what does not change. What a phase gives to the record is declared in
 `angler_mjx.sim.record`.
 """
 
@@ -21,12 +21,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import stack
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import stack
 from angler_mjx.sim import robot
 from angler_mjx.sim.aboard import phases as world_phases
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.phase import Done, Here, Phase, Slots
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Tally
 from angler_mjx.world.obstacles import ObstacleState

@@ -1,1 +1,1 @@
-"""Many runs of one scenario against each other: sweeps over its keys, and two runs, paired."""
+"""Many runs beside each other: sweeps, fleet sizes, benchmarks of planners, tuning, speed."""

@@ -9,10 +9,10 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FaultyError, check, listed
 from angler_mjx.runs.several import RUNS
+from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.editing import with_value, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.studies.settings import Axis
 
 MOST = 10_000

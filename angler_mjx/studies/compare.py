@@ -7,12 +7,12 @@ import numpy as np
 import pyarrow as pa
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.storage import planned
-from angler_mjx.storage.folder import Run
-from angler_mjx.storage.results import completion_times
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.storage import planned
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.results import completion_times
 from angler_mjx.studies import paired
 from angler_mjx.studies.measures import arrived_of, numbers, plain, worlds_of
-from angler_mjx.vehicles import library
 
 
 def compare(first: Run, second: Run) -> dict[str, Any]:
@@ -21,9 +21,9 @@ def compare(first: Run, second: Run) -> dict[str, Any]:
     Returns:
         ``first`` and ``second`` (paths), ``config``: keys that differ with both values,
         ``same_problems``, what `paired.pair` found, ``outcomes``: robots by outcome in the first
-        and in the second, ``planning``: of both (`storage.planned.summarise`), and ``changed``:
-        worlds in which the task was completed, or any robot ended, otherwise or at another time,
-        those that changed most first.
+        and in the second, ``planning``: of both (`runs.storage.planned.summarise`), and
+        ``changed``: worlds in which the task was completed, or any robot ended, otherwise or at
+        another time, those that changed most first.
 
     Raises:
         ConfigError: the runs are not of the same seed, worlds and robots; the key is named.

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.storage import planned as how_planned
-from angler_mjx.storage.folder import Run
-from angler_mjx.storage.intervals import Mean, clustered, clustered_mean, wilson
-from angler_mjx.storage.results import completion_times, rates
+from angler_mjx.runs.storage import planned as how_planned
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.intervals import Mean, clustered, clustered_mean, wilson
+from angler_mjx.runs.storage.results import completion_times, rates
 
 COSTS = {
     "time_to_goal_s": "of robots that arrived",
@@ -26,8 +26,8 @@ def of_run(run: Run) -> dict[str, Any]:
 
     Returns:
         ``worlds``, ``robots`` (of a world), ``problems`` (`Scenario.digest`), ``planned``: robots
-        that have a path, ``planning`` (`storage.planned.summarise`), ``outcomes``
-        (`storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
+        that have a path, ``planning`` (`runs.storage.planned.summarise`), ``outcomes``
+        (`runs.storage.results.rates`), ``team``: worlds in which all robots arrived, with Wilson's
         interval; ``task``: of runs with a task, the worlds that completed it (``completed``) and
         when (``completed_s``), else None; by cost its mean; and what it took.
     """

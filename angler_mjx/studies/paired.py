@@ -2,11 +2,11 @@
 
 Worlds are independent, robots of a world are not. So tests and intervals are of worlds. Whole teams
 and completed tasks have the exact test of McNemar and Newcombe's interval
-(`angler_mjx.benchmark.report.paired`). The share of a world's robots that arrive has Student's
-interval of the mean difference over worlds, and the exact sign test on the worlds that it differs
-in (Dixon and Mood, JASA 41, 1946: the same binomial as McNemar's). Costs are differences of robots
-that both runs have a value of, their mean with the interval of
-`angler_mjx.storage.intervals.clustered_mean`.
+(`angler_mjx.studies.benchmark.report.paired`). The share of a world's robots that arrive has
+Student's interval of the mean difference over worlds, and the exact sign test on the worlds that it
+differs in (Dixon and Mood, JASA 41, 1946: the same binomial as McNemar's). Costs are differences of
+robots that both runs have a value of, their mean with the interval of
+`angler_mjx.runs.storage.intervals.clustered_mean`.
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from angler_mjx.benchmark.report.paired import mcnemar, newcombe
-from angler_mjx.storage.intervals import Mean, clustered_mean, wilson
-from angler_mjx.storage.results import completion_times
+from angler_mjx.runs.storage.intervals import Mean, clustered_mean, wilson
+from angler_mjx.runs.storage.results import completion_times
+from angler_mjx.studies.benchmark.report.paired import mcnemar, newcombe
 from angler_mjx.studies.measures import COSTS, arrived_of, by_world, numbers, worlds_of
 
 

@@ -15,21 +15,21 @@ from typing import Any
 import pyarrow as pa
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError
+from angler_mjx.report.viewing import style
 from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
 from angler_mjx.runs.several import Told
+from angler_mjx.runs.storage import claims, folder
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.damage import read_table
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.storage import claims, folder
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table
-from angler_mjx.storage.folder import Run
 from angler_mjx.studies import cells, chart, measures, paired, tables
 from angler_mjx.studies.cells import Cell
 from angler_mjx.studies.settings import Axis
-from angler_mjx.viewing import style
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 

@@ -7,10 +7,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from angler_mjx.storage import atomic, planned
-from angler_mjx.storage.results import OUTCOMES
+from angler_mjx.report.viewing import tables as markdown
+from angler_mjx.runs.storage import atomic, planned
+from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.studies.measures import COSTS
-from angler_mjx.viewing import tables as markdown
 
 type Table = tuple[list[str], list[list[str]]]
 """Head and rows."""

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_mjx.errors import shown
-from angler_mjx.storage import planned
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
+from angler_mjx.runs.storage import planned
 
 MOST = 10
 """Worlds, and pairs of outcomes, that are listed."""

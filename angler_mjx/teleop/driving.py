@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError, RunError, shown
+from angler_mjx.report.viewing import replay, window
+from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.storage import folder
-from angler_mjx.storage.folder import Run
 from angler_mjx.teleop import live_view, opening, script
 from angler_mjx.teleop.loop import Driven, Watcher, drive
 from angler_mjx.teleop.pilot import SILENCE_S, Pilot
@@ -18,7 +19,6 @@ from angler_mjx.teleop.recording import Recording
 from angler_mjx.teleop.script import Script
 from angler_mjx.teleop.signals import Stop, breakable, stoppable
 from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
-from angler_mjx.viewing import replay, window
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Protocol
 import jax
 import numpy as np
 
-from angler_mjx.control import plans
 from angler_mjx.errors import UnsupportedError
-from angler_mjx.session.batch import Inside
-from angler_mjx.session.interface import Floats, Observation, RobotStatus, Session
+from angler_mjx.report.viewing import style, window
+from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.session.batch import Inside
+from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, Session
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.teleop import chase
 from angler_mjx.teleop.pilot import Pilot
 from angler_mjx.teleop.status import drives
-from angler_mjx.vehicles import library
-from angler_mjx.viewing import style, window
-from angler_mjx.viewing.scene import Scene
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -63,7 +63,7 @@ class Viewable(Session, Protocol):
 class LiveView:
     """Logs a session to a recording as it goes; see `loop.Watcher`.
 
-    The entities are those of a replay (`angler_mjx.viewing.entities`), and ``ROOT/camera``.
+    The entities are those of a replay (`angler_mjx.report.viewing.entities`), and ``ROOT/camera``.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class LiveView:
     def _log_still(self) -> None:
         import rerun as rr
 
-        from angler_mjx.viewing import entities
+        from angler_mjx.report.viewing import entities
 
         recording, path = self._recording, self._world.path
         recording.log(self._root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
@@ -134,7 +134,7 @@ class LiveView:
         """Poses [R, 3] and [R, 4] of the robots, and that of the camera."""
         import rerun as rr
 
-        from angler_mjx.viewing import entities
+        from angler_mjx.report.viewing import entities
 
         moved = {}
         driven = self._pilot.chosen[0]
@@ -154,7 +154,7 @@ class LiveView:
         """
         import rerun as rr
 
-        from angler_mjx.viewing import entities
+        from angler_mjx.report.viewing import entities
 
         for i, robot in enumerate(self._robots):
             driven, outcome = i in self._pilot.chosen, status[i].outcome
@@ -177,7 +177,7 @@ class LiveView:
         """The current at the robots [R, 3], and the obstacles in it."""
         import rerun as rr
 
-        from angler_mjx.viewing import entities
+        from angler_mjx.report.viewing import entities
 
         sample = self._session.inside().sample
         if sample is not None:

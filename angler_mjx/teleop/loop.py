@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.session.interface import Observation, Session
+from angler_mjx.runs.session.interface import Observation, Session
 from angler_mjx.teleop import status
 from angler_mjx.teleop.pace import Overruns, Pace
 from angler_mjx.teleop.pilot import Pilot

@@ -8,12 +8,12 @@ from typing import Protocol
 
 import jax.numpy as jnp
 
-from angler_mjx.control.commands import BodyTwist
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import BodyTwist
+from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.session.interface import Session
+from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.session.batch import BatchSession
-from angler_mjx.session.interface import Session
-from angler_mjx.session.recording import Recordable
 from angler_mjx.teleop.loop import Watcher
 
 type Tell = Callable[[str], None]

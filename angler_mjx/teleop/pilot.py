@@ -14,9 +14,9 @@ from enum import Enum
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control.commands import BodyTwist, Estimate, PoseTarget
-from angler_mjx.control.stack import Command
-from angler_mjx.session.interface import Observation, RobotInfo
+from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
+from angler_mjx.robot.control.stack import Command
+from angler_mjx.runs.session.interface import Observation, RobotInfo
 from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Action, Direction
 
 SILENCE_S = 0.8

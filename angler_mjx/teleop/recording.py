@@ -7,8 +7,8 @@ the same scene the same way again.
 from typing import Any
 
 from angler_mjx.errors import RunError
-from angler_mjx.session.recording import Course, SessionRecording
-from angler_mjx.storage.folder import Run
+from angler_mjx.runs.session.recording import Course, SessionRecording
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.teleop import script
 from angler_mjx.teleop.loop import Driven
 

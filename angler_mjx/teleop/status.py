@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from angler_mjx import frames
-from angler_mjx.control.commands import PoseTarget
-from angler_mjx.session.interface import Observation, RobotInfo, RobotStatus
+from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.runs.session.interface import Observation, RobotInfo, RobotStatus
 from angler_mjx.teleop.keys import HELP
 from angler_mjx.teleop.pace import Overruns
 from angler_mjx.teleop.pilot import Mode, Pilot, heading

@@ -1,4 +1,4 @@
-"""For those who test: conformance suites of sessions and planners, and the referee of runs.
+"""Conformance suites of sessions and planners, the referee of runs, and validation.
 
 Plain functions, for any test runner. The names here are loaded when they are first used: the
 referee (`angler_mjx.testing.referee`) needs neither JAX nor the simulator.

@@ -8,7 +8,7 @@ and for real autopilots; `Bounds` says how well their physics must do. The scene
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from angler_mjx.session.interface import Session
+from angler_mjx.runs.session.interface import Session
 from angler_mjx.testing import refusals, session_checks
 from angler_mjx.testing.driving import Bounds, NonConformanceError, Skipped
 

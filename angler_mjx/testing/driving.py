@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.control.commands import BodyTwist, PoseTarget
 from angler_mjx.errors import ConfigError
-from angler_mjx.session.interface import Floats, Observation, Order, Session
+from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
+from angler_mjx.runs.session.interface import Floats, Observation, Order, Session
 
 
 class NonConformanceError(AssertionError):

@@ -6,11 +6,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
-from angler_mjx.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.control.joint_tolerance import ResultCode
 from angler_mjx.errors import ConfigError
-from angler_mjx.session.interface import Floats, Observation, Session
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget, ThrusterPwm
+from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.joint_tolerance import ResultCode
+from angler_mjx.runs.session.interface import Floats, Observation, Session
 from angler_mjx.testing.driving import (
     Bounds,
     Skipped,

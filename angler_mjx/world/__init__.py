@@ -1,1 +1,1 @@
-"""Environments, obstacles and currents: everything around the robots."""
+"""Environments, obstacles, currents, tasks and acoustics: everything around the robots."""

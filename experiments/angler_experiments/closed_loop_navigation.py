@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import tyro
 
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
 
 CASES: dict[str, dict[str, Any]] = {
     "truth": {},

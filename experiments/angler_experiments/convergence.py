@@ -1,8 +1,8 @@
 """The study that chose the discretisation: five ways to take a step, against DOP853.
 
-All of them step the same equations, those of `angler_mjx.physics`, in float64: four vehicles with
-rotor lag, in a uniform current with one vortex, under random thruster commands that change every
-0.2 s. What is compared is the greatest distance from the reference at any of these changes.
+All of them step the same equations, those of `angler_mjx.sim.physics`, in float64: four vehicles
+with rotor lag, in a uniform current with one vortex, under random thruster commands that change
+every 0.2 s. What is compared is the greatest distance from the reference at any of these changes.
 
     python -m angler_experiments.convergence
 
@@ -25,12 +25,12 @@ from angler_experiments.shared import schemes
 from angler_experiments.shared.driving import CASES, HOLD_S, Case, draw_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
-from angler_mjx.physics import mjx_engine, step
-from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
-from angler_mjx.physics.step import VehicleState, Water
-from angler_mjx.validation.found import Number, save_result
-from angler_mjx.vehicles import library, mjcf, params
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles import library, mjcf, params
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.physics import mjx_engine, step
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.step import VehicleState, Water
+from angler_mjx.testing.validation.found import Number, save_result
 from angler_mjx.world.currents import Current, Uniform, Vortices
 
 type Array = NDArray[np.float64]

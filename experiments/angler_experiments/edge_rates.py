@@ -17,9 +17,9 @@ import tyro
 from angler_mjx.planning.asking import ask
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.problem import Problem
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.knowledge import Knows
-from angler_mjx.simulator.simulator import Simulator
 
 REPEATS = 5
 HORIZON_S = 120.0

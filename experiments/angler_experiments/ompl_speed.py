@@ -16,12 +16,12 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.answers import Answer, answer
 from angler_mjx.planning.host.ompl.planners import PLANNERS
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 APART_M = 0.01
 """Between the places of a path that are looked at."""

@@ -16,7 +16,7 @@ import tyro
 from angler_experiments.devices_parity import Settings, numbers, to_markdown
 from angler_experiments.shared import flights, tracing
 from angler_experiments.shared.flights import Flight
-from angler_mjx.validation.found import Number, save_result
+from angler_mjx.testing.validation.found import Number, save_result
 
 
 def energy(single: Flight, double: Flight) -> float:

@@ -15,8 +15,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from angler_mjx.control.joint_goal import JointGoal, JointPoint
-from angler_mjx.interop import joint_trajectory_file
+from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
 from angler_mjx.scenario.scenario import load_scenario
 
 SCENARIO = "sitl_formation"

@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.record import ESTIMATE
-from angler_mjx.storage.folder import Run
 
 
 @dataclass(frozen=True, kw_only=True)

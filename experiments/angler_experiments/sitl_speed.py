@@ -15,8 +15,8 @@ from pathlib import Path
 
 import tyro
 
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.vehicles import library
 from angler_sitl.firmware import binary, parameters
 from angler_sitl.firmware.process import Instance, Launch, kill_all
 from angler_sitl.scene import motion

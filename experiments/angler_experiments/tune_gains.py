@@ -2,7 +2,7 @@
 
     python -m angler_experiments.tune_gains
 
-The cost is that of `angler_mjx.engines.gradients.tracking_cost`: how far robots are from where
+The cost is that of `angler_mjx.sim.engines.gradients.tracking_cost`: how far robots are from where
 their paths want them. Adam works on the logarithms of the gains, which keeps them positive. What is
 printed at the end was measured on worlds that the gains were not tuned on.
 """
@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from angler_mjx.engines.gradients import tracking_cost
-from angler_mjx.engines.lanes.engine import FusedEngine
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.engines.gradients import tracking_cost
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.simulator.simulator import Simulator
 
 TUNED = (
     ("pose", "position_per_s"),

@@ -13,10 +13,10 @@ import jax
 import numpy as np
 import tyro
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.planner import PathShape
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 FLIGHTS = 5
 

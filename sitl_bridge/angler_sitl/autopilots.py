@@ -10,8 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
-from angler_mjx.session.interface import RobotInfo
-from angler_mjx.vehicles import library
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.session.interface import RobotInfo
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.binary import Binary
 from angler_sitl.firmware.boot import Place, Ready, boot

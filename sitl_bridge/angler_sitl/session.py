@@ -13,23 +13,23 @@ from typing import Literal, Self
 import jax
 import numpy as np
 
-from angler_mjx.control.commands import PoseTarget
-from angler_mjx.control.joint_tolerance import Tolerances
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.session import checks, fleet_facts, paths, presence
-from angler_mjx.session.batch import POINTS, START_TOLERANCE, Inside
-from angler_mjx.session.checks import Limits, Place
-from angler_mjx.session.interface import (
+from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.robot.control.joint_tolerance import Tolerances
+from angler_mjx.robot.vehicles import library
+from angler_mjx.runs.session import checks, fleet_facts, paths, presence
+from angler_mjx.runs.session.batch import POINTS, START_TOLERANCE, Inside
+from angler_mjx.runs.session.checks import Limits, Place
+from angler_mjx.runs.session.interface import (
     Observation,
     Order,
     RobotInfo,
     RobotStatus,
 )
-from angler_mjx.session.orders import PLAN, Orders
-from angler_mjx.session.rejoin import Ways
+from angler_mjx.runs.session.orders import PLAN, Orders
+from angler_mjx.runs.session.rejoin import Ways
+from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_mjx.vehicles import library
 from angler_sitl.autopilots import Autopilots, Settings
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware

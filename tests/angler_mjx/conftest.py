@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.engines.lanes.engine import FusedEngine
-from angler_mjx.engines.mjx import MjxEngine
+from angler_mjx.robot.control.commands import ThrusterPwm
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.variation import Variation
 from angler_mjx.sim import fleet
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.fleet import Fleet, Member, Variant
 from angler_mjx.sim.state import SimSpec, World
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.variation import Variation
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.currents import (
     DoubleGyreConfig,

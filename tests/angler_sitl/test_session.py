@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import BodyTwist, PoseTarget
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.teleop.loop import Driven
 from angler_mjx.teleop.recording import Recording
 from angler_mjx.testing import Bounds, check_session

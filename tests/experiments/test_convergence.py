@@ -5,7 +5,7 @@ import math
 import pytest
 
 from angler_experiments import convergence
-from angler_mjx.validation.found import Result, read
+from angler_mjx.testing.validation.found import Result, read
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from angler_experiments.benchmarks import fleets
-from angler_mjx.benchmark import questions
-from angler_mjx.benchmark.columns import RUN_SCHEMA
 from angler_mjx.errors import ConfigError
+from angler_mjx.studies.benchmark import questions
+from angler_mjx.studies.benchmark.columns import RUN_SCHEMA
 
 PLANNERS = [
     {"label": "grid", "name": "grid", "settings": {}, "online": {}},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from angler_experiments.sitl_formation import MOVE_S, SCENARIO, goals, main, places
-from angler_mjx.interop import joint_trajectory_file
+from angler_mjx.report.interop import joint_trajectory_file
 from angler_mjx.scenario.scenario import load_scenario
 
 

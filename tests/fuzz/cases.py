@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.control.stages import CONTROLLERS
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.stages import CONTROLLERS
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.vehicles import library
 
 DRIVERS = (
     ("signals", "cascade"),

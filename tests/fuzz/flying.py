@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
 
 from .energy import MOST_DT_S, UNRESOLVED, Books
 from .signals import Signals

@@ -9,24 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.benchmark import questions
 from angler_mjx.errors import AnglerError
 from angler_mjx.files import FaultyError, check, parse
-from angler_mjx.interop import joint_trajectory_file
+from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.robot.vehicles import library, mjcf
+from angler_mjx.robot.vehicles.thrusters import tables_at
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
-from angler_mjx.speed import compare, rows
-from angler_mjx.speed.chart import table
+from angler_mjx.studies.benchmark import questions
+from angler_mjx.studies.speed import compare, rows
+from angler_mjx.studies.speed.chart import table
 from angler_mjx.teleop import script
 from angler_mjx.teleop.terminal import keys_of
-from angler_mjx.vehicles import library, mjcf
-from angler_mjx.vehicles.thrusters import tables_at
 from angler_sitl.firmware import parameters
 from angler_sitl.wire import ground_station, packets
 from angler_sitl.wire.link import Link, dialect
 
 ROOT = Path(__file__).parents[2]
-DATA = ROOT / "angler_mjx" / "vehicles" / "data"
+DATA = ROOT / "angler_mjx" / "robot" / "vehicles" / "data"
 
 GAINS = b"""# gains as angler tune writes them
 schema_version = 1

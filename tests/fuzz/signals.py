@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.sim.policy import Policy
 
 LOW_US, NEUTRAL_US, HIGH_US = 1100.0, 1500.0, 1900.0

@@ -57,7 +57,7 @@ def examine(case: Case, engines=ENGINES, *, tile: int) -> Found:
     """
     import jax
 
-    from angler_mjx.simulator.simulator import Simulator
+    from angler_mjx.runs.simulator.simulator import Simulator
 
     from . import flying
     from .agreement import compare

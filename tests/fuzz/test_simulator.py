@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from angler_mjx.robot.vehicles.rotor import RotorFilter
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome, Tally
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.vehicles.rotor import RotorFilter
 
 from . import agreement, cases, flying, simulator
 from .cases import Case

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from angler_kernels import thruster
-from angler_mjx.vehicles.library import load_thruster
-from angler_mjx.vehicles.thrusters import PWM_GRID_US, PWM_LOW_US, PWM_STEP_US, tables_at
+from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.thrusters import PWM_GRID_US, PWM_LOW_US, PWM_STEP_US, tables_at
 
 GRID = (PWM_LOW_US, PWM_STEP_US)
 RECORDS = [HealthCheck.function_scoped_fixture]

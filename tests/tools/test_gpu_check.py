@@ -9,11 +9,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from angler_mjx.engines.base import by_name
 from angler_mjx.planning.register import DEVICE
 from angler_mjx.scenario.policy_tables import PolicyConfig
 from angler_mjx.scenario.scenario import shipped
-from angler_mjx.speed.workloads import WORKLOADS, Engine, Kernels
+from angler_mjx.sim.engines.base import by_name
+from angler_mjx.studies.speed.workloads import WORKLOADS, Engine, Kernels
 from tools.gpu_check import __main__ as command
 from tools.gpu_check import work, workloads
 from tools.gpu_check.checks import CHECKS, RATES, names
@@ -21,9 +21,9 @@ from tools.gpu_check.comparing import Bound, differences
 from tools.gpu_check.running import Outcome, judge_tests
 
 ROOT = Path(__file__).parents[2]
-LAUNCHERS = ("angler_kernels.programs.Program", "angler_mjx.engines.triton.launch")
+LAUNCHERS = ("angler_kernels.programs.Program", "angler_mjx.sim.engines.triton.launch")
 """Names by which modules launch kernels of their own."""
-MEASURED = {"angler_mjx.speed.roofline"}
+MEASURED = {"angler_mjx.studies.speed.roofline"}
 """Kernels without an outcome: the first of all rates, in every workload of `angler bench`."""
 
 
@@ -56,7 +56,7 @@ def kernels():
 
 def test_every_kernel_is_checked():
     modules = set(launching()) - MEASURED
-    assert {"angler_kernels.matching", "angler_mjx.engines.dynamics"} <= modules
+    assert {"angler_kernels.matching", "angler_mjx.sim.engines.dynamics"} <= modules
     assert not [m for m in modules if not any(m.startswith(name) for name in covered("kernel"))]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.speed.workloads import WORKLOADS
+from angler_mjx.studies.speed.workloads import WORKLOADS
 from tools.gpu_check import kernels, simulations, workloads
 from tools.gpu_check.comparing import Bound
 
@@ -37,11 +37,11 @@ def _kernels() -> list[Check]:
     free = Bound(atol=2e-4, why=WATER)
     found: list[tuple[str, Run, dict[str, Bound]]] = [
         ("angler_kernels.matching", kernels.matching, {}),
-        ("angler_mjx.tasks.pairs", kernels.pairs, {}),
+        ("angler_mjx.world.tasks.pairs", kernels.pairs, {}),
         ("angler_mjx.planning.ways.search_kernel", kernels.reachable, {}),
         ("angler_mjx.planning.current.search_kernel", kernels.costs_to_goal, {}),
         ("angler_mjx.world.ways_kernel", kernels.shortest_ways, {}),
-        ("angler_mjx.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
+        ("angler_mjx.sim.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
     ]
     return [
         Check(name=f"kernel/{of}", run=run, bounds=bounds, covers=frozenset({f"kernel:{of}"}))
@@ -71,7 +71,7 @@ def _flights() -> list[Check]:
         "engine:fused/triton",
         "policy:none",
         "planner:grid",
-        "kernel:angler_mjx.engines.triton",
+        "kernel:angler_mjx.sim.engines.triton",
     }
     anew: dict[str, Any] = {"replan_hz": 0.5, "knows": {"obstacles": "observed"}}
     few = {"samples": 64}

@@ -22,8 +22,8 @@ def matching() -> Arrays:
 
 
 def pairs() -> Arrays:
-    """Return jobs [40, R] that `tasks.pairs.shortest_first` assigns to robots."""
-    from tests.angler_mjx.tasks.test_pairs import plain, scene
+    """Return jobs [40, R] that `world.tasks.pairs.shortest_first` assigns to robots."""
+    from tests.angler_mjx.world.tasks.test_pairs import plain, scene
 
     scenes = [scene(seed) for seed in range(40)]
     inputs = {name: jnp.array(np.stack([each[name] for each in scenes])) for name in scenes[0]}
@@ -82,9 +82,9 @@ def shortest_ways() -> Arrays:
 
 def dynamics() -> Arrays:
     """Return positions, attitudes and velocities after 100 steps of free vehicles [N]."""
-    from angler_mjx.engines import dynamics as alone
-    from angler_mjx.engines.base import default_kernels
-    from angler_mjx.speed.measured.free_motion import draw
+    from angler_mjx.sim.engines import dynamics as alone
+    from angler_mjx.sim.engines.base import default_kernels
+    from angler_mjx.studies.speed.measured.free_motion import draw
 
     model = alone.build("bluerov2_heavy", "wu2018")
     start = draw(jax.random.key(0), alone.LANES, model.vehicle.B.shape[-1])

@@ -147,7 +147,7 @@ def run_tests(machine: Machine) -> Outcome:
             "gpu",
             "-p",
             "no:cacheprovider",
-            "tests/angler_mjx/engines",
+            "tests/angler_mjx/sim/engines",
         ]
         process = machine.start(arguments, machine.device, log)
         in_time = machine.finish(process)

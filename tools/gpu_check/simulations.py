@@ -36,9 +36,9 @@ def fly(scenario: str, **changes: Any) -> dict[str, np.ndarray]:
         outcomes [world, robot]; way-points of plans and mean durations
         [world] only where a planner made them.
     """
-    from angler_mjx.control import plans
+    from angler_mjx.robot.control import plans
+    from angler_mjx.runs.simulator.simulator import Simulator
     from angler_mjx.scenario.scenario import load_scenario
-    from angler_mjx.simulator.simulator import Simulator
 
     loaded = load_scenario(scenario, **{"time": {}, **changes})
     simulator = Simulator(loaded, tile=loaded.worlds)

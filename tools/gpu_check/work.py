@@ -20,7 +20,7 @@ def main(name: str, out: Path) -> None:
         for needed in NEEDED:
             importlib.import_module(needed)
         from angler_mjx.runs.provenance import describe_environment
-        from angler_mjx.speed.roofline import driver
+        from angler_mjx.studies.speed.roofline import driver
 
         out.write_text(json.dumps({**describe_environment(), "driver": driver()}))
         return

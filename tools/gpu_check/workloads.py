@@ -34,8 +34,8 @@ def measure(workload: str) -> dict[str, Any]:
     import jax
 
     from angler_mjx.runs.provenance import describe_environment
-    from angler_mjx.speed import measuring
-    from angler_mjx.speed.workloads import Request, cases
+    from angler_mjx.studies.speed import measuring
+    from angler_mjx.studies.speed.workloads import Request, cases
 
     backend = jax.default_backend()
     is_cpu = backend == "cpu"

@@ -16,9 +16,14 @@ from tools.mutants.relevance import Imports
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = (
-    *("angler_mjx/sim", "angler_mjx/engines", "angler_mjx/physics", "angler_mjx/control"),
-    *("angler_mjx/planning", "angler_mjx/scenario", "angler_mjx/simulator", "angler_mjx/runs"),
-    *("angler_mjx/storage", "kernels/angler_kernels"),
+    *(
+        "angler_mjx/sim",
+        "angler_mjx/sim/engines",
+        "angler_mjx/sim/physics",
+        "angler_mjx/robot/control",
+    ),
+    *("angler_mjx/planning", "angler_mjx/scenario", "angler_mjx/runs/simulator", "angler_mjx/runs"),
+    *("angler_mjx/runs/storage", "kernels/angler_kernels"),
 )
 
 

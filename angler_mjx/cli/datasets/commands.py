@@ -11,7 +11,7 @@ from angler_mjx.cli.shared.device import Device, choose, join, keep_all_programs
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
-    from angler_mjx.datasets.manifest import Manifest
+    from angler_mjx.learning.datasets.manifest import Manifest
 
 
 SHOWN = 100
@@ -60,7 +60,7 @@ def make(
     )
     from angler_mjx.cli.shared.given import at_least_one
     from angler_mjx.cli.shared.progress import PartsBar
-    from angler_mjx.datasets import making, manifest
+    from angler_mjx.learning.datasets import making, manifest
     from angler_mjx.runs.processes import telling
 
     with telling(shared):
@@ -90,7 +90,7 @@ def show(dataset: Annotated[Path, tyro.conf.Positional]) -> None:
     Args:
         dataset: Its folder.
     """
-    from angler_mjx.datasets import manifest
+    from angler_mjx.learning.datasets import manifest
 
     _report(dataset, manifest.read(dataset))
 
@@ -100,8 +100,8 @@ def _report(place: Path, found: "Manifest") -> str | None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.storage import planned
-    from angler_mjx.storage.folder import Run
+    from angler_mjx.runs.storage import planned
+    from angler_mjx.runs.storage.folder import Run
 
     title = f"{found.name}: {found.episodes:,} episodes"
     head = ("part", "expert", "robots", "worlds", "with a plan", "split")
@@ -157,7 +157,7 @@ def verify(
         raise ConfigError(f"--again {again}: must be 0 or more")
     choose(device, distributed=False)
     keep_all_programs()
-    from angler_mjx.datasets.verifying import judging
+    from angler_mjx.learning.datasets.verifying import judging
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True, quiet=json)) as bar:
@@ -195,7 +195,7 @@ def repair(
     choose(device, distributed=False)
     keep_all_programs()
     from angler_mjx.cli.shared.progress import PartsBar
-    from angler_mjx.datasets.keeping import repair as keeping
+    from angler_mjx.learning.datasets.keeping import repair as keeping
 
     with PartsBar() as bar:
         done = keeping.repair(dataset, bar, accept=accept)
@@ -215,8 +215,8 @@ def merge(datasets: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path
         datasets: Their folders.
         out: Folder to make; files are linked into it where the disk can.
     """
-    from angler_mjx.datasets import manifest
-    from angler_mjx.datasets.keeping import merge as keeping
+    from angler_mjx.learning.datasets import manifest
+    from angler_mjx.learning.datasets.keeping import merge as keeping
 
     made = keeping.merge(datasets, out)
     _report(made, manifest.read(made))
@@ -235,8 +235,8 @@ def stats(
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
-    from angler_mjx.datasets.keeping import counting
     from angler_mjx.errors import size
+    from angler_mjx.learning.datasets.keeping import counting
 
     found = counting.stats(dataset)
     if json:
@@ -297,7 +297,7 @@ def export(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.datasets.exports import writing
+    from angler_mjx.learning.datasets.exports import writing
 
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:

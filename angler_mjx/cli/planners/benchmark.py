@@ -11,8 +11,8 @@ from angler_mjx.cli.shared.device import Device, choose, keep_all_programs
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
-    from angler_mjx.benchmark.again import Comparison
     from angler_mjx.planning.host.pool import Pool
+    from angler_mjx.studies.benchmark.again import Comparison
 
 
 def benchmark(
@@ -45,8 +45,8 @@ def benchmark(
     """
     choose(device)
     keep_all_programs()
-    from angler_mjx.benchmark import running
     from angler_mjx.cli.shared.given import at_least_one
+    from angler_mjx.studies.benchmark import running
 
     if report:
         if out or workers or ray or resume or presets or teams or problems:
@@ -80,7 +80,7 @@ def benchmark(
 
 def _compare(first: Path, second: Path) -> None:
     """Say whether two results folders are the same; ends with 1 if not."""
-    from angler_mjx.benchmark import again
+    from angler_mjx.studies.benchmark import again
 
     compared = again.compare(first, second)
     print(_told(compared))
@@ -123,7 +123,7 @@ def _told(compared: "Comparison") -> str:
 
 
 class _Bar:
-    """A progress bar on stderr; a `benchmark.running.Told`."""
+    """A progress bar on stderr; a `studies.benchmark.running.Told`."""
 
     def __init__(self) -> None:
         from rich.console import Console

@@ -69,11 +69,11 @@ def plan(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
+    from angler_mjx.runs.simulator.simulator import Simulator
+    from angler_mjx.runs.storage.planned import lines as planned_lines
+    from angler_mjx.runs.storage.plans import write as plan_writer
+    from angler_mjx.runs.storage.plans.read import how_planned
     from angler_mjx.scenario import notices
-    from angler_mjx.simulator.simulator import Simulator
-    from angler_mjx.storage.planned import lines as planned_lines
-    from angler_mjx.storage.plans import write as plan_writer
-    from angler_mjx.storage.plans.read import how_planned
 
     table = {
         **(planner_given(planner, knows=knows_given(knows)) or {}),
@@ -117,7 +117,7 @@ def plan(
 def _debug(scenario: "Scenario", world: int) -> None:
     """Plan one world in this process, and print what each robot got."""
     from angler_mjx.planning.planner import NoPlan
-    from angler_mjx.simulator import debugging
+    from angler_mjx.runs.simulator import debugging
 
     for robot, path in enumerate(debugging.plan(scenario, world)):
         if isinstance(path, NoPlan):
@@ -155,8 +155,8 @@ def problems(
 
     from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given
     from angler_mjx.planning.planner import PathShape
-    from angler_mjx.simulator.simulator import Simulator
-    from angler_mjx.storage.plans import problems as store
+    from angler_mjx.runs.simulator.simulator import Simulator
+    from angler_mjx.runs.storage.plans import problems as store
 
     planner = planner_given(None, knows=knows_given(knows))
     loaded = scenario_given(scenario, worlds=worlds, seed=seed, planner=planner)

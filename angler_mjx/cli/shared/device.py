@@ -14,7 +14,7 @@ type Device = Literal["cpu", "gpu"]
 def choose(device: Device | None, *, distributed: bool = False) -> None:
     """Make JAX compute on ``device``, or on its own choice if None, with a compile cache.
 
-    Compiled programs are kept: see `angler_mjx.simulator.cache`.
+    Compiled programs are kept: see `angler_mjx.runs.simulator.cache`.
 
     Args:
         device: where to compute.
@@ -26,7 +26,7 @@ def choose(device: Device | None, *, distributed: bool = False) -> None:
     """
     import jax
 
-    from angler_mjx.simulator import cache
+    from angler_mjx.runs.simulator import cache
 
     cache.switch_on()
     if device == "cpu":

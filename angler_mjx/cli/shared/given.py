@@ -110,13 +110,13 @@ def require_planned(planning: Mapping[str, Any] | None, who: str) -> None:
     """Refuse to end a command as done when its planner raised an exception in every world.
 
     Args:
-        planning: as `angler_mjx.storage.planned.summarise` returns it.
+        planning: as `angler_mjx.runs.storage.planned.summarise` returns it.
         who: planned, for the message.
 
     Raises:
         RunError: no world was planned; names the planner, the exception, its file and line.
     """
-    from angler_mjx.storage import planned
+    from angler_mjx.runs.storage import planned
 
     why = planned.fault(planning)
     if why is not None:

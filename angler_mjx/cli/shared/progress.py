@@ -16,7 +16,7 @@ from rich.progress import (
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from angler_mjx.simulator.compiling import CompileTime
+    from angler_mjx.runs.simulator.compiling import CompileTime
 
 
 class _Speed(ProgressColumn):

@@ -67,7 +67,7 @@ def spotcheck(
         isolation.isolate()
     choose(None)
     keep_all_programs()
-    from angler_mjx.datasets.manifest import MANIFEST
+    from angler_mjx.learning.datasets.manifest import MANIFEST
     from angler_sitl.scene.motion import compute_inline
     from angler_sitl.spotcheck import checking, page
     from angler_sitl.spotcheck import dataset as of_dataset

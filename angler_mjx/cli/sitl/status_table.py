@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from angler_mjx.errors import RunError
-from angler_mjx.session.interface import Observation
+from angler_mjx.runs.session.interface import Observation
 from angler_mjx.teleop.loop import Watcher
 from angler_sitl.missions import standing
 from angler_sitl.missions.standing import Standing

@@ -21,10 +21,10 @@ def compare(
         figure: File to draw the changes into, such as compare.png.
         json: Print one JSON object, with all worlds that changed, instead of the text.
     """
-    from angler_mjx.storage.folder import Run
+    from angler_mjx.report.viewing import style
+    from angler_mjx.runs.storage.folder import Run
     from angler_mjx.studies import compare as comparing
     from angler_mjx.studies import told
-    from angler_mjx.viewing import style
 
     if figure is not None:
         style.require_format(figure, flag="--figure")

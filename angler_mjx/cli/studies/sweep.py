@@ -69,7 +69,7 @@ def sweep(
     from angler_mjx.cli.shared.given import at_least_one, require_planned, scenario_given
     from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.runs.processes import telling
-    from angler_mjx.storage import planned
+    from angler_mjx.runs.storage import planned
     from angler_mjx.studies import settings
     from angler_mjx.studies import sweep as sweeping
 

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.programs import on_gpu
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import Objective, Swimmer, swimmer
@@ -24,6 +23,7 @@ from angler_mjx.planning.problem import Team
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import Terrain, terrain
 from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
 from angler_mjx.world.environment import Environment
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.ways.bodies import STANDS_S
 from angler_mjx.planning.ways.pulling import keeps_clear
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
 from angler_mjx.planning.ways.traffic import Traffic, met_by
+from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDS = 3
 """Orders of the team that are tried; who was left without a time goes first in the next."""

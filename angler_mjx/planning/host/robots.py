@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from angler_mjx.planning.problem import Problem
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.params import VehicleParams
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.acoustics.channel import Others
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
+from angler_mjx.world.acoustics.channel import Others
 
 NOBODY_M = -1e3
 """Reach of what is not there."""

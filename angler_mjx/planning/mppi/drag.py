@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.laws.model import SPEED_SHARE
-from angler_mjx.control.stack import ControlParams
+from angler_mjx.robot.control.laws.model import SPEED_SHARE
+from angler_mjx.robot.control.stack import ControlParams
 
 
 @jax.tree_util.register_dataclass

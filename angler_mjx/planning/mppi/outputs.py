@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate
-from angler_mjx.control.laws import model
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
+from angler_mjx.robot.control.laws import model
+from angler_mjx.robot.vehicles.params import VehicleParams
 
 
 def twist(

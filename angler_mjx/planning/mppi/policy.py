@@ -10,18 +10,18 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.mppi import ahead, drag, outputs
 from angler_mjx.planning.mppi import field as fields
 from angler_mjx.planning.mppi.costs import Bodies, Weights
 from angler_mjx.planning.mppi.models import Forces, Lag
 from angler_mjx.planning.mppi.sampling import Scene, improve, shifted
+from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Known, Policy
-from angler_mjx.vehicles.params import VehicleParams
-from angler_mjx.vehicles.properties import GRAVITY_MPS2
 
 type Output = Literal["twist", "wrench"]
 """What robots are commanded by."""

@@ -6,13 +6,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.acoustics.channel import Others
-from angler_mjx.control import plans
-from angler_mjx.control.commands import Estimate, PoseTarget
-from angler_mjx.control.laws import follow
-from angler_mjx.control.laws.follow import FollowCarry, FollowGains
-from angler_mjx.control.plans import Plan
 from angler_mjx.planning.online.order import Order, Seen, limits
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.commands import Estimate, PoseTarget
+from angler_mjx.robot.control.laws import follow
+from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.world.acoustics.channel import Others
 
 SLACK_M = 0.2
 """How far a robot may be from its place on the plan and still count as there; order keeps it free

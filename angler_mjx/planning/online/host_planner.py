@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 if TYPE_CHECKING:
     from angler_mjx.planning.host.workers import Workers

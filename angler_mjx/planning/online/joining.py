@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory, sample
+from angler_mjx.robot.control.trajectory import Trajectory, sample
 
 LEAST_SPEED_MPS = 0.05
 """On the way to a plan's first point."""

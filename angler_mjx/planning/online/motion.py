@@ -5,8 +5,8 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.ways.traffic import Traffic, clear_of
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.knowledge import KnownObstacles
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import plans
-from angler_mjx.control.plans import Plan
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.plans import Plan
 
 SAMPLES = 128
 """Places of a plan that are compared; between two of them robots are taken to be anywhere."""

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, raised_by
 from angler_mjx.planning import grid
 from angler_mjx.planning.current import planner as current
@@ -16,6 +15,7 @@ from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec, Reference
 from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC, Obstacles

@@ -4,15 +4,15 @@ from dataclasses import dataclass, field, replace
 
 import jax
 
-from angler_mjx.control.commands import Estimate, PoseTarget
-from angler_mjx.control.laws.follow import FollowCarry, FollowGains
-from angler_mjx.control.plans import Plan
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.online import guidance, order, replanning
 from angler_mjx.planning.online.guidance import Heard, Progress, Standing
 from angler_mjx.planning.online.order import Order
 from angler_mjx.planning.online.replanning import Plans, Replanning
+from angler_mjx.robot.control.commands import Estimate, PoseTarget
+from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Known, Policy
 

@@ -13,14 +13,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.laws.follow import FollowCarry
-from angler_mjx.control.trajectory import Trajectory, sample
 from angler_mjx.planning import asking
 from angler_mjx.planning.online.joining import joined, padded, remainder
 from angler_mjx.planning.online.motion import is_clear, later, plan_rows
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.traffic import Traffic, beside
+from angler_mjx.robot.control.laws.follow import FollowCarry
+from angler_mjx.robot.control.trajectory import Trajectory, sample
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
 from angler_mjx.sim.policy import OF_RESET, Known
 

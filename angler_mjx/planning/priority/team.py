@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.ways.lattice import Terrain
 from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
 from angler_mjx.planning.ways.traffic import Others, Traffic, met_by
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 _NEVER = 2**31 - 1
 

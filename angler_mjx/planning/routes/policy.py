@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control.commands import PoseTarget
-from angler_mjx.control.laws.model import wrap
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.routes import guidance
 from angler_mjx.planning.routes.avoidance import (
@@ -18,6 +16,8 @@ from angler_mjx.planning.routes.avoidance import (
     doubted,
     make_way,
 )
+from angler_mjx.robot.control.commands import PoseTarget
+from angler_mjx.robot.control.laws.model import wrap
 from angler_mjx.sim.knowledge import KnownObstacles, Knows
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.world.routes import Routes

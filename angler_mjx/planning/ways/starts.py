@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.ways.traffic import Traffic, clear_of
+from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDING_M = 1e-3
 """Rounding must not take back a path that just fits."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.robot.control.trajectory import Trajectory
 
 
 @jax.tree_util.register_dataclass

@@ -12,14 +12,14 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.acoustics import channel
-from angler_mjx.acoustics.channel import Channel, Now, Others, Radio, Said
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Talk
 from angler_mjx.sim.state import World
-from angler_mjx.tasks import knowing
-from angler_mjx.tasks.spec import Report, TaskState
+from angler_mjx.world.acoustics import channel
+from angler_mjx.world.acoustics.channel import Channel, Now, Others, Radio, Said
+from angler_mjx.world.tasks import knowing
+from angler_mjx.world.tasks.spec import Report, TaskState
 
 
 def reset(

@@ -7,18 +7,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.acoustics.channel import Others
-from angler_mjx.control import stack
 from angler_mjx.counting import once_in
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import stack
 from angler_mjx.sim import knowledge
 from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.knowledge import KnownObstacles, Observation
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Known, Policy
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World
 from angler_mjx.world import currents
+from angler_mjx.world.acoustics.channel import Others
 from angler_mjx.world.obstacles import ObstacleState
 
 

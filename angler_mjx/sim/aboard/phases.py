@@ -19,10 +19,10 @@ from angler_mjx.sim.fleet import carrying
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing
 from angler_mjx.sim.record import Progress
 from angler_mjx.sim.state import Outcome
-from angler_mjx.tasks import work as tasks
-from angler_mjx.tasks.knowing import Scene
-from angler_mjx.tasks.spec import TaskState
-from angler_mjx.tasks.travel import Travel
+from angler_mjx.world.tasks import work as tasks
+from angler_mjx.world.tasks.knowing import Scene
+from angler_mjx.world.tasks.spec import TaskState
+from angler_mjx.world.tasks.travel import Travel
 
 
 def sense(here: Aboard, now: Slots) -> Done:

@@ -12,13 +12,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.control import navigation
-from angler_mjx.control.commands import Estimate
-from angler_mjx.control.navigation import NavigationParams
-from angler_mjx.physics.step import VehicleState
-from angler_mjx.sensing import suite
-from angler_mjx.sensing.params import SensorParams, louder
-from angler_mjx.sensing.readings import Truth
+from angler_mjx.robot.control import navigation
+from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.navigation import NavigationParams
+from angler_mjx.robot.sensing import suite
+from angler_mjx.robot.sensing.params import SensorParams, louder
+from angler_mjx.robot.sensing.readings import Truth
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import InstrumentedRobots, Senses, SimSpec, World
 from angler_mjx.world.grid import height_above_bottom

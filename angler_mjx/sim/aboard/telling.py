@@ -7,11 +7,11 @@ from typing import Any
 
 import jax
 
-from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim.aboard.here import Aboard
 from angler_mjx.sim.aboard.phases import HEAR, PHASES, POLICY, SENSE, WORK
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import run
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState

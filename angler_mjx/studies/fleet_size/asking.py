@@ -8,10 +8,10 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import FOLDER, named, parse, read_toml
+from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.editing import merged, table_of, with_value
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_beside
-from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.studies.fleet_size.config import FleetSizeConfig
 
 PLAIN = "as it is"

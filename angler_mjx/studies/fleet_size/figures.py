@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
+from angler_mjx.report.viewing import style
 from angler_mjx.studies.fleet_size.report import level
-from angler_mjx.viewing import style
 
 SUCCESS, TIME = "success.png", "time.png"
 

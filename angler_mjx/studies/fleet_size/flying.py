@@ -10,10 +10,10 @@ import numpy as np
 
 from angler_mjx.runs import waves
 from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.storage import harvest
+from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage.planned import Failures
 from angler_mjx.sim.state import Outcome
-from angler_mjx.storage import harvest
-from angler_mjx.storage.harvest import FinishedTile
-from angler_mjx.storage.planned import Failures
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch

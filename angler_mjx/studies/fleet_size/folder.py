@@ -12,11 +12,11 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.scenario.editing import first_difference
-from angler_mjx.storage import claims
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.damage import read_table, reading
-from angler_mjx.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.studies.fleet_size import figures, report
 from angler_mjx.studies.fleet_size.asking import Study
 from angler_mjx.studies.fleet_size.store import FILE, Batch

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from angler_mjx.storage import atomic
+from angler_mjx.runs.storage import atomic
 from angler_mjx.studies.fleet_size import bernoulli, sequence, survival
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.sequence import Rule

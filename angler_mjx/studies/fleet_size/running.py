@@ -18,10 +18,10 @@ import jax
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.simulator.simulator import default_tile
-from angler_mjx.storage import claims
-from angler_mjx.storage.claims import Claim
-from angler_mjx.storage.planned import Failures
+from angler_mjx.runs.simulator.simulator import default_tile
+from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.planned import Failures
 from angler_mjx.studies.fleet_size import flying, folder, report
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted

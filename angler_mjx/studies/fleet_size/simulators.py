@@ -23,12 +23,12 @@ from typing import Any
 import jax
 import numpy as np
 
+from angler_mjx.runs.simulator.on_device import CURRENT
+from angler_mjx.runs.simulator.prepare import water_and_breakdowns
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.randomise_table import AS_SAID
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_mjx.simulator.on_device import CURRENT
-from angler_mjx.simulator.prepare import water_and_breakdowns
-from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.studies.fleet_size.asking import Condition, Study
 
 MOST = 24

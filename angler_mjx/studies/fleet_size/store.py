@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from angler_mjx.errors import RunError
-from angler_mjx.storage.damage import reading
+from angler_mjx.runs.storage.damage import reading
 
 FILE = "batches.jsonl"
 ADVICE = "put back a copy of it, or begin a new study"

@@ -11,7 +11,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee.geometry import Floats
 
-SHIPPED = Path(__file__).parents[2] / "vehicles" / "data"
+SHIPPED = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
 
 
 @dataclass(frozen=True, kw_only=True)

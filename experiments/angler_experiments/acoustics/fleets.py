@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
 
 MEASURES = (
     ("rate", "met the deadline, %", 100.0),

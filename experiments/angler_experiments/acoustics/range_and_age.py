@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 
-from angler_mjx.acoustics import channel
-from angler_mjx.acoustics.access import Tdma
-from angler_mjx.acoustics.channel import Channel, Now
-from angler_mjx.acoustics.config import AcousticsConfig
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
+from angler_mjx.world.acoustics import channel
+from angler_mjx.world.acoustics.access import Tdma
+from angler_mjx.world.acoustics.channel import Channel, Now
+from angler_mjx.world.acoustics.config import AcousticsConfig
 from angler_mjx.world.grid import Grid
 
 SIZE_M = (24.0, 24.0, 24.0)

@@ -14,10 +14,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from angler_mjx.benchmark.paths import unpacked
-from angler_mjx.benchmark.store import Store
-from angler_mjx.control import plans
-from angler_mjx.vehicles import library
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.vehicles import library
+from angler_mjx.studies.benchmark.paths import unpacked
+from angler_mjx.studies.benchmark.store import Store
 
 QUERY = """
     SELECT plans.paths, plannerConfigs.name, runs.robots_planned AS robots, robots.text AS robots_of

@@ -14,11 +14,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from angler_mjx.benchmark.report import reading
-from angler_mjx.benchmark.report.paired import compare
-from angler_mjx.benchmark.report.rates import Rate, rate
-from angler_mjx.benchmark.report.reading import Results, Runs
 from angler_mjx.errors import ConfigError
+from angler_mjx.studies.benchmark.report import reading
+from angler_mjx.studies.benchmark.report.paired import compare
+from angler_mjx.studies.benchmark.report.rates import Rate, rate
+from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 LEVELS = ("nothing", "observed", "predicted", "truth")
 """Of what may be known of obstacles that move, from least to most."""

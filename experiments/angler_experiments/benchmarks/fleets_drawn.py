@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from angler_experiments.benchmarks.fleets import LEVELS, Study, arrivals
-from angler_mjx.benchmark.report import look
-from angler_mjx.benchmark.report.rates import Rate
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
+from angler_mjx.studies.benchmark.report import look
+from angler_mjx.studies.benchmark.report.rates import Rate
 
 
 def make(study: Study, level: str, folder: Path) -> list[Path]:

@@ -16,8 +16,8 @@ import tyro
 
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.priority.proofs import unsolvable
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 
 def scenario(preset: str, robots: int, worlds: int, horizon_s: float, planner: str) -> Scenario:

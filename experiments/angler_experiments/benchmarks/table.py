@@ -13,10 +13,10 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from angler_mjx.benchmark.report import reading
-from angler_mjx.benchmark.report.paired import compare
-from angler_mjx.benchmark.report.reading import Results, Runs
-from angler_mjx.storage.intervals import wilson
+from angler_mjx.runs.storage.intervals import wilson
+from angler_mjx.studies.benchmark.report import reading
+from angler_mjx.studies.benchmark.report.paired import compare
+from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 TOOK = (("planning_s", "planning, s"), ("makespan_s", "makespan, s"), ("energy_j", "energy, kJ"))
 

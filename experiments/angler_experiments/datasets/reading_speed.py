@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from angler_mjx import datasets
-from angler_mjx.datasets.reading.windows import Windows
+from angler_mjx.learning import datasets
+from angler_mjx.learning.datasets.reading.windows import Windows
 
 BATCH = 64
 """Windows that PyTorch's workers hand over at once."""
@@ -45,7 +45,7 @@ def by_torch(windows: Windows, workers: int) -> Iterable[Any]:
     """A pass by PyTorch's workers, in batches: each costs as much to hand over as one window."""
     from torch.utils.data import DataLoader
 
-    from angler_mjx.datasets.loaders.torch import WindowStream
+    from angler_mjx.learning.datasets.loaders.torch import WindowStream
 
     context = "forkserver" if workers else None
     loader: Iterable[Any] = DataLoader(
@@ -102,7 +102,7 @@ def main(
                 BATCH,
             )
     if grain:
-        from angler_mjx.datasets.loaders.grain import source
+        from angler_mjx.learning.datasets.loaders.grain import source
 
         report("Grain, shuffled", lambda: source(team).shuffle(seed=0).to_iter_dataset(), seconds)
 

@@ -12,9 +12,9 @@ from angler_experiments.learned_planner import checkpoint, flow, network, repair
 from angler_experiments.learned_planner.repair import RepairConfig
 from angler_experiments.learned_planner.scene import lines, scene
 from angler_experiments.learned_planner.shapes import CHANNELS, INNER
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
 
 AT_ONCE = {"gpu": 2048}
 AT_ONCE_ELSEWHERE = 64

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 
 from angler_experiments.learned_planner import rock, ways
 from angler_experiments.learned_planner.frames import Straight
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
 from angler_mjx.planning.ways.lattice import column_words
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
 from angler_mjx.planning.ways.traffic import Traffic, beside, clear_of, met_by
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 from angler_mjx.sim.knowledge import KnownObstacles
 
 _ROUNDING_M = 1e-3

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from angler_experiments.learned_planner.frames import Straight
 from angler_experiments.learned_planner.shapes import DELAY_S, INNER, OFF_M
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.robot.control.trajectory import Trajectory
 
 _SLOWER = 0.999
 """Rounding must not make a robot faster than it may be."""

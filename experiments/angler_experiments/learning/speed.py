@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from angler_mjx.control.commands import BodyTwist
 from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.robot.control.commands import BodyTwist
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 
 def best_s(run: Callable[[], Any], repeats: int) -> float:

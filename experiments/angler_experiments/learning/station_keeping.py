@@ -19,8 +19,8 @@ import numpy as np
 import tyro
 
 from angler_mjx.learning.environment import EnvState, FleetEnv, make
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 SCENARIO = Path(__file__).with_name("station_keeping.toml")
 OBSERVE = ("velocity", "upright", "goal", "heading", "current", "action")

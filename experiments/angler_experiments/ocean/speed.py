@@ -16,8 +16,8 @@ import jax
 import numpy as np
 
 from angler_experiments.ocean import headland
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 VORTICES: dict[str, Any] = {"type": "vortices", "count": 3, "peak_speed_mps": [0.1, 0.3]}
 

@@ -15,14 +15,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from angler_mjx.report.viewing import style, tables
 from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.simulator import cache
+from angler_mjx.runs.storage import claims, folder
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator import cache
-from angler_mjx.storage import claims, folder
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
 from angler_mjx.studies.settings import axes
-from angler_mjx.viewing import style, tables
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,11 +22,11 @@ from angler_experiments.scalability import ladders, peers
 from angler_experiments.scalability.ladders import BY_NAME, Ladder
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.simulator import cache
-from angler_mjx.simulator.devices import is_out_of_memory
-from angler_mjx.speed import rows
-from angler_mjx.speed.measured import free_motion, simulation
-from angler_mjx.speed.rows import Row
+from angler_mjx.runs.simulator import cache
+from angler_mjx.runs.simulator.devices import is_out_of_memory
+from angler_mjx.studies.speed import rows
+from angler_mjx.studies.speed.measured import free_motion, simulation
+from angler_mjx.studies.speed.rows import Row
 
 type Engine = Literal["fused", "mjx"]
 type Key = tuple[str, int, str, str]

@@ -21,8 +21,8 @@ from angler_experiments.scalability.cost import PREFIX
 from angler_experiments.scalability.fits import Fit, Shares, power, shares
 from angler_experiments.scalability.ladders import BY_NAME, LADDERS
 from angler_mjx.errors import ConfigError
-from angler_mjx.speed import rows as speed
-from angler_mjx.viewing import style, tables
+from angler_mjx.report.viewing import style, tables
+from angler_mjx.studies.speed import rows as speed
 
 BEGIN, END = "<!-- cost: begin -->", "<!-- cost: end -->"
 """What stands between them in a page is replaced by the tables."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from angler_mjx.storage.intervals import student
+from angler_mjx.runs.storage.intervals import student
 
 
 @dataclass(frozen=True, kw_only=True)

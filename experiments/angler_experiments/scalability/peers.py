@@ -1,6 +1,6 @@
 """MuJoCo MJX by itself: the vehicle as a free body, no water, no control, no worlds.
 
-What `mjx.step` costs that the equations of motion of `angler_mjx.speed` are measured beside.
+Cost of `mjx.step`, beside which the equations of motion of `angler_mjx.studies.speed` are measured.
 """
 
 import contextlib
@@ -10,14 +10,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.speed.measured.free_motion import (
+from angler_mjx.robot.vehicles import library, mjcf
+from angler_mjx.studies.speed.measured.free_motion import (
     PARAMETER_SET,
     PHYSICS_DT_S,
     VEHICLE,
     steps_of,
 )
-from angler_mjx.speed.rows import Row, account, all_finite, seconds_of, spread, turns
-from angler_mjx.vehicles import library, mjcf
+from angler_mjx.studies.speed.rows import Row, account, all_finite, seconds_of, spread, turns
 
 FEWER = 10
 """The equations of motion are repeated so many times as often in a call."""

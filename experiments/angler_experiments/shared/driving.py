@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.control import allocation
-from angler_mjx.physics.step import Water
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.robot.control import allocation
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.physics.step import Water
 
 HOLD_S = 0.2
 

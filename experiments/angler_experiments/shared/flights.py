@@ -13,13 +13,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.control import plans
-from angler_mjx.engines import base as engines
+from angler_mjx.robot.control import plans
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.engines import base as engines
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
-from angler_mjx.simulator.simulator import Simulator
 
 type Array = NDArray[Any]
 

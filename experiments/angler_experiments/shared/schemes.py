@@ -1,7 +1,7 @@
 """Ways to take one step of a vehicle, to compare with the simulator's own.
 
-Each has the arguments of `angler_mjx.physics.step.step` and steps the same equations; what differs
-is the formula alone. Rotor lag is exact in all of them.
+Each has the arguments of `angler_mjx.sim.physics.step.step` and steps the same equations; only the
+formula differs. Rotor lag is exact in all of them.
 """
 
 from collections.abc import Callable
@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion, rigid_body, spd_solve, thruster
-from angler_mjx.physics import step
-from angler_mjx.physics.mjx_engine import BodyInertia, MjxEngine
-from angler_mjx.physics.step import VehicleState, Water
-from angler_mjx.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.physics import step
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.world.currents import Current
 
 type Scheme = Callable[..., VehicleState]

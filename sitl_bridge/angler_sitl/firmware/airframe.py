@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.vehicles.config import Thruster, VehicleConfig
+from angler_mjx.robot.vehicles.config import Thruster, VehicleConfig
 
 _LEVEL = ((0, 0, 1, 0, -1, 1), (0, 0, -1, 0, -1, -1), (0, 0, -1, 0, 1, 1), (0, 0, 1, 0, 1, -1))
 FACTORS: dict[str, tuple[tuple[int, ...], ...]] = {

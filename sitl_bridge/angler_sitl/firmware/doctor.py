@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from angler_mjx.errors import AnglerError
-from angler_mjx.vehicles import library
+from angler_mjx.robot.vehicles import library
 from angler_sitl.firmware import (
     airframe,
     parameters,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from angler_mjx.errors import AnglerError, ConfigError, RunError, UnsupportedError
 from angler_mjx.files import parse, read_toml
-from angler_mjx.storage import atomic
+from angler_mjx.runs.storage import atomic
 from angler_sitl.firmware import fetch, probe
 from angler_sitl.firmware.binary import (
     PROGRAM,

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.files import named, read_text
-from angler_mjx.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_sitl.firmware import airframe
 
 type Level = Literal["thrusters", "guided", "poshold", "althold", "manual"]

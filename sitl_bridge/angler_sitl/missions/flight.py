@@ -4,10 +4,10 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from angler_mjx.control.joint_goal import JointGoal
-from angler_mjx.control.joint_tolerance import ResultCode
 from angler_mjx.errors import RunError
-from angler_mjx.session.interface import Observation, RobotStatus
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.joint_tolerance import ResultCode
+from angler_mjx.runs.session.interface import Observation, RobotStatus
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import Stop

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from angler_mjx.control.joint_goal import JointGoal
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.runs.session.recording import Course, SessionRecording
+from angler_mjx.runs.storage import folder
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.session.recording import Course, SessionRecording
-from angler_mjx.storage import folder
-from angler_mjx.storage.folder import Run
 from angler_mjx.teleop.loop import Watcher
 from angler_mjx.teleop.signals import breakable, stoppable
 from angler_sitl import autopilots as running

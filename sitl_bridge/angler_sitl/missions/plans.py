@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import quaternion
-from angler_mjx.control import joint_goal
-from angler_mjx.control.joint_goal import JointGoal
-from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, sample
 from angler_mjx.errors import ConfigError
-from angler_mjx.interop import joint_trajectory_file
-from angler_mjx.session.interface import Session
-from angler_mjx.session.recording import Way
+from angler_mjx.report.interop import joint_trajectory_file
+from angler_mjx.robot.control import joint_goal
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, sample
+from angler_mjx.runs.session.interface import Session
+from angler_mjx.runs.session.recording import Way
 
 GRID = "grid"
 WAY_POINTS = 256
@@ -25,8 +25,8 @@ def read(given: Sequence[str], robots: int) -> dict[int, JointGoal]:
     """JointTrajectories by index of the robot; none of them where the planner's paths are flown.
 
     Args:
-        given: ``grid``, or files as `angler_mjx.interop` writes them: one with all robots, or
-            several. Robots that are in none of them follow the planner's path.
+        given: ``grid``, or files as `angler_mjx.report.interop` writes them: one with all robots,
+            or several. Robots that are in none of them follow the planner's path.
         robots: how many there are.
 
     Raises:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.session.interface import Observation
+from angler_mjx.runs.session.interface import Observation
 from angler_sitl.session import SitlSession
 from angler_sitl.steering.pilot import mode_name
 

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.engines.mjx import OneWorld
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim import robot
+from angler_mjx.sim.engines.mjx import OneWorld
 from angler_mjx.sim.phase import run
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.sim.step import MEETING, OBSTACLES
 from angler_sitl.scene.flat import Arrays, Flat

@@ -1,6 +1,6 @@
 """Motion of all vehicles of one world, compiled to one call with as little around it as can be.
 
-The equations are those of the simulator (`angler_mjx.engines.lanes.steps.physics_step`), at the
+The equations are those of the simulator (`angler_mjx.sim.engines.lanes.steps.physics_step`), at the
 step of the lock-step. Around them a call has three arrays: the constants of the world, the vehicles
 with what was last sent of them, and whole numbers from outside. They are whole so that they need no
 conversion, and the time is exact. float64: at 400 steps a second a float32 position 20 m from the
@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 
 from angler_kernels import lanes, quaternion
 from angler_mjx import frames
-from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.engines.lanes import steps as lane_steps
-from angler_mjx.physics.step import VehicleState, Water
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.robot.control.commands import ThrusterPwm
+from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim import robot
+from angler_mjx.sim.engines.lanes import steps as lane_steps
+from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.sim.state import World
-from angler_mjx.vehicles.params import VehicleParams
 from angler_mjx.world.currents import Current
 from angler_sitl.wire.packets import STATE_NUMBERS
 

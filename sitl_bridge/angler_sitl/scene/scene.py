@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.acoustics.config import refuse_acoustics
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import refuse_task
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.world.acoustics.config import refuse_acoustics
 from angler_sitl.scene import judging, motion
 from angler_sitl.scene.flat import Flat
 from angler_sitl.wire.packets import STATE_NUMBERS

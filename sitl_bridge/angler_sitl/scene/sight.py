@@ -8,14 +8,14 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.control.joint_tolerance import Tolerances
-from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.control.stack import Memory
-from angler_mjx.session.fleet_facts import Facts
-from angler_mjx.session.interface import Floats, Observation, RobotStatus
-from angler_mjx.session.orders import Orders
-from angler_mjx.session.view import View, Watched, believed, look, shown
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.robot.control.joint_tolerance import Tolerances
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.stack import Memory
+from angler_mjx.runs.session.fleet_facts import Facts
+from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus
+from angler_mjx.runs.session.orders import Orders
+from angler_mjx.runs.session.view import View, Watched, believed, look, shown
 from angler_mjx.sim import step
 from angler_mjx.sim.record import Belief, Sample
 from angler_mjx.sim.state import World, WorldState

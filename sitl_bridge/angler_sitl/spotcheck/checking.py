@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.provenance import describe_environment
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.folder import POLICY, Run
 from angler_mjx.sim.state import World
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.folder import POLICY, Run
-from angler_mjx.vehicles import library
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.probe import identified

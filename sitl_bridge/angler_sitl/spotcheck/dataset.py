@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from angler_mjx.datasets import gaps as record
-from angler_mjx.datasets import manifest, sampling
-from angler_mjx.datasets.gaps import Checked, GapRow, SpotCheck
-from angler_mjx.datasets.keeping import attach
-from angler_mjx.datasets.manifest import Manifest, PartEntry
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.folder import Run
+from angler_mjx.learning.datasets import gaps as record
+from angler_mjx.learning.datasets import manifest, sampling
+from angler_mjx.learning.datasets.gaps import Checked, GapRow, SpotCheck
+from angler_mjx.learning.datasets.keeping import attach
+from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
+from angler_mjx.runs.storage.folder import Run
 from angler_sitl.spotcheck import checking, folder, gaps, page
 from angler_sitl.spotcheck.checking import Progress
 from angler_sitl.spotcheck.found import Found, Settings

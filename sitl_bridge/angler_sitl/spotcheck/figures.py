@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from angler_mjx.storage import layout
-from angler_mjx.storage.results import OUTCOMES
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
+from angler_mjx.runs.storage import layout
+from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck.flight import RECORDED, Flight
 from angler_sitl.spotcheck.found import Found
 from angler_sitl.spotcheck.gaps import Gap

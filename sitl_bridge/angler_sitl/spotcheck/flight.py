@@ -15,13 +15,13 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from angler_mjx.runs.storage import harvest, results
+from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
+from angler_mjx.runs.storage.harvest import FinishedTile
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
-from angler_mjx.storage import harvest, results
-from angler_mjx.storage.atomic import replacing
-from angler_mjx.storage.damage import reading
-from angler_mjx.storage.folder import TRAJECTORIES, Run
-from angler_mjx.storage.harvest import FinishedTile
 
 type Floats = NDArray[np.floating[Any]]
 

@@ -9,12 +9,12 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.session import online
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import ControllerConfig
-from angler_mjx.session import online
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.simulator.simulator import Simulator
 from angler_sitl.firmware.parameters import Source
 from angler_sitl.missions.choosing import scenario_of
 from angler_sitl.session import SitlSession

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage import claims
-from angler_mjx.storage.atomic import replacing
-from angler_mjx.storage.damage import read_table, reading
+from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.runs.storage.damage import read_table, reading
 
 ADVICE = "put back a copy of it, or begin a new spot check"
 TABLE, FLIGHTS = "spotcheck.json", "flights"

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from angler_mjx.storage.folder import Run
+from angler_mjx.runs.storage.folder import Run
 from angler_sitl.firmware.parameters import Source
 from angler_sitl.spotcheck import gaps
 from angler_sitl.spotcheck.flight import RECORDED, Flight

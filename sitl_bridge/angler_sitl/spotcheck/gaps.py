@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from angler_mjx.control.allocation import NEUTRAL_US
-from angler_mjx.storage.intervals import clustered
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.runs.storage.intervals import clustered
 from angler_sitl.spotcheck.flight import Flight, Floats
 
 

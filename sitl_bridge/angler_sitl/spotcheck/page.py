@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from angler_mjx.storage.results import OUTCOMES
-from angler_mjx.viewing.style import save
-from angler_mjx.viewing.tables import table
+from angler_mjx.report.viewing.style import save
+from angler_mjx.report.viewing.tables import table
+from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck import figures, folder, gaps
 from angler_sitl.spotcheck.flight import RECORDED
 from angler_sitl.spotcheck.found import Found

@@ -32,7 +32,7 @@ def pick(
     """Draw worlds of a run.
 
     Args:
-        episodes: rows of `angler_mjx.storage.columns.EPISODE_SCHEMA`.
+        episodes: rows of `angler_mjx.runs.storage.columns.EPISODE_SCHEMA`.
         count: how many worlds.
         seed: of the draw.
         stratify: whether rare outcomes are drawn on purpose.

@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow.compute as pc
 
 from angler_mjx.errors import RunError
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import environments as store
+from angler_mjx.runs.storage import layout
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import environments as store
-from angler_mjx.storage import layout
-from angler_mjx.storage.damage import reading
-from angler_mjx.storage.folder import TRAJECTORIES, Run
 
 TOLERANCE = 1e-3
 """Greatest difference of a number of a world made again, in its own unit: m, m/s, s. Another kind

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control import mixed, stack
-from angler_mjx.control.commands import BodyWrench, ThrusterPwm
-from angler_mjx.control.mixed import Mixed
-from angler_mjx.control.stack import Memory
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import mixed, stack
+from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
+from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.robot.control.stack import Memory
 from angler_mjx.sim import robot
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import currents

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.control.mixed import Mixed
-from angler_mjx.session.interface import RobotInfo
+from angler_mjx.robot.control.mixed import Mixed
+from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import Level

@@ -1,8 +1,8 @@
 """Where commands enter a real autopilot: at its thrusters, its position targets, or its sticks.
 
-A level is a short stack of our own controllers (`angler_mjx.control.stack`) above the autopilot's:
-what the last stage gives is sent. Everything is in W and F here; `angler_sitl.wire.messages` turns
-it into MAVLink.
+A level is a short stack of our own controllers (`angler_mjx.robot.control.stack`) above those of
+the autopilot: the output of the last stage is sent. Everything is in W and F here;
+`angler_sitl.wire.messages` turns it into MAVLink.
 
 | level | our part | what is sent |
 |---|---|---|
@@ -20,16 +20,16 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels import quaternion
-from angler_mjx.control import stages
-from angler_mjx.control.commands import BodyTwist, Estimate, PoseTarget
-from angler_mjx.control.joint_goal import JointGoal
-from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.control.laws.model import wrap
-from angler_mjx.control.laws.targets import TrackingTarget, as_tracking
-from angler_mjx.control.stack import Given, NoGains, Stage
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.session.fleet_facts import Facts
+from angler_mjx.robot.control import stages
+from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
+from angler_mjx.robot.control.stack import Given, NoGains, Stage
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.session.fleet_facts import Facts
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import LEVELS, Level
 

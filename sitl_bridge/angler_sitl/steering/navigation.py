@@ -1,7 +1,7 @@
 """External navigation: what an autopilot is told of its own motion from outside.
 
 By default the truth; where a scenario's fleet has instruments and filters of its own
-(`angler_mjx.sensing`), what those make of it, with its spread. SITL adds its own noise to
+(`angler_mjx.robot.sensing`), what those make of it, with its spread. SITL adds its own noise to
 gyroscopes and accelerometers in either case, but none to this.
 """
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
-from angler_mjx.session.interface import Floats
+from angler_mjx.runs.session.interface import Floats
 from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Senses, SimSpec, World

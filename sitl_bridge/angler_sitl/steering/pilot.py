@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from angler_mjx.control.allocation import NEUTRAL_US
 from angler_mjx.errors import RunError
 from angler_mjx.frames import body_frd_to_flu, quaternion_ned_to_enu, vector_ned_to_enu
-from angler_mjx.session.interface import Floats
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.runs.session.interface import Floats
 from angler_sitl.wire import messages
 from angler_sitl.wire.link import Link, Tap
 from angler_sitl.wire.ports import Ports

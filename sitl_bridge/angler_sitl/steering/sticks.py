@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.session.interface import Floats, RobotInfo
+from angler_mjx.runs.session.interface import Floats, RobotInfo
 from angler_sitl.firmware.parameters import Level
 
 _LEVEL_ZONE, _TURN_ZONE = 0.25, 0.1

@@ -12,7 +12,7 @@ from typing import Self
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.errors import ConfigError, shown
-from angler_mjx.session.interface import Observation
+from angler_mjx.runs.session.interface import Observation
 from angler_sitl.session import SitlSession
 
 _LARGEST = 65_536

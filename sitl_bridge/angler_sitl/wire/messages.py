@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.frames import vector_enu_to_ned
-from angler_mjx.session.interface import Floats
+from angler_mjx.runs.session.interface import Floats
 from angler_sitl.wire.link import Message
 
 _PASSED_ON = 18

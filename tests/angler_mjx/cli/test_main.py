@@ -128,7 +128,7 @@ def test_public_names_are_in_dir():
 CACHE = """
 import jax, sys
 jax.jit(lambda x: x + 1)(1.0)  # JAX has looked at its settings by now
-from angler_mjx.simulator import cache
+from angler_mjx.runs.simulator import cache
 cache.switch_on()
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.jit(lambda x: 3 * x + 1)(1.0)

@@ -105,7 +105,7 @@ def test_neither_jax_nor_the_simulator_is_loaded(run):
     program = (
         "import sys; from angler_mjx.testing import referee; "
         f"assert referee.judge({str(run)!r}).agrees; "
-        "own = ('angler_mjx.sim', 'angler_mjx.control', 'angler_mjx.storage', 'angler_kernels');"
+        "own = ('angler_mjx.sim', 'angler_mjx.robot', 'angler_mjx.runs', 'angler_kernels');"
         "own += ('jax', 'mujoco', 'pydantic');"
         "print([name for name in sys.modules if name.startswith(own)])"
     )

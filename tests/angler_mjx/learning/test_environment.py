@@ -11,16 +11,16 @@ import pytest
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from scipy.spatial.transform import Rotation
 
-from angler_mjx.control.commands import BodyTwist, PoseTarget
-from angler_mjx.control.stack import wants_flow
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning.environment import FleetEnv, make
 from angler_mjx.learning.observations import Sight
 from angler_mjx.learning.vector import FleetVectorEnv
+from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
+from angler_mjx.robot.control.stack import wants_flow
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
 
 WORLDS, STEPS = 4, 20
 TEXT = """

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from angler_mjx.control.joint_trajectory import CUBIC
 from angler_mjx.planning.answers import answer, checked
 from angler_mjx.planning.planner import NoPlan, joint_path, way_points
+from angler_mjx.robot.control.joint_trajectory import CUBIC
 
 from .problems import problem
 

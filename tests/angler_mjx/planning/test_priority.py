@@ -13,8 +13,8 @@ from angler_mjx.planning import grid
 from angler_mjx.planning.priority import planner
 from angler_mjx.planning.priority.queue import work_off
 from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig, layers
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 from ..compiling import quickly
 from .test_grid import CELL, make_world, stack

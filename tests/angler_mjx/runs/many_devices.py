@@ -9,8 +9,8 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 
 def main(scenario_file, out, counts):

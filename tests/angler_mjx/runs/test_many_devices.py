@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import zarr
 
-from angler_mjx.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.folder import Run, partial_path
 
 SCENARIO = """
 schema_version = 1

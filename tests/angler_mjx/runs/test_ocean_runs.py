@@ -8,9 +8,9 @@ import pytest
 from angler_experiments.ocean import headland
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
+from angler_mjx.runs.simulator import devices
+from angler_mjx.runs.storage import environments, folder, inputs
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator import devices
-from angler_mjx.storage import environments, folder, inputs
 
 SCENARIO = """
 schema_version = 1

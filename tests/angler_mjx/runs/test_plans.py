@@ -19,11 +19,11 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
-from angler_mjx.simulator.hosted import status_of
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.plans import problems
-from angler_mjx.storage.plans import write as plan_writer
-from angler_mjx.storage.plans.read import how_planned, open_plans
+from angler_mjx.runs.simulator.hosted import status_of
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.plans import problems
+from angler_mjx.runs.storage.plans import write as plan_writer
+from angler_mjx.runs.storage.plans.read import how_planned, open_plans
 
 DOCS = Path(__file__).parents[3] / "docs" / "planners.md"
 TEN_LINES, *_, SCRIPT = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.S)

@@ -10,15 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import Estimate, ThrusterPwm
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.runs.opening import require_same
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.folder import Run, partial_path
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.folder import Run, partial_path
 
 SCENARIO = """
 schema_version = 1

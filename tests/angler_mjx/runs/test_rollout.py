@@ -20,16 +20,16 @@ import zarr
 
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.progress import Silent
 from angler_mjx.runs.rollout import resume, rollout
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import folder, inputs
+from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
+from angler_mjx.runs.storage.folder import Run, partial_path
+from angler_mjx.runs.storage.results import OUTCOMES
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage import folder, inputs
-from angler_mjx.storage.columns import EPISODE_SCHEMA
-from angler_mjx.storage.folder import Run, partial_path
-from angler_mjx.storage.results import OUTCOMES
 from angler_mjx.testing import referee
-from angler_mjx.vehicles import library
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import ThrusterPwm
+from angler_mjx.report.viewing import figures
+from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.policy import Policy
-from angler_mjx.viewing import figures
 
 SCENARIO = """
 schema_version = 1

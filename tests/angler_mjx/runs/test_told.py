@@ -6,9 +6,9 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.rollout import rollout
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
 
 SCENARIO = """
 schema_version = 1

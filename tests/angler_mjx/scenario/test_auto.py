@@ -10,10 +10,10 @@ from angler_mjx.planning import register
 from angler_mjx.planning.automatic import LARGE_TEAM
 from angler_mjx.planning.mppi.policy import Mppi
 from angler_mjx.planning.online.policy import Online
+from angler_mjx.runs.simulator.scenario_policy import policy_of
 from angler_mjx.scenario import notices
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.scenario import Scenario, find, load_scenario
-from angler_mjx.simulator.scenario_policy import policy_of
 from angler_mjx.studies import settings
 from angler_mjx.studies.cells import cells
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.simulator import prepare
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator import prepare
 
 WORLDS = 4000
 

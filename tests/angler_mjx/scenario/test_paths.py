@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from angler_mjx.benchmark import questions
 from angler_mjx.cli.main import main
-from angler_mjx.datasets import parts
 from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets import parts
+from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.studies.benchmark import questions
 from angler_mjx.studies.fleet_size import asking
-from angler_mjx.vehicles import library
 
 SCENARIO = """
 name = "near"

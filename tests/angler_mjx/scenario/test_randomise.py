@@ -7,15 +7,15 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.asking import team
+from angler_mjx.robot.sensing import params as instruments
+from angler_mjx.robot.sensing import suite
+from angler_mjx.robot.sensing.config import SensorsConfig
+from angler_mjx.robot.sensing.readings import Truth
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.variation import Variation, varied
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sensing import params as instruments
-from angler_mjx.sensing import suite
-from angler_mjx.sensing.config import SensorsConfig
-from angler_mjx.sensing.readings import Truth
 from angler_mjx.sim import fleet
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.variation import Variation, varied
 
 SPANS = {
     "mass": [0.9, 1.1],

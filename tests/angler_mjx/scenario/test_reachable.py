@@ -2,11 +2,11 @@
 
 import pytest
 
-from angler_mjx.benchmark import questions
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.reachable import check_reachable, least_time_s
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.studies.benchmark import questions
 
 FILE = """
 schema_version = 1

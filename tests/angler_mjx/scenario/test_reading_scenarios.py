@@ -8,7 +8,7 @@ from angler_mjx.cli.shared.given import scenario_given
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
 
-from ..vehicles import made_up
+from ..robot.vehicles import made_up
 
 HEAD = """schema_version = 1
 name = "made_up"

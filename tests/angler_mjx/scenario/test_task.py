@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.simulator.scenario_policy import policy_of
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.session.batch import BatchSession
-from angler_mjx.simulator.scenario_policy import policy_of
 
 HEAD = """
 schema_version = 1

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import detection
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, detect
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Touched
-from angler_mjx.vehicles import library, params
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, DRIFT, SPHERE, STATIC, Obstacles, ObstacleState

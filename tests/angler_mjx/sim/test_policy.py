@@ -9,21 +9,27 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control import stages
-from angler_mjx.control.commands import BodyTwist, BodyWrench, Estimate, PoseTarget, ThrusterPwm
-from angler_mjx.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
-from angler_mjx.control.laws import follow
-from angler_mjx.control.stack import ControlParams
-from angler_mjx.engines.lanes.engine import FusedEngine
-from angler_mjx.engines.mjx import MjxEngine
-from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import stages
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    Estimate,
+    PoseTarget,
+    ThrusterPwm,
+)
+from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.laws import follow
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
 from angler_mjx.sim.aboard.here import Aboard
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.mjx import MjxEngine
+from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Known, Policy
-from angler_mjx.vehicles import library, params
 from angler_mjx.world import currents
 
 from ..compiling import quickly

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control.commands import ThrusterPwm
+from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome, SimSpec, Tally, Touched
-from angler_mjx.vehicles import library, params
 
 # A control step of 0.1 s, from t = 4 s on, in a box of 12 m; numbers that float32 rounds little.
 SPEC = SimSpec(physics_dt_s=0.02, physics_steps=5, goal_tolerance_m=0.5)

@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control import stages
-from angler_mjx.control.joint_trajectory import from_path
-from angler_mjx.engines.lanes.engine import FusedEngine
-from angler_mjx.engines.mjx import MjxEngine
-from angler_mjx.engines.triton.engine import TritonEngine
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control import stages
+from angler_mjx.robot.control.joint_trajectory import from_path
+from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.scenario import instrumented
-from angler_mjx.sensing.config import SensorsConfig
 from angler_mjx.sim.aboard import senses
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.mjx import MjxEngine
+from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.grid import Grid, height_above_bottom

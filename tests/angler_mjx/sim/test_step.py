@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.physics.step import VehicleState
 from angler_mjx.sim import step
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome
 
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.engines.base import by_name
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import fleet
+from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.world.currents import DoubleGyre, Rankine
 

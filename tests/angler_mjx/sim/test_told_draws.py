@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from angler_kernels import quaternion
-from angler_mjx.control.navigation import NavigationParams
-from angler_mjx.physics.step import VehicleState
-from angler_mjx.sensing import instruments, params
-from angler_mjx.sensing.config import SensorsConfig
+from angler_mjx.robot.control.navigation import NavigationParams
+from angler_mjx.robot.sensing import instruments, params
+from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.sim.aboard import senses
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import InstrumentedRobots, SimSpec
 from angler_mjx.world.grid import Grid
 

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import BodyTwist
-from angler_mjx.engines.lanes.engine import FusedEngine
-from angler_mjx.engines.mjx import MjxEngine
-from angler_mjx.engines.triton.engine import TritonEngine
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import BodyTwist
 from angler_mjx.sim import knowledge
 from angler_mjx.sim import policy as policies
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.mjx import MjxEngine
+from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents

@@ -7,17 +7,17 @@ import jax
 import numpy as np
 import pytest
 
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.engines.lanes.engine import FusedEngine
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world import currents
 from angler_mjx.world.currents import UniformConfig
 
 from ..compiling import quickly
-from ..vehicles import made_up
+from ..robot.vehicles import made_up
 
 SCENARIO = """schema_version = 1
 name = "no_sway"

@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 from scipy import stats
 
-from angler_mjx.storage.intervals import clustered_mean
+from angler_mjx.runs.storage.intervals import clustered_mean
 from angler_mjx.studies.measures import COSTS
 from angler_mjx.studies.paired import pair, sign_test
 

@@ -12,8 +12,8 @@ from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.storage.folder import Run
 from angler_mjx.studies import chart, compare, sweep, tables, told
 from angler_mjx.studies.settings import axes
 

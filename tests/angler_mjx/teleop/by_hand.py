@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from angler_mjx.control.commands import BodyTwist, Estimate, PoseTarget, ThrusterPwm
-from angler_mjx.session.interface import Observation, RobotInfo, RobotStatus
+from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget, ThrusterPwm
+from angler_mjx.runs.session.interface import Observation, RobotInfo, RobotStatus
 from angler_mjx.sim.state import Outcome
 
 

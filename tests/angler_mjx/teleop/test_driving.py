@@ -9,10 +9,11 @@ import pytest
 from angler_mjx.cli.main import main
 from angler_mjx.cli.teleop import teleop
 from angler_mjx.errors import ConfigError, RunError, UnsupportedError
-from angler_mjx.interop import mcap
+from angler_mjx.report.interop import mcap
+from angler_mjx.report.viewing import scene
+from angler_mjx.runs.storage.folder import Run, reopen
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.storage.folder import Run, reopen
 from angler_mjx.teleop import live_view, opening
 from angler_mjx.teleop.driving import Settings, run
 from angler_mjx.teleop.loop import drive
@@ -20,7 +21,6 @@ from angler_mjx.teleop.pilot import SILENCE_S, Mode, Pilot
 from angler_mjx.teleop.recording import KEYS, Recording
 from angler_mjx.teleop.script import Script, TimedKey, load
 from angler_mjx.teleop.signals import Stop
-from angler_mjx.viewing import scene
 
 from .terminals import assert_given_back
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import BodyTwist, PoseTarget
+from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.teleop import pilot as module
 from angler_mjx.teleop.keys import FACTORS, MOVES, STILL
 from angler_mjx.teleop.pilot import BRAKE_S, Mode, Pilot

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from angler_mjx.session.interface import RobotStatus
+from angler_mjx.runs.session.interface import RobotStatus
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop import status
 from angler_mjx.teleop.pace import Overruns

@@ -10,14 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control.commands import ThrusterPwm
-from angler_mjx.physics.step import VehicleState
+from angler_mjx.robot.control.commands import ThrusterPwm
+from angler_mjx.robot.vehicles import library, params
+from angler_mjx.runs.storage.harvest import TileResult
+from angler_mjx.runs.storage.results import episode_table
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect
+from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Outcome, SimSpec, Tally
-from angler_mjx.storage.harvest import TileResult
-from angler_mjx.storage.results import episode_table
-from angler_mjx.vehicles import library, params
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import Obstacles, ObstacleState

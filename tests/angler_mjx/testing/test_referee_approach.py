@@ -5,7 +5,7 @@ import pytest
 
 from angler_mjx.testing.referee import approach
 
-from ..control.test_last_approach import CASES, GOAL, TOLERANCE_M
+from ..robot.control.test_last_approach import CASES, GOAL, TOLERANCE_M
 
 DT_S = 0.05
 

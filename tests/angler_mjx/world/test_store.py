@@ -9,7 +9,7 @@ import zarr
 
 from angler_mjx.cli import env
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.storage import environments as store
+from angler_mjx.runs.storage import environments as store
 from angler_mjx.world.generate import generate_batch
 
 from .recipe import COUNT, RADIUS, RECIPE, SEED

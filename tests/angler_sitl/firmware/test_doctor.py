@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.vehicles.library import available
+from angler_mjx.robot.vehicles.library import available
 from angler_sitl.firmware import binary, sockets
 from angler_sitl.firmware.doctor import examine
 

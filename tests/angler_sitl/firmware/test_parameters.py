@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.tuning import gain_files
-from angler_mjx.vehicles.config import VehicleConfig
-from angler_mjx.vehicles.library import available, load
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.library import available, load
+from angler_mjx.studies.tuning import gain_files
 from angler_sitl.firmware import parameters, probe
 from angler_sitl.firmware.airframe import FACTORS, frame_of
 from angler_sitl.firmware.parameters import (

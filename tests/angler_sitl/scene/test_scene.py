@@ -2,8 +2,8 @@ import jax
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import ThrusterPwm
 from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import Outcome
 from angler_sitl.scene.scene import Scene

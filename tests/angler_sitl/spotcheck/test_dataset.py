@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from angler_mjx.datasets import card, describing, figures, gaps, index, manifest, sums
-from angler_mjx.datasets.config import DatasetConfig, DatasetScene, Expert
-from angler_mjx.datasets.keeping import repair
-from angler_mjx.datasets.verifying import sound
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.learning.datasets import card, describing, figures, gaps, index, manifest, sums
+from angler_mjx.learning.datasets.config import DatasetConfig, DatasetScene, Expert
+from angler_mjx.learning.datasets.keeping import repair
+from angler_mjx.learning.datasets.verifying import sound
 from angler_mjx.runs.progress import Silent
 from angler_sitl.spotcheck import checking, dataset, flight, picking
 from angler_sitl.spotcheck.found import Found, Settings
@@ -30,7 +30,7 @@ ASIDE_M = {"000_near": 0.1, "001_far": 0.5}
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Two parts of two worlds of four robots, without figures; not to be changed."""
-    path = Path(__file__).parents[2] / "angler_mjx" / "viewing" / "conftest.py"
+    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "viewing" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs_by_hand", path)
     made = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(made)

@@ -19,20 +19,20 @@ import pytest
 from matplotlib.figure import Figure
 
 from angler_mjx.cli.main import main
-from angler_mjx.control.joint_trajectory import JointTrajectory
-from angler_mjx.control.laws.ardusub.gains import ArduSubGains
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.rollout import rollout
-from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sim.state import Outcome, World
-from angler_mjx.storage.folder import (
+from angler_mjx.runs.storage.folder import (
     EPISODES,
     SUMMARY,
     TRAJECTORIES,
     Run,
 )
-from angler_mjx.vehicles import library
+from angler_mjx.scenario.scenario import load_scenario
+from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware import parameters, probe
 from angler_sitl.spotcheck import checking, figures, flight, flying, gaps, picking, scenes
 from angler_sitl.spotcheck.flight import Flight
@@ -209,7 +209,7 @@ def test_sums_count_what_they_say():
 @pytest.fixture(scope="module")
 def made():
     """Makers of the runs that pictures are tested with: no simulation, a second's work."""
-    path = Path(__file__).parents[2] / "angler_mjx" / "viewing" / "conftest.py"
+    path = Path(__file__).parents[2] / "angler_mjx" / "report" / "viewing" / "conftest.py"
     spec = importlib.util.spec_from_file_location("runs_by_hand", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -4,8 +4,8 @@ import pytest
 
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
 from angler_experiments.learned_planner.training import examples
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 WORLDS, ROBOTS = 4, 4
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from angler_experiments.learned_planner.evaluate import ahead
 from angler_experiments.learned_planner.evaluate.ahead import Ahead
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.world.currents import Uniform
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from angler_experiments import benchmarks
-from angler_mjx.benchmark import questions
+from angler_mjx.studies.benchmark import questions
 
 FILE = Path(benchmarks.__file__).with_name("learned.toml")
 

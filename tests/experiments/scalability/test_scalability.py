@@ -9,7 +9,7 @@ from scipy import stats
 from angler_experiments.scalability import arrivals, cost, draw, ladders
 from angler_experiments.scalability.fits import power, shares
 from angler_mjx.errors import ConfigError
-from angler_mjx.speed import rows as speed
+from angler_mjx.studies.speed import rows as speed
 
 
 def test_a_power_law_is_found_again():

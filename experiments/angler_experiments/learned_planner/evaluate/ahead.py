@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.knowledge import KnownObstacles
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.simulator.simulator import Simulator
 from angler_mjx.world.obstacles.types import STATIC
 
 HZ = 2.0

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.atomic import whole
+from angler_mjx.runs.storage.atomic import whole
 
 _HEAD = (
     "| sea | planner | samples | have a path, % | arrive, % (95 %) "

@@ -12,15 +12,15 @@ import numpy as np
 from angler_experiments.learned_planner.evaluate.ahead import Ahead
 from angler_experiments.learned_planner.evaluate.rows import POINTS, Sea, scenario
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.compiling import Compiled, Program, Together
+from angler_mjx.runs.simulator.on_device import device_planner
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage.intervals import Rate, clustered
 from angler_mjx.sim.knowledge import Level
 from angler_mjx.sim.state import Outcome, World
-from angler_mjx.simulator.compiling import Compiled, Program, Together
-from angler_mjx.simulator.on_device import device_planner
-from angler_mjx.simulator.simulator import Simulator
-from angler_mjx.storage.intervals import Rate, clustered
 
 _TIMED = 2
 """Calls that are timed."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.viewing import style
+from angler_mjx.report.viewing import style
 
 _PERCENT = 100.0
 

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 
 from angler_experiments.learned_planner import planner
 from angler_experiments.learned_planner.training import examples
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.scenario.scenario import Scenario
 
 SEED = 2_000_003

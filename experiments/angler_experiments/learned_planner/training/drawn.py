@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from angler_experiments.learned_planner.training import examples as made_of
 from angler_experiments.learned_planner.training.examples import Examples
-from angler_mjx.simulator.simulator import Simulator
+from angler_mjx.runs.simulator.simulator import Simulator
 
 EXPERT = "priority"
 TRAINING_SEED = 1_000_003

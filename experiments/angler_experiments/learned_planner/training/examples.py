@@ -15,11 +15,11 @@ import numpy as np
 from angler_experiments.learned_planner import scene as seen
 from angler_experiments.learned_planner import ways
 from angler_experiments.learned_planner.scene import Scene
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
-from angler_mjx.simulator.simulator import Simulator
 
 BODIES = 12
 """Rows of obstacles in an example; of more than that the first are learned from."""

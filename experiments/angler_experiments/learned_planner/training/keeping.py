@@ -15,7 +15,7 @@ from angler_experiments.learned_planner.training import drawn, gathering
 from angler_experiments.learned_planner.training.drawn import Source
 from angler_experiments.learned_planner.training.examples import Examples
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.atomic import whole
+from angler_mjx.runs.storage.atomic import whole
 
 _ABOUT = "about"
 _OF_SCENE = ("gap", "own", "others", "bodies", "water", "exists", "body_exists")

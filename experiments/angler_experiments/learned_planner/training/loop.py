@@ -20,7 +20,7 @@ from angler_experiments.learned_planner.shapes import Width
 from angler_experiments.learned_planner.training.drawn import Source
 from angler_experiments.learned_planner.training.examples import Examples, mirrored
 from angler_mjx.errors import ConfigError
-from angler_mjx.storage.atomic import whole
+from angler_mjx.runs.storage.atomic import whole
 
 WEIGHTS = "weights.npz"
 _STEPS, _ABOUT, _PACE = "steps", "training.json", "pace.json"

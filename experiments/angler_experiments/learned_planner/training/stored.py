@@ -11,15 +11,15 @@ import numpy as np
 
 from angler_experiments.learned_planner.training import examples as made_of
 from angler_experiments.learned_planner.training.examples import Examples
-from angler_mjx import datasets
-from angler_mjx.control.trajectory import Trajectory
-from angler_mjx.datasets import manifest
 from angler_mjx.errors import ConfigError
+from angler_mjx.learning import datasets
+from angler_mjx.learning.datasets import manifest
 from angler_mjx.planning.asking import team
 from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.storage import environments
+from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim import fleet, knowledge
-from angler_mjx.storage import environments
-from angler_mjx.storage.folder import Run
 
 
 def of_folder(path: Path, split: str, tell: Callable[[str], None]) -> Iterator[Examples]:

@@ -17,11 +17,11 @@ from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
 from angler_mjx.planning.online.planners import _environment
 from angler_mjx.planning.ways.robot import WayConfig, layers
+from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.knowledge import KnownCurrent
-from angler_mjx.simulator.on_device import device_planner
 from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
 from ..problems import no_obstacles, problem

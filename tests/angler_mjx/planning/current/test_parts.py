@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from angler_mjx.control.trajectory import Trajectory, hold
 from angler_mjx.planning.current import planner, search, shaping
 from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
@@ -17,6 +16,7 @@ from angler_mjx.planning.current.timetable import scheduled
 from angler_mjx.planning.online.planners import _environment
 from angler_mjx.planning.ways.lattice import terrain
 from angler_mjx.planning.ways.traffic import Traffic
+from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 from ...compiling import quickly
 from ..problems import problem

@@ -19,8 +19,8 @@ from angler_mjx.planning.host.compiled.advancing import TOLERANCE_M
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.hulls import HullChecker
 from angler_mjx.planning.host.robots import Robot
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.params import build
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.params import build
 
 from ...compiling import quickly
 from . import scenes

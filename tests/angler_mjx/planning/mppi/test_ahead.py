@@ -3,9 +3,9 @@
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.acoustics.channel import Others
 from angler_mjx.planning.mppi import ahead
 from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
+from angler_mjx.world.acoustics.channel import Others
 
 TIMES = np.array([0.25, 0.5, 1.25, 9.0])
 

@@ -8,11 +8,11 @@ import pytest
 
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
+from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator import scenario_policy
 
-from ...vehicles import made_up
+from ...robot.vehicles import made_up
 
 SCENARIO = """
 name = "meeting"

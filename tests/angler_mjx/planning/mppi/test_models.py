@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control import allocation
-from angler_mjx.control.commands import Estimate
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning.mppi import drag, outputs
 from angler_mjx.planning.mppi.models import Forces, Lag
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.params import build, stack
+from angler_mjx.robot.control import allocation
+from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.params import build, stack
 
 YAW, DENSITY, GRAVITY, DT, RESPONSE = 0.7, 1025.0, 9.81, 0.1, 0.3
 FLOW = np.array([0.2, -0.3, 0.1])

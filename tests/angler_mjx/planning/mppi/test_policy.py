@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control import allocation
-from angler_mjx.control.stack import ControlParams
 from angler_mjx.planning.mppi.policy import Mppi
+from angler_mjx.robot.control import allocation
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.params import build, stack
 from angler_mjx.sim.policy import Known
 from angler_mjx.sim.record import Belief
-from angler_mjx.vehicles import library
-from angler_mjx.vehicles.params import build, stack
 from angler_mjx.world.grid import Grid
 
 from ...compiling import quickly

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import angler_mjx as angler
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.errors import ConfigError
-from angler_mjx.session.batch import BatchSession
-from angler_mjx.session.online import Flyer, problem_of
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.session.batch import BatchSession
+from angler_mjx.runs.session.online import Flyer, problem_of
+from angler_mjx.runs.simulator import scenario_policy
+from angler_mjx.runs.storage import harvest
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator import scenario_policy
-from angler_mjx.storage import harvest
 
 SCENARIO = """
 name = "crossing"

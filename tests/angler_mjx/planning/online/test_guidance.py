@@ -4,9 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.control.commands import Estimate
-from angler_mjx.control.laws.follow import FollowGains
 from angler_mjx.planning.online import guidance, order
+from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.robot.control.laws.follow import FollowGains
 
 from ...compiling import quickly
 from .test_order import CROSS

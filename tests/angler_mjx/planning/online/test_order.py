@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from angler_mjx.control.trajectory import Trajectory
 from angler_mjx.planning.online import order
+from angler_mjx.robot.control.trajectory import Trajectory
 
 from ...compiling import quickly
 

@@ -11,10 +11,10 @@ import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes import fields
+from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.sim.aboard.here import Aboard, Sent
 from angler_mjx.sim.knowledge import Knows
 from angler_mjx.sim.state import Outcome
-from angler_mjx.simulator import scenario_policy
 from angler_mjx.world import routes as reading
 
 from ...compiling import quickly

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from angler_mjx.storage.intervals import wilson
+from angler_mjx.runs.storage.intervals import wilson
 from angler_mjx.studies.fleet_size import bernoulli
 
 LOOKS = range(20, 1001, 20)

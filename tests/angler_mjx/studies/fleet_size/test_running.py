@@ -26,7 +26,7 @@ from ...threads import together
 
 PLANNER = '''
 import jax.numpy as jnp
-from angler_mjx.control.trajectory import Trajectory
+from angler_mjx.robot.control.trajectory import Trajectory
 
 
 class Straight:

@@ -1,0 +1,76 @@
+"""Import paths of versions before 0.2: each is the module of today, with a DeprecationWarning."""
+
+import importlib
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
+from types import ModuleType
+
+MOVED = {
+    "angler_mjx.acoustics": "angler_mjx.world.acoustics",
+    "angler_mjx.benchmark": "angler_mjx.studies.benchmark",
+    "angler_mjx.control": "angler_mjx.robot.control",
+    "angler_mjx.datasets": "angler_mjx.learning.datasets",
+    "angler_mjx.engines": "angler_mjx.sim.engines",
+    "angler_mjx.flights": "angler_mjx.studies.flights",
+    "angler_mjx.interop": "angler_mjx.report.interop",
+    "angler_mjx.physics": "angler_mjx.sim.physics",
+    "angler_mjx.sensing": "angler_mjx.robot.sensing",
+    "angler_mjx.session": "angler_mjx.runs.session",
+    "angler_mjx.simulator": "angler_mjx.runs.simulator",
+    "angler_mjx.speed": "angler_mjx.studies.speed",
+    "angler_mjx.storage": "angler_mjx.runs.storage",
+    "angler_mjx.tasks": "angler_mjx.world.tasks",
+    "angler_mjx.trials": "angler_mjx.studies.trials",
+    "angler_mjx.tuning": "angler_mjx.studies.tuning",
+    "angler_mjx.validation": "angler_mjx.testing.validation",
+    "angler_mjx.vehicles": "angler_mjx.robot.vehicles",
+    "angler_mjx.viewing": "angler_mjx.report.viewing",
+}
+"""Package of before, and of today; modules below have the same names."""
+
+
+def moved(name: str) -> str | None:
+    """Return the path of today of a module; None if it has not moved."""
+    parts = name.split(".")
+    today = MOVED.get(".".join(parts[:2]))
+    return None if today is None else ".".join([today, *parts[2:]])
+
+
+class _Finder(MetaPathFinder, Loader):
+    """Finds modules at their paths of before."""
+
+    def __init__(self) -> None:
+        self._specs: dict[str, ModuleSpec | None] = {}
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        return None if moved(name) is None else spec_from_loader(name, self)
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        today = moved(spec.name) or spec.name
+        warnings.warn(
+            f"{spec.name} is {today} since 0.2; the old path works until 1.0",
+            DeprecationWarning,
+            stacklevel=2,  # frames of the import system do not count
+        )
+        module = importlib.import_module(today)
+        self._specs[spec.name] = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Give the module its own spec back: the import system has put that of before there."""
+        spec = module.__spec__
+        if spec is not None and spec.name in self._specs:
+            module.__spec__ = self._specs.pop(spec.name)
+
+
+def install() -> None:
+    """Let imports find modules at their paths of before."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        # Before the path finder, which would load a second copy of a module in a moved package.
+        sys.meta_path.insert(0, _Finder())

@@ -1,0 +1,191 @@
+"""A robot's flight, as formats of single agents hold it: what it knew, what it did, and whether.
+
+The state is 19 numbers: place, attitude, velocity, goal, current. Of the others there are so many
+as the dataset's teams have, less one, nearest first at each sample, by place and velocity relative
+to the robot in W; where there is none, zeros and a 0 in the mask.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets.reading.dataset import Dataset
+from angler_mjx.learning.datasets.reading.episode import Episode
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+
+STATE = (
+    *("x_m", "y_m", "z_m"),
+    *("qw", "qx", "qy", "qz"),
+    *("u_mps", "v_mps", "w_mps", "p_radps", "q_radps", "r_radps"),
+    *("goal_x_m", "goal_y_m", "goal_z_m"),
+    *("current_x_mps", "current_y_mps", "current_z_mps"),
+)
+"""Names of the numbers of a state, in order; world frame, but velocities in the body's."""
+
+OTHER = ("there", "dx_m", "dy_m", "dz_m", "dvx_mps", "dvy_mps", "dvz_mps")
+"""Of each other robot."""
+
+ACTIONS = {"target": ("target_x_m", "target_y_m", "target_z_m"), "pwm": ()}
+"""What a robot did, by name: where its controller aimed, world frame; or pulse widths, us. Those of
+thrusters that a robot does not have are neutral."""
+
+UNITS = {
+    "m": "m",
+    "mps": "m/s",
+    "radps": "rad/s",
+    "us": "us",
+    "s": "s",
+    "qw": "1",
+    "qx": "1",
+    "qy": "1",
+    "qz": "1",
+    "there": "1",
+}
+"""Units by the last word of a number's name."""
+
+NEEDED = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """One robot's, until its end."""
+
+    episode: int
+    """Its place in the dataset's index."""
+    robot: int
+    outcome: str
+    split: str
+    task: str
+    time_s: np.ndarray
+    """[t]."""
+    state: np.ndarray
+    """float32 [t, 19]; see `STATE`."""
+    others: np.ndarray
+    """float32 [t, others, 7]; see `OTHER`."""
+    action: np.ndarray
+    """float32 [t, a]."""
+
+    @property
+    def arrived(self) -> bool:
+        """At its goal."""
+        return self.outcome == "reached"
+
+
+def action_names(data: Dataset, action: str) -> tuple[str, ...]:
+    """Of the numbers of an action.
+
+    Raises:
+        ConfigError: there is no such action.
+    """
+    if action not in ACTIONS:
+        raise ConfigError(f"--action {action}: must be {' or '.join(ACTIONS)}")
+    if action == "target":
+        return ACTIONS["target"]
+    most = max(data.stored(int(i), "pwm_us").shape[-1] for i in _one_of_each(data))
+    return tuple(f"pwm_{i}_us" for i in range(most))
+
+
+def unit(name: str) -> str:
+    """Return the unit of a number of a state, of another robot or of an action, from its name."""
+    return UNITS[name.rpartition("_")[2]]
+
+
+def other_names(data: Dataset) -> tuple[str, ...]:
+    """Return the names of the numbers of the other robots, nearest first."""
+    return tuple(f"other_{i}_{name}" for i in range(int(data.robots.max()) - 1) for name in OTHER)
+
+
+def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterator[Flight]:
+    """All of a dataset, one after another.
+
+    Args:
+        data: whose flights.
+        action: see `ACTIONS`.
+        of: the whole that it is a part of, by whose teams and vehicles arrays are as wide.
+
+    Raises:
+        ConfigError: there is no such action, or a file is damaged.
+    """
+    whole = of or data
+    names = action_names(whole, action)
+    others = int(whole.robots.max()) - 1
+    for i in range(len(data)):
+        episode = data.episode(i)
+        yield from (
+            _flight(i, episode, robot, others, action, len(names))
+            for robot in range(episode.running.shape[1])
+            if episode.running[:, robot].any()
+        )
+
+
+def count(data: Dataset) -> int:
+    """How many there are, at most: one that ended before its first sample is left out."""
+    return int(data.robots.sum())
+
+
+def _one_of_each(data: Dataset) -> np.ndarray:
+    """An episode of each part."""
+    found: np.ndarray = np.unique(data.index["part"].to_numpy(), return_index=True)[1]
+    return found
+
+
+def _flight(
+    number: int, episode: Episode, robot: int, others: int, action: str, width: int
+) -> Flight:
+    steps = int(episode.running[:, robot].sum())
+    arrays: dict[str, np.ndarray] = {n: values[:steps] for n, values in episode.arrays.items()}
+    given = arrays["target_m" if action == "target" else "pwm_us"][:, robot]
+    made = np.full((steps, width), NEUTRAL_US if action == "pwm" else 0.0, np.float32)
+    made[:, : given.shape[-1]] = given
+    goal = np.broadcast_to(episode.goal_m[robot], (steps, 3))
+    state = [arrays[name][:, robot] for name in ("p_m", "q", "nu")]
+    state += [goal, arrays["current_mps"][:, robot]]
+    about = episode.about
+    return Flight(
+        episode=number,
+        robot=robot,
+        outcome=episode.outcomes[robot],
+        split=about["split"],
+        task=f"reach the goal, {about['scene']}, {about['robots']} robots",
+        time_s=episode.time_s[:steps].astype(np.float32),
+        state=np.concatenate(state, axis=1).astype(np.float32),
+        others=_others(arrays, robot, others),
+        action=made,
+    )
+
+
+def _others(arrays: dict[str, np.ndarray], robot: int, most: int) -> np.ndarray:
+    """[t, most, 7], nearest first."""
+    place, velocity = arrays["p_m"], _over_ground(arrays["q"], arrays["nu"])
+    steps, team = place.shape[:2]
+    found = np.zeros((steps, most, len(OTHER)), np.float32)
+    rest = [i for i in range(team) if i != robot]
+    if not rest:
+        return found
+    apart = place[:, rest] - place[:, robot, None]
+    near = np.argsort(np.linalg.norm(apart, axis=-1), axis=1, kind="stable")[..., None]
+    moving = velocity[:, rest] - velocity[:, robot, None]
+    found[:, : len(rest), 0] = 1.0
+    found[:, : len(rest), 1:4] = np.take_along_axis(apart, near, axis=1)
+    found[:, : len(rest), 4:7] = np.take_along_axis(moving, near, axis=1)
+    return found
+
+
+def _over_ground(q: np.ndarray, nu: np.ndarray) -> np.ndarray:
+    """Velocities in W, of attitudes and of velocities in the body's frame."""
+    w, v, u = q[..., :1], q[..., 1:], nu[..., :3]
+    turned: np.ndarray = u + 2.0 * np.cross(v, np.cross(v, u) + w * u)
+    return turned
+
+
+def about(data: Dataset, action: str) -> dict[str, Any]:
+    """What stands beside the numbers in every format: names, units and frames."""
+    names = {"state": STATE, "others": OTHER, "action": action_names(data, action)}
+    return {
+        **{key: list(of) for key, of in names.items()},
+        "units": {name: unit(name) for of in names.values() for name in of},
+        "frames": "world x east, y north, z up; body x forward, y left, z up; quaternion wxyz",
+    }

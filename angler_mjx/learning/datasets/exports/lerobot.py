@@ -1,0 +1,271 @@
+"""Flights as a LeRobot dataset, version 3.0: an episode a robot's flight, without pictures.
+
+Episodes lie split by split, so that ``splits`` of ``info.json`` are ranges. Whoever reads it needs
+LeRobot; writing takes Parquet and JSON alone.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets.exports import flights, lerobot_statistics
+from angler_mjx.learning.datasets.exports.flights import Flight
+from angler_mjx.learning.datasets.exports.lerobot_statistics import Statistics
+from angler_mjx.learning.datasets.reading.dataset import Dataset
+from angler_mjx.runs.storage import folder
+
+VERSION = "v3.0"
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CHUNK = 1000
+"""Files of a folder."""
+FRAMES = 500_000
+"""Of a data file."""
+PLACES = 10_000
+"""Episodes of a file of episodes, some 50 MB of statistics at most."""
+GROUP = 1000
+"""Episodes of a row group, which are kept in memory until they are written."""
+
+_COUNTED = ("frame_index", "episode_index", "index", "task_index")
+
+
+def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+    """Write a LeRobot dataset; arguments and errors as of `parquet.write`.
+
+    Raises:
+        ConfigError: the recording rate is no whole number, which LeRobot asks for.
+    """
+    hz = data.run(int(data.index["part"][0].as_py())).scenario.time.record_hz
+    if hz != int(hz):
+        raise ConfigError(f"record_hz = {hz:g}: LeRobot takes whole numbers of frames a second")
+    names = flights.action_names(data, action)
+    made = _Writing(out, data, names)
+    tell_at = 0
+    for split in sorted(set(data.index["split"].to_pylist())):
+        mine = Dataset(
+            data.place,
+            data.index.filter(pc.equal(data.index["split"], split)),
+            data.parts,
+            data.fields,
+        )
+        first = made.episodes
+        for flight in flights.flights(mine, action, of=data):
+            made.add(flight)
+            tell_at += 1
+            tell(tell_at)
+        if made.episodes > first:
+            made.splits[split] = f"{first}:{made.episodes}"
+    made.close(int(hz))
+
+
+class _Writing:
+    """A dataset in the making."""
+
+    def __init__(self, out: Path, data: Dataset, actions: tuple[str, ...]) -> None:
+        others = list(flights.other_names(data))
+        self.out = out
+        self.splits: dict[str, str] = {}
+        self.episodes = self.frames = 0
+        self._names: dict[str, list[str]] = {
+            "observation.state": list(flights.STATE),
+            "action": list(actions),
+        }
+        if others:
+            self._names["observation.environment_state"] = others
+        self._tasks: dict[str, int] = {}
+        self._files = _Files(out, DATA, self._schema())
+        self._episodes = _Episodes(out)
+        self._statistics: dict[str, Statistics] = {}
+
+    def _schema(self) -> pa.Schema:
+        vectors = [(name, pa.list_(pa.float32(), len(x))) for name, x in self._names.items()]
+        return pa.schema(
+            [*vectors, ("timestamp", pa.float32()), *((name, pa.int64()) for name in _COUNTED)]
+        )
+
+    def add(self, flight: Flight) -> None:
+        """Write a flight."""
+        steps = len(flight.time_s)
+        task = self._tasks.setdefault(flight.task, len(self._tasks))
+        values = {
+            "observation.state": flight.state,
+            "action": flight.action,
+            "observation.environment_state": flight.others.reshape(steps, -1),
+        }
+        counted = {
+            "timestamp": flight.time_s - flight.time_s[0],
+            "frame_index": np.arange(steps),
+            "episode_index": np.full(steps, self.episodes),
+            "index": np.arange(self.frames, self.frames + steps),
+            "task_index": np.full(steps, task),
+        }
+        columns: dict[str, Any] = {}
+        statistics: dict[str, Statistics] = {}
+        for name, parts in self._names.items():
+            rows = np.ascontiguousarray(values[name], np.float32)
+            columns[name] = pa.FixedSizeListArray.from_arrays(rows.reshape(-1), len(parts))
+            statistics[name] = lerobot_statistics.of_episode(rows)
+        for name, numbers in counted.items():
+            columns[name] = numbers
+            statistics[name] = lerobot_statistics.of_episode(numbers[:, None])
+        self._aggregate(statistics)
+        chunk, file = self._files.write(columns, steps)
+        number = self.episodes // PLACES
+        self._episodes.add(
+            {
+                "episode_index": self.episodes,
+                "tasks": [flight.task],
+                "length": steps,
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": self.frames,
+                "dataset_to_index": self.frames + steps,
+                **lerobot_statistics.columns(statistics),
+                "meta/episodes/chunk_index": number // CHUNK,
+                "meta/episodes/file_index": number % CHUNK,
+                "outcome": flight.outcome,
+                "split": flight.split,
+            }
+        )
+        self.episodes += 1
+        self.frames += steps
+
+    def _aggregate(self, episode: dict[str, Statistics]) -> None:
+        """Add an episode's statistics to those of all episodes."""
+        for name, statistics in episode.items():
+            before = [self._statistics[name]] if name in self._statistics else []
+            self._statistics[name] = lerobot_statistics.aggregated([*before, statistics])
+
+    def close(self, hz: int) -> None:
+        """Write what says what all of it is."""
+        self._files.close()
+        self._episodes.close()
+        pq.write_table(_tasks(self._tasks), self.out / "meta" / "tasks.parquet")
+        folder.write_json(
+            self.out / "meta" / "stats.json",
+            {
+                feature: {name: values.tolist() for name, values in statistics.items()}
+                for feature, statistics in self._statistics.items()
+            },
+        )
+        folder.write_json(self.out / "meta" / "info.json", self._info(hz))
+
+    def _info(self, hz: int) -> dict[str, Any]:
+        vectors = {
+            name: {"dtype": "float32", "shape": [len(parts)], "names": parts}
+            for name, parts in self._names.items()
+        }
+        counted = {name: {"dtype": "int64", "shape": [1], "names": None} for name in _COUNTED}
+        stamp = {"timestamp": {"dtype": "float32", "shape": [1], "names": None}}
+        return {
+            "codebase_version": VERSION,
+            "robot_type": "underwater_vehicle",
+            "total_episodes": self.episodes,
+            "total_frames": self.frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": CHUNK,
+            "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 200,
+            "fps": hz,
+            "splits": self.splits,
+            "data_path": DATA,
+            "video_path": None,
+            "features": {**vectors, **stamp, **counted},
+        }
+
+
+class _Files:
+    """Data files, one after another."""
+
+    def __init__(self, out: Path, pattern: str, schema: pa.Schema) -> None:
+        self._out, self._pattern, self._schema = out, pattern, schema
+        self._number, self._frames = -1, FRAMES
+        self._writer: Any = None
+
+    def write(self, columns: dict[str, Any], steps: int) -> tuple[int, int]:
+        """Write the rows of an episode; says into which chunk and file."""
+        if self._frames + steps > FRAMES:
+            self.close()
+            self._number, self._frames = self._number + 1, 0
+            place = self._out / self._pattern.format(
+                chunk_index=self._number // CHUNK, file_index=self._number % CHUNK
+            )
+            place.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(place, self._schema)
+        self._frames += steps
+        self._writer.write_table(pa.table(columns, schema=self._schema))
+        return self._number // CHUNK, self._number % CHUNK
+
+    def close(self) -> None:
+        """End the file that is open."""
+        if self._writer is not None:
+            self._writer.close()
+
+
+class _Episodes:
+    """Files of episodes, one after another, a row group at a time."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._rows: list[dict[str, Any]] = []
+        self._count = 0
+        self._writer: Any = None
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Add the row of an episode."""
+        if self._count % PLACES == 0:
+            self.close()
+        self._rows.append(row)
+        self._count += 1
+        if len(self._rows) == GROUP:
+            self._write()
+
+    def close(self) -> None:
+        """Write the remaining rows and end the file that is open."""
+        self._write()
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def _write(self) -> None:
+        if not self._rows:
+            return
+        table = pa.Table.from_pylist(self._rows)
+        if self._writer is None:
+            number = self._rows[0]["episode_index"] // PLACES
+            path = self._out / EPISODES.format(
+                chunk_index=number // CHUNK, file_index=number % CHUNK
+            )
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._writer = pq.ParquetWriter(path, table.schema)
+        self._writer.write_table(table)
+        self._rows = []
+
+
+def _tasks(tasks: dict[str, int]) -> pa.Table:
+    """As pandas reads it with the tasks as index, which LeRobot counts on."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": kind,
+                "numpy_type": of_numpy,
+                "metadata": None,
+            }
+            for name, (kind, of_numpy) in kinds.items()
+        ],
+        "pandas_version": "2.0.0",
+    }
+    table = pa.table({"task_index": list(tasks.values()), "task": list(tasks)})
+    return table.replace_schema_metadata({"pandas": json.dumps(about)})

@@ -1,0 +1,129 @@
+"""Flights in the HDF5 layout of motion policy networks (Fishman et al. 2022), for points in water.
+
+``global_solutions`` [n, T, 4] are flights of robots that arrived, x, y, z and heading at T times
+evenly spread; rock and obstacles at the start are cuboids, cylinders and, beside what that layout
+knows, spheres, padded with zeros to the most there are.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.errors import UnsupportedError
+from angler_mjx.learning.datasets.exports import flights
+from angler_mjx.learning.datasets.reading.dataset import Dataset
+from angler_mjx.world.obstacles.types import BOX, CAPSULE, SPHERE
+
+POINTS = 50
+"""Of a solution, as theirs have."""
+
+
+def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+    """Write a file for each split: ``train.hdf5`` and so on; arguments as of `parquet.write`.
+
+    Raises:
+        ConfigError: a file is damaged.
+        UnsupportedError: h5py is not installed.
+        OSError: the disk gave out.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise UnsupportedError("h5py is not installed: pip install 'angler-mjx[export]'") from error
+    splits = sorted(set(data.index["split"].to_pylist()))
+    most = _most(data)
+    files = {name: h5py.File(out / f"{name}.hdf5", "w") for name in splits}
+    try:
+        for name, file in files.items():
+            _describe(file, most, name)
+        seen, scene = -1, {}
+        for number, flight in enumerate(flights.flights(data, action), 1):
+            if flight.episode != seen:
+                seen, scene = flight.episode, shapes(data.episode(flight.episode).environment)
+            if flight.arrived:
+                _append(files[flight.split], {"global_solutions": solution(flight), **scene})
+            tell(number)
+    finally:
+        for file in files.values():
+            file.close()
+
+
+def solution(flight: flights.Flight) -> np.ndarray:
+    """[POINTS, 4] of a flight: x, y, z, m, and heading, rad, evenly in time."""
+    at = np.linspace(flight.time_s[0], flight.time_s[-1], POINTS)
+    w, x, y, z = flight.state[:, 3:7].T
+    heading = np.unwrap(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+    rows = [*flight.state[:, :3].T, heading]
+    return np.stack([np.interp(at, flight.time_s, row) for row in rows], axis=-1)
+
+
+def shapes(around: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Rock and obstacles of a world at its start, by the names of the layout, [count, ...]."""
+    cell = float(around["grid/cell_m"]) if "grid/cell_m" in around else 1.0
+    cells = np.argwhere(around["grid/occupied"])
+    centres = around["grid/origin_m"] + cell * (cells + 0.5)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(cells), 1))
+    kind = np.asarray(around.get("obstacles/kind", np.zeros(0, int)))
+    there = np.asarray(around.get("obstacles/exists", np.zeros(0, bool)))
+    size = np.asarray(around.get("obstacles/size_m", np.zeros((0, 3))))
+    place = np.asarray(around.get("obstacles/p0", np.zeros((0, 3))))
+    turned = np.asarray(around.get("obstacles/q0", np.zeros((0, 4))))
+    box, rod, ball = (there & (kind == one) for one in (BOX, CAPSULE, SPHERE))
+    return {
+        "cuboid_centers": np.concatenate([centres, place[box]]),
+        "cuboid_dims": np.concatenate([np.full((len(cells), 3), cell), 2.0 * size[box]]),
+        "cuboid_quaternions": np.concatenate([upright, turned[box]]),
+        "cylinder_centers": place[rod],
+        "cylinder_radii": size[rod, :1],
+        "cylinder_heights": 2.0 * (size[rod, 1:2] + size[rod, :1]),
+        "cylinder_quaternions": turned[rod],
+        "sphere_centers": place[ball],
+        "sphere_radii": size[ball, :1],
+    }
+
+
+_TAILS = {"centers": 3, "dims": 3, "quaternions": 4, "radii": 1, "heights": 1}
+
+
+ATTRIBUTES = {
+    "solutions": {"unit": "m, m, m, rad", "description": "x, y, z and heading, evenly in time"},
+    "centers": {"unit": "m", "description": "centres, world frame; zeros behind the last shape"},
+    "dims": {"unit": "m", "description": "whole edges along the shape's own axes"},
+    "quaternions": {"unit": "1", "description": "attitudes wxyz, from the shape's frame to W"},
+    "radii": {"unit": "m", "description": "radii"},
+    "heights": {"unit": "m", "description": "whole heights along z of the shape's frame"},
+}
+"""Attributes of every array, by the last word of its name."""
+
+
+def _most(data: Dataset) -> dict[str, int]:
+    """Rows that each kind of shape needs."""
+    most: dict[str, int] = {}
+    for i in range(len(data)):
+        for name, rows in shapes(data.episode(i).environment).items():
+            most[name] = max(most.get(name, 1), len(rows))
+    return most
+
+
+def _describe(file: Any, most: Mapping[str, int], split: str) -> None:
+    file.attrs["split"] = split
+    file.attrs["frames"] = "world x east, y north, z up, m; quaternions wxyz"
+    wanted = {"global_solutions": (POINTS, 4)}
+    wanted |= {name: (rows, _TAILS[name.rpartition("_")[2]]) for name, rows in most.items()}
+    for name, tail in wanted.items():
+        made = file.create_dataset(
+            name, (0, *tail), "f8", maxshape=(None, *tail), chunks=(16, *tail), compression="gzip"
+        )
+        for key, text in ATTRIBUTES[name.rpartition("_")[2]].items():
+            made.attrs[key] = text
+
+
+def _append(file: Any, rows: Mapping[str, np.ndarray]) -> None:
+    for name, values in rows.items():
+        stored = file[name]
+        stored.resize(len(stored) + 1, axis=0)
+        padded = np.zeros(stored.shape[1:])
+        padded[: len(values)] = values
+        stored[-1] = padded

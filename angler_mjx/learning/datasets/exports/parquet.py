@@ -1,0 +1,78 @@
+"""Flights in Parquet: a row a sample, files of some hundred flights each."""
+
+import json
+from collections.abc import Callable, Iterator
+from itertools import batched
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.learning.datasets.exports import flights
+from angler_mjx.learning.datasets.exports.flights import Flight
+from angler_mjx.learning.datasets.reading.dataset import Dataset
+
+FLIGHTS = 500
+"""Of a file."""
+
+
+def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) -> None:
+    """Write all flights into a folder.
+
+    Args:
+        data: the dataset.
+        out: the folder, empty.
+        action: see `flights.ACTIONS`.
+        tell: told how many are written.
+
+    Raises:
+        ConfigError: there is no such action, or a file is damaged.
+        OSError: the disk gave out.
+    """
+    names = flights.action_names(data, action)
+    schema = _schema(data, names, flights.about(data, action))
+    done = 0
+    for number, group in enumerate(batched(flights.flights(data, action), FLIGHTS)):
+        with pq.ParquetWriter(out / f"part-{number:05d}.parquet", schema) as writer:
+            for flight in group:
+                writer.write_batch(_rows(flight, schema))
+        done += len(group)
+        tell(done)
+
+
+def _schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -> pa.Schema:
+    text = pa.dictionary(pa.int32(), pa.string())
+    numbers = ["time_s", *flights.STATE, *(f"action_{name}" for name in actions)]
+    numbers += flights.other_names(data)
+    fields = [
+        pa.field("episode", pa.int64(), metadata={"unit": "1"}),
+        pa.field("robot", pa.int32(), metadata={"unit": "1"}),
+        pa.field("split", text),
+        pa.field("outcome", text),
+        *(pa.field(name, pa.float32(), metadata={"unit": flights.unit(name)}) for name in numbers),
+    ]
+    return pa.schema(fields, metadata={"angler": json.dumps(about)})
+
+
+def _rows(flight: Flight, schema: pa.Schema) -> pa.RecordBatch:
+    steps = len(flight.time_s)
+    columns = list(_columns(flight, steps))
+    return pa.record_batch(
+        [
+            pa.array(x, schema.field(i).type) if not isinstance(x, pa.Array) else x
+            for i, x in enumerate(columns)
+        ],
+        schema=schema,
+    )
+
+
+def _columns(flight: Flight, steps: int) -> Iterator[object]:
+    yield np.full(steps, flight.episode, np.int64)
+    yield np.full(steps, flight.robot, np.int32)
+    for text in (flight.split, flight.outcome):
+        yield pa.DictionaryArray.from_arrays(pa.array(np.zeros(steps, np.int32)), [text])
+    yield flight.time_s
+    yield from flight.state.T
+    yield from flight.action.T
+    yield from flight.others.reshape(steps, -1).T

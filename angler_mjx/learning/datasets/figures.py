@@ -1,0 +1,249 @@
+"""Figures of a dataset's card, drawn from its folder alone: counts, lengths, and some flights."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from angler_mjx.learning.datasets import describing
+from angler_mjx.learning.datasets.manifest import Manifest
+from angler_mjx.report.viewing import scene, style
+from angler_mjx.report.viewing.maps import ground
+from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.results import OUTCOMES
+
+COUNTS, LENGTHS, FLIGHTS = "counts.png", "lengths.png", "flights.png"
+
+COLUMNS = ("split", "difficulty", "preset", "expert")
+"""Of the index, whose values are counted."""
+MAPS = 6
+"""Episodes that are mapped."""
+PALETTE = 128
+"""Colours of a file."""
+
+_MEASURES = (
+    ("duration_s", "time until the last robot's end, s", "episodes"),
+    ("path_length_m", "way that a robot flew, m", "robots"),
+    ("min_clearance_m", "least clearance of a robot, m", "robots"),
+    ("path_ratio", "shortest way around rock over straight line", "episodes"),
+)
+"""Distributions: column of the index or of the runs, what it is, and of what."""
+_BINS = (10, 40)
+"""At least and at most."""
+
+
+def draw(place: Path, manifest: Manifest, table: pa.Table) -> None:
+    """Draw all figures of a dataset into its folder.
+
+    Args:
+        place: of the dataset.
+        manifest: of it.
+        table: its index.
+
+    Raises:
+        ConfigError: a run is damaged.
+        RunError: a file cannot be written.
+    """
+    robots = _robots(place, manifest)
+    for figure, name in (
+        (counts(manifest, table, describing.counts(robots, "outcome")), COUNTS),
+        (lengths(table, robots), LENGTHS),
+        (flights(place, manifest, table), FLIGHTS),
+    ):
+        style.save(figure, place / name, palette=PALETTE)
+
+
+def _robots(place: Path, manifest: Manifest) -> pa.Table:
+    """Columns of all parts' robots, and the expert of each."""
+    names = ["outcome", *(name for name, _, of in _MEASURES if of == "robots")]
+    parts = []
+    for part in manifest.parts:
+        rows = Run(place / part.path).episodes.select(names)
+        parts.append(rows.append_column("expert", pa.repeat(part.expert, len(rows))))
+    return pa.concat_tables(parts)
+
+
+def counts(manifest: Manifest, table: pa.Table, ended: Mapping[str, int]) -> Figure:
+    """How robots ended, and how many episodes there are of each split, difficulty and so on.
+
+    Args:
+        manifest: of the dataset.
+        table: its index.
+        ended: robots by outcome.
+    """
+    chosen = table.filter(table["chosen"])
+    bars = [(c, describing.counts(table, c), describing.counts(chosen, c)) for c in COLUMNS]
+    names = [name for name in OUTCOMES if name in ended]
+    upper = max(len(names), len(bars[0][1]), len(bars[1][1]))
+    lower = max(len(bars[2][1]), len(bars[3][1]), 2)
+    with style.styled():
+        figure = style.new_figure(10.4, 1.9 + 0.36 * (upper + lower), headline_in=0.65)
+        share = ended.get("reached", 0) / sum(ended.values())
+        style.headline(
+            figure,
+            f"{manifest.name}: {len(table):,} episodes, {100 * share:.0f} % of robots arrived",
+            f"{len(chosen):,} episodes are chosen (dark)"
+            if manifest.sample.asks
+            else f"{sum(ended.values()):,} robots",
+        )
+        grid = figure.subplots(2, 3, height_ratios=[upper + 0.8, lower + 0.8])
+        _bars(
+            grid[0, 0],
+            "robots that",
+            [style.OUTCOME_TEXT[name] for name in names],
+            [ended[name] for name in names],
+            colors=[style.OUTCOMES[name] for name in names],
+        )
+        for panel, (column, all_of, kept_of) in zip(
+            (grid[0, 1], grid[0, 2], grid[1, 0], grid[1, 1]), bars, strict=True
+        ):
+            labels = sorted(all_of)
+            _bars(
+                panel,
+                f"episodes by {column}",
+                labels,
+                [all_of[name] for name in labels],
+                dark=[kept_of.get(name, 0) for name in labels],
+            )
+        grid[1, 2].set_axis_off()
+    return figure
+
+
+def _bars(
+    panel: Axes,
+    title: str,
+    labels: Sequence[str],
+    values: Sequence[int],
+    *,
+    dark: Sequence[int] | None = None,
+    colors: Sequence[str] | None = None,
+) -> None:
+    """Bars with their numbers; ``dark`` is the part of each that is drawn dark."""
+    at = np.arange(len(labels))
+    panel.barh(at, values, height=0.66, color=style.FAINT if colors is None else colors)
+    if dark is not None:
+        panel.barh(at, dark, height=0.66, color=style.ROBOTS[0])
+    most = max(values, default=1)
+    for i, (value, part) in enumerate(zip(values, dark or values, strict=True)):
+        said = f"{value:,}" if part == value else f"{part:,} of {value:,}"
+        panel.text(value + 0.02 * most, i, said, va="center", fontsize=8.5)
+    panel.set_yticks(at, labels)
+    panel.tick_params(axis="y", length=0, labelcolor=style.INK)
+    panel.invert_yaxis()
+    panel.set_xlim(0.0, 1.32 * most)
+    panel.set_xticks([])
+    panel.spines["bottom"].set_visible(False)
+    panel.set_title(title, fontsize=10.0)
+
+
+def lengths(table: pa.Table, robots: pa.Table) -> Figure:
+    """How long flights took, how far they went, and how near to things they came, by expert.
+
+    Args:
+        table: the index.
+        robots: rows of all robots.
+    """
+    experts = sorted(describing.counts(table, "expert"))
+    with style.styled():
+        figure = style.new_figure(10.4, 6.2, headline_in=0.65)
+        style.headline(
+            figure,
+            "How long, how far, how near",
+            "share of each expert's episodes or robots; what is beyond a side counts to its bar",
+        )
+        panels = figure.subplots(2, 2).ravel()
+        for panel, (name, label, of) in zip(panels, _MEASURES, strict=True):
+            rows = table if of == "episodes" else robots
+            expert = pc.index_in(rows["expert"], pa.array(experts)).to_numpy()
+            _distribution(panel, rows[name].to_numpy().astype(float), expert, len(experts))
+            panel.set(xlabel=label, ylabel=f"share of {of}, %")
+        handles = [
+            Line2D([], [], color=style.robot_color(i), linewidth=2.0, label=expert)
+            for i, expert in enumerate(experts)
+        ]
+        figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 6))
+    return figure
+
+
+def _distribution(panel: Axes, values: np.ndarray, expert: np.ndarray, experts: int) -> None:
+    """Outlines of histograms, one an expert, between the 1st and the 99th of 100 of all."""
+    known = np.isfinite(values)
+    panel.grid(axis="y")
+    if not known.any():
+        panel.text(0.5, 0.5, "there is none", ha="center", transform=panel.transAxes)
+        return
+    low, high = np.quantile(values[known], [0.01, 0.99])
+    bins = int(np.clip(2.0 * np.sqrt(known.sum() / experts), *_BINS))
+    edges = np.linspace(low, max(high, low + 1e-3), bins + 1)
+    for i in range(experts):
+        mine = np.clip(values[known & (expert == i)], edges[0], edges[-1])
+        if mine.size:
+            count, _ = np.histogram(mine, edges)
+            panel.stairs(100 * count / mine.size, edges, color=style.robot_color(i), linewidth=1.5)
+    panel.set_ylim(bottom=0.0)
+
+
+def flights(place: Path, manifest: Manifest, table: pa.Table) -> Figure:
+    """Some episodes from above, evenly spread over the chosen ones.
+
+    Args:
+        place: of the dataset.
+        manifest: of it.
+        table: its index.
+    """
+    rows = table.filter(table["chosen"]) if pc.any(table["chosen"]).as_py() else table
+    which = np.unique(np.linspace(0, len(rows) - 1, min(MAPS, len(rows))).round().astype(int))
+    with style.styled():
+        figure = style.new_figure(10.4, 3.7 * -(-len(which) // 3) + 0.95, headline_in=0.65)
+        style.headline(
+            figure,
+            "Some flights from above",
+            "line: way taken; dashes: plan; disc: start; star: goal; cross: failure",
+        )
+        panels = figure.subplots(-(-len(which) // 3), 3, squeeze=False).ravel()
+        for panel in panels[len(which) :]:
+            panel.set_axis_off()
+        for panel, at in zip(panels, which, strict=False):
+            row = rows.slice(int(at), 1).to_pylist()[0]
+            run = Run(place / manifest.parts[row["part"]].path)
+            _map(panel, scene.read(run, row["world"]))
+            panel.set_title(
+                f"{row['episode']:,}: {row['scene']}, {row['expert']}\n"
+                f"{row['difficulty']}, {row['reached']} of {row['robots']} arrived",
+                fontsize=9.0,
+            )
+        handles: list[Any] = [
+            Patch(color=style.ROCK(0.75), label="rock; lighter is higher"),
+            Line2D([], [], color=style.OBSTACLE_DYNAMIC, linestyle=":", label="moving obstacles"),
+        ]
+        figure.legend(handles=handles, loc="outside lower left", ncols=2)
+    return figure
+
+
+def _map(panel: Axes, one: scene.Scene) -> None:
+    low, high = one.bounds_m
+    ground.bounds(panel, one, ground.ABOVE)
+    ground.rock(panel, one.environment.grid, ground.ABOVE, Normalize(low[2], high[2]))
+    for i in np.flatnonzero(np.asarray(one.environment.obstacles.exists)):
+        way = one.obstacle_p_m[:, i]
+        panel.plot(way[:, 0], way[:, 1], ":", color=style.OBSTACLE_DYNAMIC, linewidth=1.0, zorder=3)
+    for robot in one.robots:
+        color = style.robot_color(robot.index)
+        way = one.way_taken(robot)
+        panel.plot(*robot.plan_m[:, :2].T, "--", color=color, linewidth=0.7, alpha=0.8, zorder=4)
+        panel.plot(*way[:, :2].T, color=color, linewidth=1.5, zorder=5)
+        panel.plot(*robot.goal_m[:2], "*", color=color, ms=10, mec=style.PAPER, mew=0.5, zorder=6)
+        panel.plot(*robot.start_m[:2], "o", color=color, ms=5, mec=style.PAPER, mew=0.5, zorder=7)
+        if not robot.arrived and np.isfinite(robot.failure_m).all():
+            panel.plot(
+                *robot.failure_m[:2], "X", color=style.INK, ms=7, mec=style.PAPER, mew=0.7, zorder=9
+            )
+    panel.tick_params(labelsize=7.5)

@@ -1,0 +1,318 @@
+"""The index of a dataset: a row an episode, made of the parts' own files and of nothing else."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets.config import SplitConfig
+from angler_mjx.learning.datasets.manifest import INDEX, SPLITS, Manifest
+from angler_mjx.learning.datasets.sampling import chosen
+from angler_mjx.runs.storage import atomic, layout
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.folder import Run
+
+_COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
+    ("episode", pa.int64(), "1", "number of the row"),
+    ("part", pa.int32(), "1", "index in the manifest's parts"),
+    ("world", pa.int64(), "1", "index of the world in the part"),
+    ("seed", pa.int64(), "1", "seed of the part; with the world's index it makes it again"),
+    ("scene", pa.string(), "", "scene of the dataset file"),
+    ("preset", pa.string(), "", "preset of the world"),
+    ("expert", pa.string(), "", "who planned or commanded"),
+    ("knows_obstacles", pa.string(), "", "what it was told of obstacles that move"),
+    ("knows_current", pa.string(), "", "what it was told of the current"),
+    ("robots", pa.int32(), "1", "of the team"),
+    ("split", pa.string(), "", "train, val, test, or test_SCENE of a shifted scene"),
+    (
+        "environment",
+        pa.string(),
+        "",
+        "hash of the rock; without any, of all that was drawn",
+    ),
+    ("samples", pa.int32(), "1", "samples until the last robot had ended"),
+    ("duration_s", pa.float32(), "s", "until the last robot had ended"),
+    ("planned", pa.int32(), "1", "robots that had a path"),
+    ("reached", pa.int32(), "1", "robots that arrived"),
+    ("success", pa.bool_(), "1", "whether all of them did"),
+    ("energy_j", pa.float32(), "J", "of all robots"),
+    ("density", pa.float32(), "1", "share of cells that are occupied"),
+    ("path_ratio", pa.float32(), "1", "shortest way over straight line, mean of the robots"),
+    ("free_lines", pa.int32(), "1", "robots whose straight line to the goal meets no rock"),
+    (
+        "crossings",
+        pa.int32(),
+        "1",
+        "pairs of robots whose straight lines pass within 1.5 m, nearer than their ends are",
+    ),
+    (
+        "difficulty",
+        pa.string(),
+        "",
+        "trivial: all lines free and none cross; blocked: rock in some, none cross; crossing: some "
+        "cross, rock in half of them or fewer; both: some cross, rock in more than half",
+    ),
+    ("chosen", pa.bool_(), "1", "whether it is given to readers that do not ask for all"),
+)
+
+SCHEMA = pa.schema(
+    [
+        pa.field(name, kind, metadata={"unit": unit, "description": text})
+        for name, kind, unit, text in _COLUMNS
+    ]
+)
+"""Columns of ``index.parquet``, with unit and meaning in each field's metadata."""
+
+CROSSING_M = 1.5
+"""Lines that pass each other nearer than this cross: two vehicles and a metre between them."""
+
+ROUNDING_M = 1e-3
+"""Positions are stored in float32 and in steps of a millimetre."""
+
+
+def rows(
+    place: Path, part: int, entry: Mapping[str, Any], shares: SplitConfig, first: int
+) -> pa.Table:
+    """Rows of a part, all of them chosen.
+
+    Args:
+        place: run folder of the part.
+        part: its index.
+        entry: its scene, expert and split.
+        shares: of environments by split.
+        first: number of its first episode.
+
+    Raises:
+        ConfigError: the run is damaged.
+    """
+    run = Run(place)
+    episodes, scenario = run.episodes, run.scenario
+    robots = len(scenario.members())
+    world = episodes["world"].to_numpy()[::robots]
+
+    def by_world(name: str) -> np.ndarray:
+        values: np.ndarray = episodes[name].to_numpy(zero_copy_only=False)
+        return values.reshape(-1, robots)
+
+    reached = (by_world("outcome") == "reached").sum(axis=1)
+    ended = np.where(
+        by_world("outcome") == "reached", by_world("time_to_goal_s"), by_world("failure_time_s")
+    ).max(axis=1)
+    around = [_drawn(one) for one in _environments(run, len(world))]
+    hashes = [digest for one in around for digest in one["environment"]]
+    drawn = {
+        name: np.concatenate([one[name] for one in around])
+        for name in ("density", "path_ratio", "free_lines", "crossings")
+    }
+    free, crossings = drawn["free_lines"], drawn["crossings"]
+    hz = scenario.time.record_hz
+    policy = scenario.policy
+    knows = scenario.planner.knows
+    if policy.name != "none" and policy.knows is not None:
+        knows = policy.knows
+    stored: Any = run.trajectories
+    most = stored["p_m"].shape[1]
+    split = entry["split"]
+    count = len(world)
+    columns: dict[str, Any] = {
+        "episode": np.arange(first, first + count),
+        "part": np.full(count, part, np.int32),
+        "world": world,
+        "seed": np.full(count, scenario.seed),
+        "scene": [entry["scene"]] * count,
+        "preset": [scenario.world.preset] * count,
+        "expert": [entry["expert"]] * count,
+        "knows_obstacles": [knows.obstacles] * count,
+        "knows_current": [knows.current] * count,
+        "robots": np.full(count, robots, np.int32),
+        "split": [split or split_of(digest, shares) for digest in hashes],
+        "environment": hashes,
+        "samples": np.clip(np.ceil(ended * hz - 1e-6), 1, most).astype(np.int32),
+        "duration_s": ended.astype(np.float32),
+        "planned": by_world("planned").sum(axis=1).astype(np.int32),
+        "reached": reached.astype(np.int32),
+        "success": reached == robots,
+        "energy_j": by_world("energy_j").sum(axis=1).astype(np.float32),
+        "density": drawn["density"].astype(np.float32),
+        "path_ratio": drawn["path_ratio"].astype(np.float32),
+        "free_lines": free.astype(np.int32),
+        "crossings": crossings.astype(np.int32),
+        "difficulty": difficulty(free, crossings, robots),
+        "chosen": np.ones(count, bool),
+    }
+    return pa.table(columns, schema=SCHEMA)
+
+
+def _environments(run: Run, worlds: int) -> Iterator[dict[str, np.ndarray]]:
+    """What the index looks at of the worlds' environments, some worlds at a time."""
+    group: Any = run.trajectories[layout.ENVIRONMENT]
+    names = ["grid/occupied", "floor_z_m", "start_m", "goal_m", "line_free", "density"]
+    names += ["path_ratio", *(n for n in ("obstacles/p0", "obstacles/size_m") if n in group)]
+    arrays = {name: group[name] for name in names}
+    step = arrays["density"].chunks[0]
+    for first in range(0, worlds, step):
+        with reading(run.path):
+            here = slice(first, min(first + step, worlds))
+            yield {name: np.asarray(array[here]) for name, array in arrays.items()}
+
+
+def _drawn(around: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What the index says of some worlds: hashes, and how hard they are."""
+    rest = [around[name] for name in sorted(around) if name not in ("density", "path_ratio")]
+    hashes = [
+        environment_hash(rock, b"".join(array[i].tobytes() for array in rest))
+        for i, rock in enumerate(around["grid/occupied"])
+    ]
+    return {
+        "environment": hashes,
+        "density": around["density"],
+        "path_ratio": around["path_ratio"].mean(axis=1),
+        "free_lines": around["line_free"].sum(axis=1),
+        "crossings": crossing_pairs(around["start_m"], around["goal_m"]),
+    }
+
+
+def environment_hash(occupied: np.ndarray, rest: bytes) -> str:
+    """What tells environments apart, hexadecimal.
+
+    The rock alone where there is any: who has seen it with one team has seen it with all.
+
+    Args:
+        occupied: bool [x, y, z].
+        rest: all else that was drawn, for worlds without rock.
+    """
+    shape = np.array(occupied.shape, "<i8").tobytes()
+    seen = np.packbits(occupied).tobytes() if occupied.any() else rest
+    return hashlib.sha256(shape + seen).hexdigest()[:16]
+
+
+def split_of(digest: str, shares: SplitConfig) -> str:
+    """The split of an environment: by its hash alone, so it is the same in every dataset."""
+    at = int(hashlib.sha256(digest.encode()).hexdigest()[:13], 16) / 16**13
+    for name in SPLITS[:-1]:
+        at -= getattr(shares, name)
+        if at < 0.0:
+            return name
+    return SPLITS[-1]
+
+
+def difficulty(free_lines: np.ndarray, crossings: np.ndarray, robots: int) -> np.ndarray:
+    """Return the level of each episode, str [n]: one of `sampling.DIFFICULTIES`.
+
+    Lines that cross alone do not tell episodes apart where every team starts in other corners and
+    meets in the middle; how many of them rock lies in does.
+
+    Args:
+        free_lines: int [n], robots whose straight line to the goal meets no rock.
+        crossings: int [n], pairs whose straight lines cross.
+        robots: of each team.
+    """
+    blocked = robots - free_lines
+    level: np.ndarray = np.select(
+        [(crossings == 0) & (blocked == 0), crossings == 0, 2 * blocked <= robots],
+        ["trivial", "blocked", "crossing"],
+        "both",
+    )
+    return level
+
+
+def crossing_pairs(start_m: np.ndarray, goal_m: np.ndarray) -> np.ndarray:
+    """Return the number of pairs of robots [n] whose straight lines cross.
+
+    Lines cross that pass within `CROSSING_M` of each other, and nearer than the robots are at their
+    starts and at their goals: those of robots side by side do not.
+
+    Args:
+        start_m: [n, r, 3].
+        goal_m: [n, r, 3].
+    """
+    a, b = np.triu_indices(start_m.shape[1], 1)
+    start_m, goal_m = start_m.astype(float), goal_m.astype(float)
+    gap = segment_gap_m(start_m[:, a], goal_m[:, a], start_m[:, b], goal_m[:, b])
+    ends = [np.linalg.norm(at[:, a] - at[:, b], axis=-1) for at in (start_m, goal_m)]
+    nearer = gap < np.minimum(*ends) - ROUNDING_M
+    pairs: np.ndarray = ((gap < CROSSING_M) & nearer).sum(axis=-1)
+    return pairs
+
+
+def segment_gap_m(p: np.ndarray, q: np.ndarray, r: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Distances [...] between lines from p to q and from r to s, [..., 3] each, m.
+
+    C. Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+    """
+    d1, d2, w = q - p, s - r, p - r
+    a, e = (d1 * d1).sum(-1), (d2 * d2).sum(-1)
+    b, c, f = (d1 * d2).sum(-1), (d1 * w).sum(-1), (d2 * w).sum(-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        across = a * e - b * b
+        t = np.where(across > 1e-9, (b * f - c * e) / across, 0.0).clip(0.0, 1.0)
+        u = np.where(e > 0.0, (b * t + f) / e, 0.0)
+        t = np.where(u <= 0.0, -c / a, np.where(u >= 1.0, (b - c) / a, t))
+    t, u = np.nan_to_num(t).clip(0.0, 1.0), u.clip(0.0, 1.0)
+    between = p + t[..., None] * d1 - r - u[..., None] * d2
+    gap: np.ndarray = np.linalg.norm(between, axis=-1)
+    return gap
+
+
+def of_manifest(place: Path, manifest: Manifest) -> pa.Table:
+    """The index of all parts of a dataset.
+
+    Raises:
+        ConfigError: a run is damaged.
+    """
+    shares = SplitConfig(**manifest.split_shares)
+    tables: list[pa.Table] = []
+    first = 0
+    for number, part in enumerate(manifest.parts):
+        entry = {"scene": part.scene, "expert": part.expert, "split": part.split}
+        tables.append(rows(place / part.path, number, entry, shares, first))
+        first += len(tables[-1])
+    whole = pa.concat_tables(tables)
+    at = SCHEMA.get_field_index("chosen")
+    return whole.set_column(at, SCHEMA.field(at), pa.array(chosen(whole, manifest.sample, SPLITS)))
+
+
+def shared_environment(table: pa.Table) -> tuple[str, str, str] | None:
+    """Two splits that share an environment, and that; None where none do.
+
+    What is in two splits is learned by heart.
+    """
+    seen: dict[str, str] = {}
+    rocks, splits = table["environment"].to_pylist(), table["split"].to_pylist()
+    for rock, split in zip(rocks, splits, strict=True):
+        before = seen.setdefault(rock, split)
+        if before != split:
+            return min(before, split), max(before, split), rock
+    return None
+
+
+def write(place: Path, table: pa.Table) -> None:
+    """Write the index with checksums, whole or not at all.
+
+    Raises:
+        OSError: the disk gave out.
+    """
+    with atomic.whole(place / INDEX) as writing:
+        pq.write_table(table, writing, compression="zstd", write_page_checksum=True)
+
+
+def read(place: Path) -> pa.Table:
+    """The index of a dataset.
+
+    Raises:
+        ConfigError: it is damaged, or holds something else.
+    """
+    path = place / INDEX
+    with reading(path):
+        table = pq.read_table(path, page_checksum_verification=True)
+    if table.schema.names != SCHEMA.names or table.schema.types != SCHEMA.types:
+        raise ConfigError(
+            f"{path}: holds the columns {', '.join(table.schema.names)}, not those of an index; "
+            "copy it again, or make it again where it is of an earlier version"
+        )
+    return table

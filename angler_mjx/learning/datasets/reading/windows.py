@@ -1,0 +1,159 @@
+"""Windows of episodes: arrays of one shape whatever the team, with masks."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.learning.datasets.reading.episode import Episodes
+from angler_mjx.runs.storage import layout
+
+type Window = dict[str, np.ndarray]
+
+
+class Windows:
+    """All windows of a fixed length, in order of episodes; a sequence.
+
+    Each is a dict: the fields, [length, robot, ...] or [length, obstacle, ...]; ``goal_m``
+    [robot, 3]; ``mask`` bool [length, robot], whether there is such a robot and it is on its way;
+    ``obstacle_mask`` bool [obstacle], whether there is such an obstacle; ``episode`` and ``first``,
+    where it comes from. Rows of teams that are smaller than the largest are zero. Of windows of
+    single robots the first row is that robot, those that follow are its nearest neighbours at the
+    window's beginning.
+    """
+
+    def __init__(
+        self,
+        dataset: Episodes,
+        length: int,
+        *,
+        stride: int = 1,
+        every: int = 1,
+        of: str = "team",
+        neighbours: int = 0,
+    ) -> None:
+        """Count them.
+
+        Args:
+            dataset: whose episodes.
+            length: samples in a window.
+            stride: samples from the beginning of one to that of the next.
+            every: takes each so many-th sample.
+            of: "team", or "robot": a window for each robot by itself.
+            neighbours: other robots in windows of single robots.
+
+        Raises:
+            ConfigError: a number is out of range, or no episode is as long.
+        """
+        least = {"length": (length, 1), "stride": (stride, 1), "every": (every, 1)}
+        for name, (value, most) in {**least, "neighbours": (neighbours, 0)}.items():
+            if value < most:
+                raise ConfigError(f"{name} = {value}: must be {most} or more")
+        if of not in ("team", "robot"):
+            raise ConfigError(f'of = "{of}": must be "team" or "robot"')
+        if neighbours and of == "team":
+            raise ConfigError('neighbours: are of windows of single robots; give of = "robot"')
+        self.dataset, self.length, self.stride, self.every = dataset, length, stride, every
+        self.of, self.neighbours = of, neighbours
+        self.span = (length - 1) * every + 1
+        samples, robots = dataset.samples.astype(np.int64), dataset.robots.astype(np.int64)
+        if samples.max() < self.span:
+            raise ConfigError(
+                f"length = {length}, every = {every}: the longest episode has {samples.max()} "
+                f"samples, a window takes {self.span}"
+            )
+        starts = np.maximum((samples - self.span) // stride + 1, 0)
+        self._each = robots if of == "robot" else np.ones_like(robots)
+        self._ends = np.cumsum(starts * self._each)
+        self.rows = neighbours + 1 if of == "robot" else int(robots.max())
+        self._obstacles = self._most_obstacles()
+
+    def _most_obstacles(self) -> int:
+        """Of all parts."""
+        if not any(name.startswith("obstacle") for name in self.dataset.fields):
+            return 0
+        first = np.unique(self.dataset.index["part"].to_numpy(), return_index=True)[1]
+        most = 0
+        for episode in first.tolist():
+            if "obstacle_p_m" in self.dataset.names(episode):
+                most = max(most, self.dataset.stored(episode, "obstacle_p_m").shape[2])
+        return most
+
+    def __len__(self) -> int:
+        """Windows."""
+        return int(self._ends[-1])
+
+    @property
+    def ends(self) -> np.ndarray:
+        """Int [episode] windows until the end of each."""
+        return self._ends
+
+    def __getitem__(self, number: int) -> Window:
+        """A window.
+
+        Raises:
+            ConfigError: a file is damaged.
+            IndexError: there is none of that number.
+        """
+        if not 0 <= number < len(self):
+            raise IndexError(f"window {number} of {len(self)}")
+        episode = int(np.searchsorted(self._ends, number, side="right"))
+        before = int(self._ends[episode - 1]) if episode else 0
+        at, robot = divmod(int(number) - before, int(self._each[episode]))
+        first = at * self.stride
+        times = slice(first, first + self.span, self.every)
+        data = self.dataset
+        team = int(data.robots[episode])
+        outcome = data.values(episode, "outcome", times)
+        chosen = self._chosen(episode, team, robot, times)
+        made: Window = {}
+        for name in data.fields:
+            dims = layout.ARRAYS[name].dims
+            if "obstacle" in dims and not self._obstacles:
+                continue
+            values = self._values(episode, name, times, dims)
+            if "robot" in dims:
+                made[name] = self._padded(values[:, chosen], self.rows)
+            else:
+                made[name] = self._padded(values, self._obstacles)
+        mask = np.zeros((self.length, self.rows), bool)
+        mask[:, : len(chosen)] = outcome[:, chosen] == 0
+        goals = np.zeros((self.rows, 3), np.float32)
+        goals[: len(chosen)] = data.goals_m(episode)[chosen]
+        made |= {"mask": mask, "goal_m": goals}
+        if self._obstacles:
+            exist = data.obstacles_exist(episode)
+            made["obstacle_mask"] = np.zeros(self._obstacles, bool)
+            made["obstacle_mask"][: len(exist)] = exist
+        made["episode"] = np.int64(episode)  # type: ignore[assignment]
+        made["first"] = np.int64(first)  # type: ignore[assignment]
+        return made
+
+    def _values(self, episode: int, name: str, times: slice, dims: tuple[str, ...]) -> np.ndarray:
+        """Of one array; nothing where a part has no obstacles at all."""
+        if "obstacle" in dims and name not in self.dataset.names(episode):
+            tail = (3,) if name.endswith("_p_m") else (4,)
+            return np.zeros((self.length, 0, *tail), np.float32)
+        return self.dataset.values(episode, name, times)
+
+    def _chosen(self, episode: int, team: int, robot: int, times: slice) -> np.ndarray:
+        """Robots of a window, in the order of its rows."""
+        if self.of == "team":
+            return np.arange(team)
+        if not self.neighbours:
+            return np.array([robot])
+        places = self.dataset.values(episode, "p_m", slice(times.start, times.start + 1))[0]
+        apart = np.linalg.norm(places - places[robot], axis=-1)
+        apart[robot] = -1.0
+        near: np.ndarray = np.argsort(apart, kind="stable")[: self.neighbours + 1]
+        return near
+
+    def _padded(self, values: np.ndarray, rows: int) -> np.ndarray:
+        """[length, rows, ...], zeros behind those that are there, and for what is unknown."""
+        made = np.zeros((self.length, rows, *values.shape[2:]), np.float32)
+        np.copyto(made[:, : values.shape[1]], values, where=np.isfinite(values))
+        return made
+
+    def __iter__(self) -> Iterator[Window]:
+        """In order."""
+        return (self[i] for i in range(len(self)))

@@ -1,0 +1,1 @@
+"""Figures, replays, tables and files of others, made of a results folder."""

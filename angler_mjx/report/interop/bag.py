@@ -1,0 +1,101 @@
+"""A bag of ROS 2 messages in the MCAP format, with what ROS 2 and Foxglove need to open it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mcap.well_known import SchemaEncoding
+from mcap.writer import Writer
+
+# The package's own writer cannot say which topics are kept for late listeners.
+from mcap_ros2._dynamic import serialize_dynamic
+
+from angler_mjx.report.interop.ros_definitions import definition
+
+_KEEP_LAST, _RELIABLE, _TRANSIENT_LOCAL, _VOLATILE, _AUTOMATIC = 1, 1, 1, 2, 1
+"""Values of ``rmw_qos_profile_t``; as numbers every ROS 2 since Humble reads them."""
+
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+
+
+class Bag:
+    """Writes messages, each a table of its fields; fields that are left out are 0 or empty."""
+
+    def __init__(self, path: Path) -> None:
+        """Open a file, which is made anew."""
+        self._file = path.open("wb")
+        self._writer = Writer(self._file)
+        self._schemas: dict[str, int] = {}
+        self._encoders: dict[str, Callable[[Any], bytes]] = {}
+        self._channels: dict[str, tuple[int, Callable[[Any], bytes]]] = {}
+        self._writer.start(profile="ros2", library="angler-mjx")
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file, and its index if all went well."""
+        try:
+            if kind is None:
+                self._writer.finish()
+        finally:
+            self._file.close()
+
+    def topic(self, name: str, message: str, *, latched: bool = False) -> None:
+        """Declare a topic before anything is written to it.
+
+        Args:
+            name: of the topic.
+            message: package/Name.
+            latched: a listener that comes late gets the last message too.
+        """
+        if message not in self._schemas:
+            text, full = definition(message), message.replace("/", "/msg/")
+            self._schemas[message] = self._writer.register_schema(
+                full, SchemaEncoding.ROS2, text.encode()
+            )
+            self._encoders[message] = serialize_dynamic(full, text)[full]
+        channel = self._writer.register_channel(
+            topic=name,
+            message_encoding="cdr",
+            schema_id=self._schemas[message],
+            metadata={"offered_qos_profiles": _quality(latched=latched)},
+        )
+        self._channels[name] = channel, self._encoders[message]
+
+    def write(self, topic: str, time_ns: int, message: dict[str, Any]) -> None:
+        """Write a message.
+
+        Args:
+            topic: declared before.
+            time_ns: when it was sent, ns.
+            message: its fields.
+        """
+        channel, encode = self._channels[topic]
+        self._writer.add_message(
+            channel_id=channel, log_time=time_ns, publish_time=time_ns, data=encode(message)
+        )
+
+
+def _quality(*, latched: bool) -> str:
+    """A topic's quality of service, as rosbag2 writes it beside a channel."""
+    return "\n".join(
+        [
+            f"- history: {_KEEP_LAST}",
+            f"  depth: {1 if latched else 10}",
+            f"  reliability: {_RELIABLE}",
+            f"  durability: {_TRANSIENT_LOCAL if latched else _VOLATILE}",
+            f"  deadline: {_FOREVER}",
+            f"  lifespan: {_FOREVER}",
+            f"  liveliness: {_AUTOMATIC}",
+            f"  liveliness_lease_duration: {_FOREVER}",
+            "  avoid_ros_namespace_conventions: false",
+        ]
+    )

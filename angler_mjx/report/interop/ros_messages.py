@@ -1,0 +1,166 @@
+"""ROS 2 messages as tables of their fields, from arrays in the frames of this project.
+
+Nothing is turned: ROS's world frame (REP 103: x east, y north, z up) is W, and its body frame
+(x forward, y left, z up) is F. Only a quaternion's scalar moves from first to last.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.robot.control.joint_goal import JointGoal
+
+type Message = dict[str, Any]
+"""Fields by name; those that are left out are 0 or empty."""
+
+NANO = 1_000_000_000
+
+CUBE, SPHERE, CYLINDER, LINE_LIST, CUBE_LIST, SPHERE_LIST, TEXT = 1, 2, 3, 5, 6, 7, 9
+"""Kinds of ``visualization_msgs/Marker``."""
+
+
+def nanoseconds(time_s: float) -> int:
+    """A time in whole nanoseconds."""
+    return round(time_s * NANO)
+
+
+def stamp(time_s: float) -> Message:
+    """A time as ``builtin_interfaces/Time`` or ``Duration``."""
+    sec, nanosec = divmod(nanoseconds(time_s), NANO)
+    return {"sec": sec, "nanosec": nanosec}
+
+
+def header(time_s: float, frame: str) -> Message:
+    """As ``std_msgs/Header``."""
+    return {"stamp": stamp(time_s), "frame_id": frame}
+
+
+def vector(values: np.ndarray) -> Message:
+    """[3] as ``geometry_msgs/Point`` or ``Vector3``."""
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def quaternion(q: np.ndarray) -> Message:
+    """[4] wxyz as ``geometry_msgs/Quaternion``."""
+    return dict(zip("wxyz", q.tolist(), strict=True))
+
+
+def pose(p: np.ndarray, q: np.ndarray | None = None) -> Message:
+    """Position [3] and attitude [4] wxyz as ``geometry_msgs/Pose``; level if left out."""
+    level: Message = {"w": 1.0}
+    return {"position": vector(p), "orientation": level if q is None else quaternion(q)}
+
+
+def odometry(
+    time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray, nu: np.ndarray
+) -> Message:
+    """A robot's true motion as ``nav_msgs/Odometry``: covariances are 0.
+
+    Args:
+        time_s: of the sample.
+        frame: of the pose.
+        child: of the velocity, the robot's own.
+        p: [3] m in W.
+        q: [4] F to W.
+        nu: [6] velocity over ground in F.
+    """
+    twist = {"linear": vector(nu[:3]), "angular": vector(nu[3:])}
+    return {
+        "header": header(time_s, frame),
+        "child_frame_id": child,
+        "pose": {"pose": pose(p, q), "covariance": [0.0] * 36},
+        "twist": {"twist": twist, "covariance": [0.0] * 36},
+    }
+
+
+def transform(
+    time_s: float, frame: str, child: str, p: np.ndarray, q: np.ndarray | None = None
+) -> Message:
+    """As ``geometry_msgs/TransformStamped``: where a child frame is."""
+    turn: Message = {"w": 1.0} if q is None else quaternion(q)
+    return {
+        "header": header(time_s, frame),
+        "child_frame_id": child,
+        "transform": {"translation": vector(p), "rotation": turn},
+    }
+
+
+def path(frame: str, time_s: np.ndarray, points_m: np.ndarray) -> Message:
+    """Way-points [n, 3] at times [n] as ``nav_msgs/Path``."""
+    poses = [
+        {"header": header(float(t), frame), "pose": pose(p)}
+        for t, p in zip(time_s, points_m, strict=True)
+    ]
+    return {"header": header(0.0, frame), "poses": poses}
+
+
+def joint_trajectory(goal: JointGoal, frame: str = "") -> Message:
+    """As ``trajectory_msgs/JointTrajectory``."""
+    return {
+        "header": header(goal.stamp_s, frame),
+        "joint_names": list(goal.joint_names),
+        "points": [
+            {
+                "positions": list(point.positions),
+                "velocities": list(point.velocities),
+                "accelerations": list(point.accelerations),
+                "effort": [],
+                "time_from_start": stamp(point.time_s),
+            }
+            for point in goal.points
+        ],
+    }
+
+
+def thruster_pwm(pwm_us: np.ndarray) -> Message:
+    """Signals [n] of a robot's thrusters, us, as ``std_msgs/UInt16MultiArray``."""
+    size = pwm_us.size
+    return {
+        "layout": {"dim": [{"label": "thruster_pwm_us", "size": size, "stride": size}]},
+        "data": pwm_us.tolist(),
+    }
+
+
+def marker(
+    head: Message,
+    name: str,
+    index: int,
+    kind: int,
+    where: Message,
+    scale_m: Sequence[float],
+    rgba: Sequence[float],
+    points_m: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+    text: str = "",
+) -> Message:
+    """As ``visualization_msgs/Marker``, there until it is replaced.
+
+    Args:
+        head: its header.
+        name: its namespace.
+        index: its number in that.
+        kind: one of those above.
+        where: its pose.
+        scale_m: [3] size, or that of each point's body; of lines the first is their width, of text
+            the last its height.
+        rgba: [4] colour.
+        points_m: [n, 3] of a list, in the frame of the pose.
+        colors: [n, 4] of its points, if they differ.
+        text: of TEXT, which turns to who looks at it and goes along with its frame.
+    """
+    return {
+        "header": head,
+        "ns": name,
+        "id": index,
+        "type": kind,
+        "pose": where,
+        "scale": dict(zip("xyz", map(float, scale_m), strict=True)),
+        "color": dict(zip("rgba", rgba, strict=True)),
+        "frame_locked": kind == TEXT,
+        "points": [] if points_m is None else [vector(point) for point in points_m],
+        "colors": []
+        if colors is None
+        else [dict(zip("rgba", row, strict=True)) for row in colors.tolist()],
+        "text": text,
+    }

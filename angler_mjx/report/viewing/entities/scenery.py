@@ -1,0 +1,265 @@
+"""What a replay and a live view draw alike; imported only where Rerun is installed.
+
+Everything in space lies under ``ROOT/space``: rock, floor and bounds, obstacles, the current that
+the robots feel, and each robot under its name, with its goal, its plan, its vehicle's shapes, its
+trail and its label.
+"""
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+from matplotlib import colors
+
+from angler_mjx.report.viewing import style
+from angler_mjx.report.viewing.outlines import rotation
+from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
+from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
+
+DOT, LARGE_DOT = -3.0, -6.0
+"""Radii of the points of labels: below zero they are pixels, so that a robot of half a metre is
+found in a world of thirty."""
+
+MOST_NAMED = 16
+"""Robots that are all named in space; of a larger fleet those are that failed, or nothing else
+could be seen."""
+
+_PLAN, _TRAIL = -0.75, -1.5
+"""Radii of lines, in pixels: seen from afar, and hiding nothing from a camera beside them."""
+
+ARROW_S = 4.0
+"""Length of a current arrow: the way of the water in this time, so that 0.25 m/s shows as 1 m."""
+
+type Rgba = tuple[int, int, int, int]
+
+type Shape = type[rr.Boxes3D] | type[rr.Capsules3D] | type[rr.Ellipsoids3D]
+
+
+def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+    """Log rock, floor and bounds of a world under ``root``, and how currents look."""
+    grid = scene.environment.grid
+    low, high = scene.bounds_m
+    cell, floor = float(grid.cell_m), float(scene.environment.floor_z_m)
+    occupied = np.argwhere(np.asarray(grid.occupied))
+    centers = low + cell * (occupied + 0.5)
+    height = (centers[:, 2] - low[2]) / max(high[2] - low[2], 1e-9)
+    if len(occupied):
+        recording.log(
+            f"{root}/rock",
+            rr.Boxes3D(
+                centers=centers,
+                half_sizes=np.full((len(occupied), 3), 0.49 * cell),
+                colors=(255 * style.ROCK(height)).astype(np.uint8),
+                fill_mode="solid",
+            ),
+            static=True,
+        )
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    recording.log(
+        f"{root}/floor",
+        rr.Boxes3D(
+            centers=[[middle[0], middle[1], floor - 0.1]],
+            half_sizes=[[half[0], half[1], 0.1]],
+            colors=[rgba("#8d8064")],
+            fill_mode="solid",
+        ),
+        static=True,
+    )
+    recording.log(
+        f"{root}/bounds",
+        rr.Boxes3D(
+            centers=[middle],
+            half_sizes=[half],
+            colors=[rgba("#7fa6bd")],
+            radii=[0.02],
+            fill_mode="majorwireframe",
+        ),
+        static=True,
+    )
+    arrow = rr.Arrows3D.from_fields(colors=[rgba("#9fd3ee")], radii=[0.03])
+    recording.log(f"{root}/current", arrow, static=True)
+
+
+def log_obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+    """Sizes and colours of the obstacles under ``root``: one entity a shape."""
+    given = scene.environment.obstacles
+    for kind, name, rows in _by_shape(scene):
+        size = np.asarray(given.size_m)[rows]
+        tint = [
+            rgba(style.OBSTACLE_STATIC if motion == STATIC else "#b39ad6")
+            for motion in np.asarray(given.motion)[rows]
+        ]
+        if kind == CAPSULE:
+            solid: rr.AsComponents = rr.Capsules3D.from_fields(
+                lengths=2 * size[:, 1], radii=size[:, 0], colors=tint, fill_mode="solid"
+            )
+        elif kind == BOX:
+            solid = rr.Boxes3D.from_fields(half_sizes=size, colors=tint, fill_mode="solid")
+        else:
+            half = np.repeat(size[:, :1], 3, axis=1)
+            solid = rr.Ellipsoids3D.from_fields(half_sizes=half, colors=tint, fill_mode="solid")
+        recording.log(f"{root}/{name}", solid, static=True)
+
+
+def poses(scene: Scene) -> list[tuple[str, Shape, dict[str, Any]]]:
+    """Where the obstacles are at the times of the scene, one entry an entity.
+
+    Returns:
+        Name below ``obstacles``, archetype, and its fields: [T, n, 3] in W or [T, n, 4].
+    """
+    size_m = np.asarray(scene.environment.obstacles.size_m)
+    found: list[tuple[str, Shape, dict[str, Any]]] = []
+    for kind, name, rows in _by_shape(scene):
+        p, q = scene.obstacle_p_m[:, rows], scene.obstacle_q[:, rows]
+        if kind == CAPSULE:
+            axis = np.array([[rotation(b)[:, 2] for b in a] for a in q])
+            ends = p - axis * size_m[rows, 1:2]
+            found.append((name, rr.Capsules3D, {"translations": ends, "quaternions": xyzw(q)}))
+        elif kind == BOX:
+            found.append((name, rr.Boxes3D, {"centers": p, "quaternions": xyzw(q)}))
+        else:
+            found.append((name, rr.Ellipsoids3D, {"centers": p}))
+    return found
+
+
+def _by_shape(scene: Scene) -> list[tuple[int, str, np.ndarray]]:
+    """Shapes of which there are obstacles: kind, name and rows."""
+    given = scene.environment.obstacles
+    kind, exists = np.asarray(given.kind), np.asarray(given.exists)
+    shapes = ((SPHERE, "spheres"), (BOX, "boxes"), (CAPSULE, "capsules"))
+    found = [(shape, name, np.flatnonzero(exists & (kind == shape))) for shape, name in shapes]
+    return [one for one in found if one[2].size > 0]
+
+
+def _log_vehicle(
+    recording: rr.RecordingStream, config: VehicleConfig, path: str, color: Rgba
+) -> None:
+    """The visible shapes of a vehicle, and its hull's capsules in the robot's colour."""
+    center = np.asarray(config.base.center_of_mass_m)
+    for shape in config.visual.shapes:
+        tint = [tuple(round(255 * share) for share in shape.rgba)]
+        match shape:
+            case Box():
+                entity: rr.AsComponents = rr.Boxes3D(
+                    centers=[shape.position_m - center],
+                    sizes=[shape.size_m],
+                    colors=tint,
+                    fill_mode="solid",
+                )
+            case Cylinder():
+                start, end = np.asarray(shape.from_m), np.asarray(shape.to_m)
+                entity = rr.Cylinders3D(
+                    centers=[0.5 * (start + end) - center],
+                    lengths=[float(np.linalg.norm(end - start))],
+                    radii=[shape.radius_m],
+                    quaternions=[_z_to(end - start)],
+                    colors=tint,
+                    fill_mode="solid",
+                )
+            case Sphere():
+                entity = rr.Ellipsoids3D(
+                    centers=[shape.position_m - center],
+                    half_sizes=[[shape.radius_m] * 3],
+                    colors=tint,
+                    fill_mode="solid",
+                )
+        recording.log(f"{path}/{shape.name}", entity, static=True)
+    hull = config.hull.capsules
+    start = np.array([capsule.from_m for capsule in hull]) - center
+    axis = np.array([capsule.to_m for capsule in hull]) - center - start
+    recording.log(
+        f"{path}/hull",
+        rr.Capsules3D(
+            translations=start,
+            lengths=np.linalg.norm(axis, axis=1),
+            radii=[capsule.radius_m for capsule in hull],
+            quaternions=[_z_to(a) for a in axis],
+            colors=[color] * len(hull),
+            line_radii=[0.004] * len(hull),
+            fill_mode="majorwireframe",
+        ),
+        static=True,
+    )
+
+
+def log_still(
+    recording: rr.RecordingStream,
+    config: VehicleConfig,
+    robot: int,
+    space: str,
+    *,
+    goal_m: np.ndarray,
+    plan_m: np.ndarray,
+    named: bool = True,
+) -> None:
+    """What does not change of a robot: where it is to go, its shapes, and how the rest looks.
+
+    The pose of its vehicle, its label and its trail are logged in time.
+
+    Args:
+        recording: where to.
+        config: of its vehicle.
+        robot: its index.
+        space: path of its entities.
+        goal_m: [3] in W; NaN where it has none of its own.
+        plan_m: [n, 3] way-points in W.
+        named: whether its goal is written at; else only a click tells.
+    """
+    color = color_of(robot)
+    if np.isfinite(goal_m).all():
+        goal = rr.Points3D(
+            [goal_m], radii=[0.3], colors=[color], labels=[f"goal {robot}"], show_labels=named
+        )
+        recording.log(f"{space}/goal", goal, static=True)
+    plan = rr.LineStrips3D([plan_m], colors=[color], radii=[_PLAN])
+    recording.log(f"{space}/plan", plan, static=True)
+    _log_vehicle(recording, config, f"{space}/vehicle", color)
+    label = rr.Points3D.from_fields(positions=[[0.0, 0.0, 0.45]])
+    recording.log(f"{space}/vehicle/label", label, static=True)
+    trail = rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL])
+    recording.log(f"{space}/trail", trail, static=True)
+
+
+def arrows(current_mps: np.ndarray) -> np.ndarray:
+    """Arrows [..., 3], m, of the water's velocity, m/s in W; they are logged as ``current``."""
+    return ARROW_S * current_mps
+
+
+def times(seconds: np.ndarray) -> rr.TimeColumn:
+    """Times [n], s, as a column of the timeline."""
+    return rr.TimeColumn("time", duration=seconds)
+
+
+def xyzw(q: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz in the order that Rerun takes."""
+    turned: np.ndarray = q[..., [1, 2, 3, 0]]
+    return turned
+
+
+def _z_to(axis: np.ndarray) -> np.ndarray:
+    """Quaternion xyzw that takes the z axis to ``axis`` [3], by the half-way formula."""
+    length = float(np.linalg.norm(axis))
+    x, y, z = axis / length if length > 0 else (0.0, 0.0, 1.0)
+    if z < -1 + 1e-9:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    half = np.array([-y, x, 0.0, 1.0 + z])
+    unit: np.ndarray = half / np.linalg.norm(half)
+    return unit
+
+
+def color_of(robot: int) -> Rgba:
+    """Of a robot: that of the figures, half-way to white: legible on the viewer's dark ground."""
+    r, g, b, a = rgba(style.robot_color(robot))
+    return (r + 255) // 2, (g + 255) // 2, (b + 255) // 2, a
+
+
+def ending(*, arrived: bool) -> Rgba:
+    """Of the label of a robot whose episode is over."""
+    return rgba("#4fd6a4" if arrived else "#ff6b57")
+
+
+def rgba(name: str) -> Rgba:
+    """A colour by its name or number, as Rerun takes it."""
+    r, g, b, a = (round(255 * share) for share in colors.to_rgba(name))
+    return r, g, b, a

@@ -1,0 +1,72 @@
+"""What the lines and signs on a map mean."""
+
+import numpy as np
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from angler_mjx.report.viewing import style
+from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.world.obstacles import STATIC
+
+LISTED = 12
+"""Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
+
+
+def robots(scene: Scene) -> list[Line2D]:
+    """A line for each robot: who it is, how it ended and when."""
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=style.robot_color(robot.index),
+            linewidth=2.4,
+            label=f"{robot.index}  {robot.vehicle}, {robot.parameter_set}: "
+            f"{scene.ended(robot)} after {robot.end_time_s:.0f} s",
+        )
+        for robot in scene.robots[:LISTED]
+    ]
+    left_out = len(scene.robots) - LISTED
+    if left_out > 0:
+        handles.append(Line2D([], [], color="none", label=f"... and {left_out} more"))
+    return handles
+
+
+def signs(scene: Scene) -> list[Line2D | Patch]:
+    """What the other signs mean, of those that occur."""
+    given = scene.environment.obstacles
+    there = np.asarray(given.exists)
+    still = np.asarray(given.motion) == STATIC
+    goals = any(np.isfinite(robot.goal_m).all() for robot in scene.robots)
+    plans: list[Line2D | Patch] = [
+        Line2D(
+            [],
+            [],
+            color=style.QUIET,
+            linestyle=(0, (3, 2)),
+            label="first plan" if scene.replan_hz else "planned way",
+        ),
+        Line2D(
+            [], [], color=style.QUIET, marker="*", ms=11, linestyle="", label="goal (disc: start)"
+        ),
+    ]
+    handles: list[Line2D | Patch] = [
+        *(plans if goals else []),
+        Line2D([], [], color=style.QUIET, linewidth=2, label="way taken"),
+    ]
+    if any(not robot.arrived for robot in scene.robots):
+        handles.append(
+            Line2D([], [], color=style.INK, marker="X", ms=8, linestyle="", label="failure")
+        )
+    if np.asarray(scene.environment.grid.occupied).any():
+        handles.append(Patch(color=style.ROCK(0.75), label="rock; lighter is higher"))
+    if np.any(there & ~still):
+        handles.append(
+            Patch(
+                color=style.OBSTACLE_DYNAMIC,
+                alpha=0.6,
+                label="moving obstacle at the start; dotted: its way",
+            )
+        )
+    if np.any(there & still):
+        handles.append(Patch(color=style.OBSTACLE_STATIC, label="still obstacle"))
+    return handles

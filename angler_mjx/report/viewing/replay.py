@@ -1,0 +1,160 @@
+"""Replays in the Rerun viewer: a file of some worlds of a run, or the viewer opened on one."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from angler_mjx.errors import RunError, UnsupportedError
+from angler_mjx.report.viewing import scene, window
+from angler_mjx.report.viewing.choose import good_world, worst_world
+from angler_mjx.report.viewing.maps import one_world
+from angler_mjx.runs.storage.atomic import replacing
+from angler_mjx.runs.storage.folder import REPLAY, Run
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+__all__ = ["good_world", "show", "worst_world", "write"]
+
+SERVED_TO = "127.0.0.1"
+"""Address of this machine alone; without ``--bind`` Rerun's server listens on all interfaces."""
+
+_PLAYBACK_SPEED = 4.0
+"""Seconds of the run in one of the viewer's: a crossing takes a quarter of a minute."""
+
+
+def write(run: Run, worlds: Sequence[int] | None = None, out: Path | None = None) -> Path:
+    """Write a replay file; an older one is replaced.
+
+    Args:
+        run: run folder.
+        worlds: global indices; the worst and one good world if left out.
+        out: file to write; ``replay.rrd`` of the run folder if left out.
+
+    Raises:
+        UnsupportedError: Rerun is not installed.
+        ConfigError: the run stored no trajectories, does not hold a world, or the file cannot be
+            named so.
+        RunError: the file cannot be written.
+    """
+    chosen = list(dict.fromkeys([worst_world(run), good_world(run)] if worlds is None else worlds))
+    rr = _rerun(run, chosen[0])
+    scenes = [scene.read(run, world) for world in chosen]
+    path = run.path / REPLAY if out is None else out
+    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    try:
+        with replacing(path, flag="--out", force=True) as writing:
+            recording.save(writing)
+            window.activate(recording, _blueprint(scenes))
+            _log(recording, scenes)
+            recording.flush()
+            recording.disconnect()
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path
+
+
+def show(run: Run, world: int) -> None:
+    """Open the Rerun viewer on one world of a run.
+
+    Args:
+        run: run folder.
+        world: global index.
+
+    Raises:
+        UnsupportedError: Rerun is not installed, or there is no display.
+        ConfigError: the run stored no trajectories, or does not hold that world.
+    """
+    rr = _rerun(run, world)
+    if not window.has_display():
+        name = f"world_{world}.rrd"
+        raise UnsupportedError(
+            "no display to open the viewer on; write this world to a file with "
+            f"`angler replay {run.path} --world {world} --out {name}`, then open the file on a "
+            f"machine with a display (`rerun {name}`), or serve it to browsers of this machine "
+            f"alone (`rerun --serve-web --bind {SERVED_TO} {name}`)"
+        )
+    scenes = [scene.read(run, world)]
+    recording = rr.RecordingStream("angler_mjx", recording_id=_name(run))
+    window.open_on(recording, _blueprint(scenes))
+    _log(recording, scenes)
+    recording.flush()
+
+
+def _rerun(run: Run, world: int) -> ModuleType:
+    try:
+        import rerun
+    except ImportError as error:
+        raise UnsupportedError(
+            "no replay was written: Rerun is not installed. Install the extra `view` "
+            f"(pip install 'angler-mjx[view]'), then make it from the run folder: "
+            f"`angler figures {run.path}` writes {REPLAY}, "
+            f"`angler replay {run.path} --world {world}` opens the viewer"
+        ) from error
+    return rerun
+
+
+def _name(run: Run) -> str:
+    return f"{run.path.name} ({run.scenario.name}, seed {run.scenario.seed})"
+
+
+def _root(world: int) -> str:
+    return f"world_{world}"
+
+
+def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.Scene]) -> None:
+    from angler_mjx.report.viewing.replay_world import log_world
+
+    for one in scenes:
+        log_world(recording, one, _root(one.world))
+
+
+def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
+    """One tab a world; the run plays at once and again when it is over."""
+    import rerun.blueprint as rrb
+
+    tabs = [_tab(one) for one in scenes]
+    panel = rrb.TimePanel(
+        timeline="time",
+        playback_speed=_PLAYBACK_SPEED,
+        play_state="playing",
+        loop_mode="all",
+        state="collapsed",
+    )
+    return window.layout(rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0], panel)
+
+
+def _tab(one: scene.Scene) -> "rrb.Horizontal":
+    """The world in space; beside it the fleet's table, distances to goal or progress, events."""
+    import rerun.blueprint as rrb
+
+    from angler_mjx.report.viewing.entities import MOST_NAMED
+
+    root = f"/{_root(one.world)}"
+    eye = window.from_above(one.bounds_m)
+    space = window.space_view([f"{root}/space/**"], root, "World", eye)
+    whole = rrb.TimeRange(
+        start=rrb.TimeRangeBoundary.absolute(seconds=0.0),
+        end=rrb.TimeRangeBoundary.absolute(seconds=float(one.time_s[-1])),
+    )
+    columns = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+    plotted, name = "distance_to_goal_m", "Distance to goal, m"
+    if one.task is not None:
+        plotted, name = "progress", "Progress, %"
+    named = one.task is None and len(one.robots) <= MOST_NAMED
+    side = rrb.Vertical(
+        rrb.TextDocumentView(origin=f"{root}/fleet", name="Fleet"),
+        rrb.TimeSeriesView(
+            origin=f"{root}/{plotted}",
+            name=name,
+            axis_x=rrb.TimeAxis(view_range=whole),
+            axis_y=None if one.task is None else rrb.ScalarAxis(range=(0.0, 102.0)),
+            plot_legend=rrb.PlotLegend(visible=named),
+        ),
+        rrb.TextLogView(origin=f"{root}/events", name="Events", columns=columns),
+        row_shares=[3, 3, 2],
+    )
+    arrived = one_world.describe(one).split(",")[0]
+    return rrb.Horizontal(space, side, column_shares=[3, 1.4], name=f"World {one.world}: {arrived}")

@@ -1,0 +1,224 @@
+"""One world of a run as entities of a Rerun recording; imported only where Rerun is installed.
+
+What `entities` draws, with the whole run on the timeline ``time``, in seconds; beside it the
+fleet's table, distances to goal or progress of the task, and events.
+"""
+
+import numpy as np
+import rerun as rr
+
+from angler_mjx.report.viewing import entities
+from angler_mjx.report.viewing.entities import task as of_task
+from angler_mjx.report.viewing.entities.water import log_flow
+from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.robot.vehicles import library
+from angler_mjx.world.tasks.history import Doing, Goods, History
+
+_TRAIL_POINTS = 2_000_000
+"""Points in all growing trails of a world, at most: 24 MB."""
+
+
+def log_world(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+    """Log one world.
+
+    Args:
+        recording: where to.
+        scene: the world.
+        root: path of its entities.
+    """
+    recording.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    entities.log_surroundings(recording, scene, f"{root}/space")
+    entities.log_obstacles(recording, scene, f"{root}/space/obstacles")
+    times = [entities.times(scene.time_s)]
+    for name, shape, fields in entities.poses(scene):
+        recording.send_columns(f"{root}/space/obstacles/{name}", times, shape.columns(**fields))
+    for robot in scene.robots:
+        _robot(recording, scene, robot, root)
+    scale_s = log_flow(recording, scene, f"{root}/space/flow")
+    origins = np.stack([robot.p_m for robot in scene.robots], axis=1)
+    current = np.stack([robot.current_mps for robot in scene.robots], axis=1)
+    recording.send_columns(
+        f"{root}/space/current",
+        times,
+        rr.Arrows3D.columns(origins=origins, vectors=scale_s * current),
+    )
+    if scene.task is None:
+        recording.log(f"{root}/fleet", _fleet_table(scene), static=True)
+    else:
+        of_task.log_task(recording, scene, scene.task, f"{root}/space/task")
+        _progress(recording, scene, scene.task, root)
+    _events(recording, scene, f"{root}/events")
+
+
+def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root: str) -> None:
+    name = f"robot_{robot.index}"
+    space, times = f"{root}/space/{name}", [entities.times(scene.time_s)]
+    entities.log_still(
+        recording,
+        library.load(robot.vehicle_file),
+        robot.index,
+        space,
+        goal_m=robot.goal_m,
+        plan_m=robot.plan_m,
+        named=len(scene.robots) <= entities.MOST_NAMED,
+    )
+    recording.send_columns(
+        f"{space}/vehicle",
+        times,
+        rr.Transform3D.columns(translation=robot.p_m, quaternion=entities.xyzw(robot.q)),
+    )
+    _trail(recording, scene, robot, f"{space}/trail")
+    _label(recording, scene, robot, f"{space}/vehicle/label")
+    if not np.isfinite(robot.goal_m).all():
+        return
+    away = np.linalg.norm(robot.p_m - robot.goal_m, axis=1)
+    series = f"{root}/distance_to_goal_m/{name}"
+    color = entities.color_of(robot.index)
+    recording.log(
+        series, rr.SeriesLines(colors=[color], names=[str(robot.index)], widths=[2]), static=True
+    )
+    recording.send_columns(series, times, rr.Scalars.columns(scalars=away))
+
+
+def _trail(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
+    """The way taken so far: a line that grows about once a second."""
+    flown = scene.way_taken(robot)
+    count = len(flown)
+    step = max(1, round(1.0 / max(float(scene.time_s[1]), 1e-3))) if len(scene.time_s) > 1 else 1
+    # n updates of a line of T points hold n T / 2 points; a large fleet gets fewer updates.
+    most = max(2 * _TRAIL_POINTS // (len(scene.robots) * max(count, 1)), 1)
+    step = max(step, -(-count // most))
+    ends = np.unique(np.r_[np.arange(2, count, step), count])
+    recording.send_columns(
+        path,
+        [entities.times(scene.time_s[ends - 1])],
+        rr.LineStrips3D.columns(strips=[flown[:end] for end in ends]),
+    )
+
+
+def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
+    """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
+    few = len(scene.robots) <= entities.MOST_NAMED
+    at, words = [0.0], [str(robot.index)]
+    if scene.task is not None:
+        at, words = _phases(scene.task, robot)
+    until = [t for t in at if t < robot.end_time_s]
+    count = len(until)
+    words = [*words[:count], f"{robot.index}: {scene.ended(robot)}"]
+    color, end = entities.color_of(robot.index), entities.ending(arrived=robot.arrived)
+    recording.send_columns(
+        path,
+        [entities.times(np.array([*until, robot.end_time_s]))],
+        rr.Points3D.columns(
+            labels=words,
+            colors=[*[color] * count, end],
+            radii=[*[entities.DOT] * count, entities.LARGE_DOT],
+            show_labels=[*[few] * count, few or not robot.arrived],
+        ),
+    )
+
+
+def _phases(task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
+    """Times at which a robot begins to do something else, and its label from then on."""
+    words = [
+        str(robot.index) if doing == Doing.GOES else f"{robot.index}: {task.does(k, robot.index)}"
+        for k, doing in enumerate(task.doing[:, robot.index])
+    ]
+    at = [k for k in range(len(words)) if k == 0 or words[k] != words[k - 1]]
+    return task.time_s[at].tolist(), [words[k] for k in at]
+
+
+def _events(recording: rr.RecordingStream, scene: Scene, path: str) -> None:
+    told = [] if scene.task is None else _jobs(scene.task)
+    for robot in scene.robots:
+        text = f"robot {robot.index} {scene.ended(robot)}"
+        if robot.failure_pair != "none":
+            text += f" ({robot.failure_pair})"
+        told.append((robot.end_time_s, text, "INFO" if robot.arrived else "ERROR"))
+    for at_s, text, level in sorted(told, key=lambda one: one[0]):
+        recording.set_time("time", duration=at_s)
+        recording.log(path, rr.TextLog(f"{at_s:.1f} s: {text}", level=level))
+    recording.reset_time()
+
+
+def _jobs(task: History) -> list[tuple[float, str, str]]:
+    """Times, texts and levels of what was done of a task; viewpoints of a survey are too many."""
+    told = []
+    for job in np.flatnonzero(task.exists).tolist():
+        at_s, by = float(task.done_at_s[job]), int(task.by[job])
+        if np.isfinite(at_s) and task.spec.kind == "tour":
+            who = f"by robot {by}" if task.spec.shared else f"by all, robot {by} the last"
+            told.append((at_s, f"place {job} visited {who}", "INFO"))
+        elif np.isfinite(at_s) and task.spec.kind == "deliver":
+            told.append((at_s, f"goods {job} brought by robot {by}", "INFO"))
+        if task.spec.kind == "deliver":
+            told += _handled(task, job)
+    if np.isfinite(task.completed_s):
+        told.append((task.completed_s, "the task is complete", "INFO"))
+    return told
+
+
+def _handled(task: History, job: int) -> list[tuple[float, str, str]]:
+    """When goods were taken up, and lost or back where they were, as far as samples tell."""
+    where, told = task.goods[:, job], []
+    for k in (np.flatnonzero(where[1:] != where[:-1]) + 1).tolist():
+        at_s, robot = float(task.time_s[k]), int(task.carrier[k - 1, job])
+        if where[k] == Goods.TRAVEL:
+            taken = f"goods {job} taken up by robot {task.carrier[k, job]}"
+            told.append((at_s, taken, "INFO"))
+        elif where[k] in (Goods.LOST, Goods.WAIT):
+            fate = "lost" if where[k] == Goods.LOST else "back where they were"
+            told.append((at_s, f"goods {job} {fate}: robot {robot} ended", "ERROR"))
+    return told
+
+
+def _progress(recording: rr.RecordingStream, scene: Scene, task: History, root: str) -> None:
+    """The share of a task over time; and its words with a table of what each robot does."""
+    share = f"{root}/progress/share"
+    line = rr.SeriesLines(colors=[of_task.SEEN], names=["share"], widths=[2])
+    recording.log(share, line, static=True)
+    columns = rr.Scalars.columns(scalars=100.0 * task.share)
+    recording.send_columns(share, [entities.times(task.time_s)], columns)
+    told: list[str] = []
+    at: list[int] = []
+    for sample in range(len(task.time_s)):
+        text = _task_table(scene, task, sample)
+        if not told or text != told[-1]:
+            told.append(text)
+            at.append(sample)
+    recording.send_columns(
+        f"{root}/fleet",
+        [entities.times(task.time_s[at])],
+        rr.TextDocument.columns(text=told, media_type=[rr.MediaType.MARKDOWN] * len(at)),
+    )
+
+
+def _task_table(scene: Scene, task: History, sample: int) -> str:
+    def does(robot: RobotTrack) -> str:
+        return task.does(sample, robot.index) or scene.ended(robot)
+
+    lines = [f"# World {scene.world}", "", f"**{task.words(sample)}**", ""]
+    lines += ["| | vehicle | does | jobs done |", "|---|---|---|---|"]
+    lines += [
+        f"| **{robot.index}** | {robot.vehicle} | {does(robot)} | {task.did[sample, robot.index]} |"
+        for robot in scene.robots
+    ]
+    return "\n".join(lines)
+
+
+def _fleet_table(scene: Scene) -> rr.TextDocument:
+    lines = ["| | vehicle | set | end | after |", "|---|---|---|---|---|"]
+    lines += [
+        f"| **{robot.index}** | {robot.vehicle} | {robot.parameter_set} "
+        f"| {scene.ended(robot)} | {robot.end_time_s:.1f} s |"
+        for robot in scene.robots
+    ]
+    if scene.replan_hz:
+        lines += [
+            "",
+            "Thin lines are the plans before the start; in flight, plans were made anew at "
+            f"{scene.replan_hz:g} Hz.",
+        ]
+    return rr.TextDocument(
+        f"# World {scene.world}\n\n" + "\n".join(lines), media_type=rr.MediaType.MARKDOWN
+    )

@@ -1,0 +1,158 @@
+"""How pictures look: colours that colour-blind readers can tell apart, fonts, sizes, saving."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib import colors
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from PIL import Image
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.files import named
+from angler_mjx.runs.storage.atomic import whole
+
+INK, QUIET, FAINT, PAPER = "#1b2733", "#5d6b78", "#c9d1d8", "#ffffff"
+WATER = "#eef5f8"
+CURRENT = "#6f9fb8"
+OBSTACLE_DYNAMIC, OBSTACLE_STATIC = "#8a6fb0", "#55606b"
+
+ROBOTS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7A4E12", "#333333")
+"""Colours of robots, used in turn: Okabe and Ito's (Color Universal Design, 2008) without yellow,
+which is lost on white, and with brown and black."""
+
+OUTCOMES = {
+    "reached": "#009E73",
+    "collision_static": "#7A4E12",
+    "collision_dynamic": "#8a6fb0",
+    "collision_robot": "#D55E00",
+    "out_of_bounds": "#56B4E9",
+    "timeout": "#E69F00",
+    "diverged": "#333333",
+    "failed": "#CC79A7",
+}
+"""One colour for each outcome."""
+
+OUTCOME_TEXT = {
+    "reached": "reached the goal",
+    "collision_static": "hit rock or floor",
+    "collision_dynamic": "hit a moving obstacle",
+    "collision_robot": "hit another robot",
+    "out_of_bounds": "left the cube",
+    "timeout": "ran out of time",
+    "diverged": "diverged",
+    "failed": "broke down",
+}
+"""Outcomes in words."""
+
+ROCK = colors.LinearSegmentedColormap.from_list(
+    "rock", ["#93a3a6", "#b9bba8", "#ddd3b4", "#f1e6c8"]
+)
+"""Height of rock, deep to shallow: light enough for tracks to stand out on all of it."""
+
+
+def robot_color(index: int) -> str:
+    """Colour of robot ``index``; they repeat after the last, so say the number as well."""
+    return ROBOTS[index % len(ROBOTS)]
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The look of all figures, inside a ``with``; nothing global is changed."""
+    settings: Any = {
+        "font.family": "DejaVu Sans",
+        "font.size": 9.5,
+        "axes.titlesize": 11.5,
+        "axes.titleweight": "bold",
+        "axes.titlelocation": "left",
+        "axes.titlepad": 9.0,
+        "axes.labelcolor": QUIET,
+        "axes.edgecolor": FAINT,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "text.color": INK,
+        "xtick.color": QUIET,
+        "ytick.color": QUIET,
+        "xtick.major.size": 3.0,
+        "ytick.major.size": 3.0,
+        "grid.color": "#e4e9ed",
+        "grid.linewidth": 0.8,
+        "legend.frameon": False,
+        "legend.fontsize": 8.5,
+        "figure.facecolor": PAPER,
+        "savefig.facecolor": PAPER,
+    }
+    with mpl.rc_context(settings):
+        yield
+
+
+def new_figure(width_in: float, height_in: float, *, headline_in: float = 0.0) -> Figure:
+    """An empty figure that needs no display and no pyplot.
+
+    Args:
+        width_in: width, inch.
+        height_in: height, inch.
+        headline_in: height kept free at the top for `headline`, inch.
+    """
+    engine = ConstrainedLayoutEngine(
+        rect=(0.0, 0.0, 1.0, 1.0 - headline_in / height_in), w_pad=0.1, h_pad=0.07
+    )
+    figure = Figure(figsize=(width_in, height_in), layout=engine)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def headline(figure: Figure, title: str, subtitle: str) -> None:
+    """Title and a quieter line below it, at the top left of a figure."""
+    left, inch = 0.1 / figure.get_figwidth(), 1.0 / figure.get_figheight()
+    figure.text(left, 1 - 0.1 * inch, title, fontsize=13.5, fontweight="bold", va="top")
+    figure.text(left, 1 - 0.38 * inch, subtitle, fontsize=9.5, color=QUIET, va="top")
+
+
+FORMATS = (".png", ".pdf", ".svg", ".jpg")
+"""Ends of the names of figures that can be written."""
+
+
+def require_format(path: Path, flag: str = "--out") -> None:
+    """Refuse a name that says no format of figures, before anything is drawn.
+
+    Raises:
+        ConfigError: naming those that there are.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise ConfigError(f"{flag} {named(path)}: give a name that ends in {', '.join(FORMATS)}")
+
+
+def save(figure: Figure, path: Path, *, palette: int | None = None) -> Path:
+    """Write a figure, as PNG or what its name says; returns the path.
+
+    Args:
+        figure: to be written.
+        path: of the file.
+        palette: as many colours at most; a third of the size for lines on paper.
+
+    Raises:
+        ConfigError: the name has an ending that is no format of figures.
+        RunError: the file cannot be written.
+    """
+    formats = figure.canvas.get_supported_filetypes()
+    if path.suffix.removeprefix(".").lower() not in formats:
+        raise ConfigError(
+            f"{path}: a figure cannot be written as {path.suffix or 'a name without ending'}; "
+            "give a name that ends in .png, .svg or .pdf"
+        )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole(path) as writing:
+            figure.savefig(writing, dpi=160)
+            if palette is not None:
+                with Image.open(writing) as drawn:
+                    drawn.convert("RGB").quantize(palette).save(writing, optimize=True)
+    except OSError as error:
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return path

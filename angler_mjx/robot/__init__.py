@@ -1,0 +1,1 @@
+"""One robot: its vehicle file, its controllers and its instruments."""

@@ -1,0 +1,177 @@
+"""Line-of-sight path following in three dimensions: from way-points to a velocity over ground.
+
+On the segment from a to b with tangent t, the error c of position across the path (its horizontal
+part is the cross-track error, the rest the vertical one) and the lookahead D::
+
+    v = U (D t - c - sigma y) / |D t - c - sigma y|,   y' = D c / (|c + sigma y|^2 + D^2)
+
+In a plane that is Fossen's chi_d = pi_h - atan((e + sigma y) / D) with the integral of Borhaug,
+Pavlov and Pettersen (CDC 2008; Fossen 2021, chapter 12): y steers against a current when
+the velocity below is not held exactly. Vectors do without azimuth and elevation, so vertical
+segments are no exception. Time does not count: U is the speed that the trajectory plans for the
+segment, and a robot that is held up goes on from where it is. The last way-point is held.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_kernels.table import take
+from angler_mjx.robot.control.commands import BodyTwist, Estimate
+from angler_mjx.robot.control.laws import model
+from angler_mjx.robot.control.laws.checks import check_gains
+from angler_mjx.robot.control.laws.model import wrap
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.vehicles.params import VehicleParams
+
+_MOVES_MPS = 0.05
+"""Horizontally slower than this, the heading stays."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class LosGains:
+    """Gains of the guidance."""
+
+    lookahead_m: float = 0.35
+    """D: how far ahead on the path the robot aims. Bends of radius R are cut by about D^2 / (2 R);
+    with the velocity loop's k the way back to the path has a damping of sqrt(k D / U) / 2, 0.66 at
+    0.5 m/s with the default gains."""
+    integral_per_s: float = 0.1
+    """sigma: weight of the integral of the error; 0 for plain line of sight."""
+    integral_limit_m: float = 5.0
+    """Bound of each component of y."""
+    switch_radius_m: float = 0.3
+    """Distance along the path before a way-point at which the next segment begins."""
+    position_per_s: float = 0.8
+    """Velocity per metre to the last way-point."""
+    attitude_per_s: float = 2.5
+    """Angular velocity per radian."""
+    yaw_rate_radps: float = 0.6
+    """How fast the heading reference turns towards the course."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class LosCarry:
+    """Memory of the guidance."""
+
+    segment: jax.Array
+    """int32 [] index of the way-point where the present segment begins."""
+    integral: jax.Array
+    """[3] y, across the path, in W."""
+    yaw_rad: jax.Array
+    """[] heading reference."""
+
+
+def check(gains: LosGains) -> None:
+    """Refuse gains that make no sense (host side).
+
+    Raises:
+        ConfigError: naming them.
+    """
+    check_gains("los", gains, positive=("lookahead_m", "position_per_s", "yaw_rate_radps"))
+
+
+def reset(estimate: Estimate) -> LosCarry:
+    """Memory of a robot at the beginning of its path."""
+    return LosCarry(
+        segment=jnp.zeros((), jnp.int32),
+        integral=jnp.zeros_like(estimate.p),
+        yaw_rad=quaternion.yaw(estimate.q),
+    )
+
+
+def progress_s(carry: LosCarry, path: Trajectory) -> jax.Array:
+    """Return the planned time [] s at the end of the segment that the robot is on."""
+    end: jax.Array = take(path.time_s, carry.segment + 1)
+    return end
+
+
+def step(
+    gains: LosGains,
+    vehicle: VehicleParams,
+    carry: LosCarry,
+    estimate: Estimate,
+    command: Trajectory,
+    dt: float,
+    density: float,
+    gravity: float,
+) -> tuple[LosCarry, BodyTwist]:
+    """One control step.
+
+    Args:
+        gains: of the guidance.
+        vehicle: of one robot.
+        carry: its memory.
+        estimate: its state as known to the controller.
+        command: the way-points; of their times only the speeds matter.
+        dt: control period, s.
+        density: of the water, kg/m^3; not used.
+        gravity: m/s^2; not used.
+
+    Returns:
+        The new memory, and the velocity over ground to have.
+    """
+    k = _segment(gains, carry.segment, estimate.p, command)
+    start, tangent, length, speed, last = _geometry(command, k)
+    speed = jnp.minimum(speed, model.speed_limit(vehicle))
+    offset = estimate.p - start
+    along = jnp.sum(offset * tangent)
+    across = offset - along * tangent
+    # After a corner, what was along the new path does not count.
+    held = carry.integral - jnp.sum(carry.integral * tangent) * tangent
+    pull = across + gains.integral_per_s * held
+    square = gains.lookahead_m**2
+    integral = held + dt * gains.lookahead_m * across / (jnp.sum(pull**2) + square)
+    aim = gains.lookahead_m * tangent - pull
+    velocity = speed * aim / jnp.sqrt(jnp.sum(pull**2) + square)
+    arriving = last & ((length - along) * gains.position_per_s < speed + 1e-6)
+    home = gains.position_per_s * (start + length * tangent - estimate.p)
+    velocity = jnp.where(arriving, model.bounded(home, jnp.maximum(speed, 0.1)), velocity)
+    # Without sway the bow must point home as well.
+    holds = arriving & (vehicle.terminal_speed_mps[1] > 0) if vehicle.steered else arriving
+    yaw, yaw_rate = _heading(gains, carry.yaw_rad, velocity, holds, dt)
+    turn = yaw_rate * quaternion.up(estimate.q) + gains.attitude_per_s * model.attitude_error(
+        estimate.q, yaw
+    )
+    limit = gains.integral_limit_m
+    carry = LosCarry(segment=k, integral=jnp.clip(integral, -limit, limit), yaw_rad=yaw)
+    nu = jnp.concatenate([quaternion.rotate_inverse(estimate.q, velocity), turn])
+    return carry, BodyTwist(nu=nu)
+
+
+def _segment(gains: LosGains, k: jax.Array, p: jax.Array, path: Trajectory) -> jax.Array:
+    """Index [] of the segment to follow: the next one when this one is nearly done."""
+    start, tangent, length, _, last = _geometry(path, k)
+    done = jnp.sum((p - start) * tangent) > length - gains.switch_radius_m
+    return jnp.where(done & ~last, k + 1, k)
+
+
+def _geometry(
+    path: Trajectory, k: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Start [3], unit tangent [3], length [], planned speed [] and whether it is the last, of k."""
+    n = path.time_s.shape[0]
+    start, end = take(path.position_m, k), take(path.position_m, k + 1)
+    begin, until = take(path.time_s, k), take(path.time_s, k + 1)
+    length = jnp.sqrt(jnp.sum((end - start) ** 2))
+    real = length > 1e-6
+    tangent = (end - start) / jnp.where(real, length, 1.0)
+    span = until - begin
+    speed = jnp.where(span > 0, length / jnp.where(span > 0, span, 1.0), 0.0)
+    after = take(path.time_s, jnp.minimum(k + 2, n - 1))
+    return start, tangent, length, speed, after <= until
+
+
+def _heading(
+    gains: LosGains, yaw: jax.Array, velocity: jax.Array, holds: jax.Array, dt: float
+) -> tuple[jax.Array, jax.Array]:
+    """Heading reference [] rad that turns towards the course, and its rate [] rad/s."""
+    moves = (velocity[0] ** 2 + velocity[1] ** 2 > _MOVES_MPS**2) & ~holds
+    course = jnp.arctan2(jnp.where(moves, velocity[1], 0.0), jnp.where(moves, velocity[0], 1.0))
+    most = gains.yaw_rate_radps
+    rate = jnp.where(moves, jnp.clip(wrap(course - yaw) / dt, -most, most), 0.0)
+    return wrap(yaw + rate * dt), rate

@@ -1,0 +1,187 @@
+"""Robots of one step driven at different levels of the same stack: one by its path, one by a twist.
+
+A `Mixed` command holds a command of each type that may be given, and says which one counts. All
+stages are worked out; where a robot's own command enters, it takes the place of what comes from
+above, and the stages above it keep their memory. What is not chosen costs its arithmetic, so this
+is for scenes that are driven step by step; batches give one type to all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import quaternion
+from angler_mjx.robot.control import allocation, plans, stack
+from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.stack import Action, ControlParams, Given, Memory, Stage, Stages
+from angler_mjx.robot.control.trajectory import Trajectory
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Mixed:
+    """Commands of several types for one robot, of which one counts."""
+
+    which: jax.Array
+    """int32 [] its place in ``commands``."""
+    fresh: jax.Array
+    """int32 [] so many stages, counted from the top, begin this step with a new memory; 0: none.
+    For stages that stood idle until now, and for the first one when a new path begins."""
+    commands: tuple[Any, ...]
+    """Each of another type; those that do not count hold any numbers."""
+
+
+def last_approach_s(mixed: Mixed, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
+    """Return `plans.last_approach_s` [] s of one robot's command; zero unless it is a plan."""
+    begin = jnp.zeros_like(goal_m[0])
+    for k, command in enumerate(mixed.commands):
+        if isinstance(command, Trajectory | JointTrajectory):
+            of_plan = plans.last_approach_s(command, goal_m, tolerance_m)
+            begin = jnp.where(mixed.which == k, of_plan, begin)
+    return begin
+
+
+def progress_s(stages: Stages, memory: Memory, mixed: Mixed) -> jax.Array:
+    """Return `stack.progress_s` [] s of one robot's command; zero unless it is a plan."""
+    progress: Any = 0.0
+    for k, command in enumerate(mixed.commands):
+        if isinstance(command, Trajectory | JointTrajectory):
+            of_plan = stack.progress_s(stages, memory, command)
+            progress = jnp.where(mixed.which == k, of_plan, progress)
+    return jnp.asarray(progress)
+
+
+def step(
+    stages: Stages,
+    gains: Sequence[Any],
+    params: ControlParams,
+    memory: Memory,
+    estimate: Estimate,
+    mixed: Mixed,
+    dt: float,
+    density: float,
+    gravity: float,
+) -> Action:
+    """One control step of one robot; see `angler_mjx.robot.control.stack.step`.
+
+    Args:
+        stages: the stack.
+        gains: of each stage.
+        params: of the robot.
+        memory: of the stack; its ``demanded`` is kept up to date if there is one.
+        estimate: its state as known to the controllers, with the current if a stage wants it.
+        mixed: the commands.
+        dt: control period, s.
+        density: of the water, kg/m^3.
+        gravity: m/s^2.
+
+    Returns:
+        As for the chosen command alone; ``demanded`` is NaN where it stands below wrenches, and
+        also counts a wrench that was given.
+
+    Raises:
+        ConfigError: no stage takes one of the commands.
+    """
+    entries = [stack.entry(stages, type(command)) for command in mixed.commands]
+    chosen = [mixed.which == k for k in range(len(entries))]
+    yaw = quaternion.yaw(estimate.q)
+    below: Any = None
+    used = told = mixed.which < 0
+    aim, demanded = estimate.p, jnp.full_like(estimate.nu, jnp.nan)
+    carries = []
+    for i, stage in enumerate(stages):
+        entering = [
+            (flag, command)
+            for flag, command, place in zip(chosen, mixed.commands, entries, strict=True)
+            if place == i
+        ]
+        for flag, command in entering:
+            aim = jnp.where(flag, _aim(command, aim), aim)
+            demanded = jnp.where(flag, _wrench(command, demanded), demanded)
+        used = reduce(jnp.logical_or, (flag for flag, _ in entering), used)
+        if below is None and not entering:
+            carries.append(memory.stages[i])
+            continue
+        new = mixed.fresh > i
+        before = _select(new, stage.reset(estimate, yaw), memory.stages[i])
+        given = Given(
+            params=params,
+            estimate=estimate,
+            realised=_told_realised(stage, memory, new),
+            dt=dt,
+            density=density,
+            gravity=gravity,
+        )
+        carry, below = _through(stage, gains[i], before, given, below, entering)
+        carries.append(_select(used, carry, memory.stages[i]))
+        aim = jnp.where(used, _aim(below, aim), aim)
+        demanded = jnp.where(used, _wrench(below, demanded), demanded)
+        told = told | used if stage.wants_realised else told
+    for flag, command, place in zip(chosen, mixed.commands, entries, strict=True):
+        if place == len(stages):
+            below = command if below is None else _select(flag, command, below)
+            demanded = jnp.where(flag, jnp.nan, demanded)
+    return Action(
+        memory=Memory(
+            stages=tuple(carries),
+            realised=None
+            if memory.realised is None
+            else _select(told, allocation.realised(params.allocation, below), memory.realised),
+            demanded=None if memory.demanded is None else BodyWrench(tau=demanded),
+        ),
+        target_m=aim,
+        pwm=below,
+        demanded=BodyWrench(tau=demanded),
+    )
+
+
+def _through(
+    stage: Stage,
+    gains: Any,
+    carry: Any,
+    given: Given,
+    above: Any,
+    entering: Sequence[tuple[jax.Array, Any]],
+) -> tuple[Any, Any]:
+    """Memory and command of a stage: once for each type of command that it is given."""
+    inputs: dict[type, tuple[Any, Any]] = {} if above is None else {type(above): (None, above)}
+    for flag, command in entering:
+        kind = type(command)
+        if kind in inputs:
+            inputs[kind] = (None, _select(flag, command, inputs[kind][1]))
+        else:
+            inputs[kind] = (flag, command)
+    results = [(flag, stage.step(gains, carry, given, told)) for flag, told in inputs.values()]
+    chosen: tuple[Any, Any] = results[0][1]
+    for flag, result in results[1:]:
+        chosen = _select(flag, result, chosen)
+    return chosen
+
+
+def _told_realised(stage: Stage, memory: Memory, new: jax.Array) -> BodyWrench | None:
+    """What a stage is told of the wrench before; a stage that begins anew asked for none."""
+    if not stage.wants_realised or memory.realised is None:
+        return None
+    return BodyWrench(tau=jnp.where(new, 0.0, memory.realised.tau))
+
+
+def _select(flag: Any, yes: Any, no: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), yes, no)
+
+
+def _aim(command: Any, before: jax.Array) -> jax.Array:
+    aims: jax.Array = (
+        command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
+    )
+    return aims
+
+
+def _wrench(command: Any, before: jax.Array) -> jax.Array:
+    asked: jax.Array = command.tau if isinstance(command, BodyWrench) else before
+    return asked

@@ -1,0 +1,195 @@
+"""What robots fly along: way-points joined by lines, or trajectories of their joints.
+
+A plan of a fleet is one array of each field with the robots leading, so all of its robots have one
+type and one number of rows; shorter ones are padded by their last row. Those who only want to know
+where a plan leads, and whether there is one, ask here and not for its type.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control import joint_trajectory, stages, trajectory
+from angler_mjx.robot.control.joint_goal import JointGoal, JointPoint
+from angler_mjx.robot.control.joint_trajectory import (
+    CUBIC,
+    LINEAR,
+    QUINTIC,
+    VEHICLE_JOINTS,
+    JointState,
+    JointTrajectory,
+    segment,
+)
+from angler_mjx.robot.control.stack import Stages
+from angler_mjx.robot.control.trajectory import Trajectory
+
+type Plan = Trajectory | JointTrajectory
+"""Of one robot, or with any axes leading on every leaf."""
+
+PIECES = 8
+"""Lines that a bent segment is drawn with."""
+APPROACH_M = 1.0
+"""The last approach begins this far outside the goal's tolerance: where the clock of `follow` waits
+for a robot that is behind, so no robot that keeps to its plan is at the goal before."""
+
+
+def found(plan: Plan) -> jax.Array:
+    """Whether the planner found a way, bool with the leading axes of the plan."""
+    if plan.found is not None:
+        return plan.found
+    return jnp.ones(plan.time_s.shape[:-1], bool)
+
+
+def points_m(plan: Plan) -> jax.Array:
+    """Way-points [..., n_point, 3] m, in W."""
+    return plan.position_m if isinstance(plan, Trajectory) else plan.position[..., :3]
+
+
+def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
+    """Return the time [] s at which the last approach of one robot's plan to its goal begins.
+
+    The last approach begins at the last way-point at least ``tolerance_m + APPROACH_M`` from the
+    goal, or at the farthest way-point where none is so far. A stay at the goal after it is part of
+    the approach.
+
+    Args:
+        plan: of one robot.
+        goal_m: [3] in W.
+        tolerance_m: distance below which a robot is at its goal.
+
+    Returns:
+        Zero where the planner found no plan.
+    """
+    time, point = plan.time_s, points_m(plan)
+    away = jnp.sqrt(jnp.sum((point - goal_m) ** 2, axis=-1))
+    far = away >= jnp.minimum(tolerance_m + APPROACH_M, jnp.max(away))
+    return jnp.max(jnp.where(far & found(plan), time, 0.0))
+
+
+def place(plan: Plan, t: jax.Array) -> jax.Array:
+    """Position [3] m in W of the plan of one robot at a time [] s."""
+    if isinstance(plan, Trajectory):
+        return trajectory.sample(plan, t)[0]
+    return joint_trajectory.sample(plan, t).position[:3]
+
+
+def checked[P](of: Stages, plan: P) -> P:
+    """A plan that controllers can fly.
+
+    Args:
+        of: the controllers, from the highest down.
+        plan: of a fleet.
+
+    Raises:
+        ConfigError: no stage takes plans of its type (names the controllers and the type), or it
+            is of other joints than a vehicle's.
+    """
+    kind = type(plan)
+    if isinstance(plan, JointTrajectory) and plan.joints != VEHICLE_JOINTS:
+        raise ConfigError(f"World.path: joints = {plan.joints}: must be {VEHICLE_JOINTS}")
+    if not any(kind in stage.takes for stage in of):
+        kinds = (Trajectory, JointTrajectory)
+        taken = [one.__name__ for one in kinds if any(one in stage.takes for stage in of)]
+        raise ConfigError(
+            f"World.path is a {kind.__name__}: {stages.called(of)} takes "
+            f"{' or '.join(taken) or 'no plan'}; choose another controller, or give plans of "
+            "another type"
+        )
+    return plan
+
+
+def of_robot(plan: Plan, i: int) -> Plan:
+    """The plan of one robot of a world, whose plans [R] lead."""
+    one: Plan = jax.tree.map(lambda leaf: leaf[i], plan)
+    return one
+
+
+def course(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Where the plan of one robot leads, for pictures; bent segments as `PIECES` lines (host side).
+
+    Args:
+        plan: of arrays of NumPy, or that become such.
+
+    Returns:
+        Times [n] s and places [n, 3] m in W, padding dropped.
+    """
+    time, point = np.asarray(plan.time_s), np.asarray(points_m(plan))
+    rows = np.r_[True, np.diff(time) > 0]
+    if isinstance(plan, Trajectory) or np.all(np.asarray(plan.degree) == LINEAR):
+        return time[rows], point[rows]
+    inner = np.arange(1, PIECES + 1) / PIECES
+    k = np.flatnonzero(np.diff(time) > 0)
+    times = time[k, None] + np.diff(time)[k, None] * inner
+    times = np.r_[time[:1], times.ravel()]
+    return times, np.asarray(joints_at(plan, times).position)[:, :3]
+
+
+def message(plan: Plan) -> JointGoal:
+    """The plan of one robot as the message that `joint_goal.build` makes the same motion of.
+
+    Joints x, y and z of way-points; the heading too of a JointTrajectory. A message says of points,
+    not of segments, what they are joined by, so a segment between two points that have more than it
+    uses is divided in its middle.
+
+    Args:
+        plan: of arrays of NumPy, or that become such.
+    """
+    time = np.asarray(plan.time_s, float)
+    rows = np.flatnonzero(np.r_[True, np.diff(time) > 0])
+    if isinstance(plan, Trajectory):
+        points = zip(time[rows].tolist(), np.asarray(plan.position_m)[rows].tolist(), strict=True)
+        return JointGoal(
+            joint_names=VEHICLE_JOINTS[:3],
+            points=tuple(JointPoint(time_s=t, positions=tuple(p)) for t, p in points),
+        )
+    degree = np.asarray(plan.degree)[rows[1:] - 1]
+    uses = np.maximum(np.r_[degree, LINEAR], np.r_[LINEAR, degree])
+    divided = np.flatnonzero(np.minimum(uses[:-1], uses[1:]) > degree)
+    middles = joints_at(plan, 0.5 * (time[rows[divided]] + time[rows[divided + 1]]))
+    ends = _row(plan, rows)
+    made = [_point(time[row], ends, i, uses[i]) for i, row in enumerate(rows)]
+    for i, k in enumerate(divided):
+        middle = 0.5 * (time[rows[k]] + time[rows[k + 1]])
+        made.append(_point(middle, middles, i, degree[k]))
+    return JointGoal(
+        joint_names=plan.joints, points=tuple(sorted(made, key=lambda point: point.time_s))
+    )
+
+
+def _point(time_s: float, joints: JointState, i: int, uses: int) -> JointPoint:
+    """Row ``i`` of some points, with as many derivatives as a polynomial of that degree uses."""
+    return JointPoint(
+        time_s=float(time_s),
+        positions=tuple(joints.position[i].tolist()),
+        velocities=tuple(joints.velocity[i].tolist()) if uses >= CUBIC else (),
+        accelerations=tuple(joints.acceleration[i].tolist()) if uses >= QUINTIC else (),
+    )
+
+
+def joints_at(plan: JointTrajectory, time_s: Any) -> JointState:
+    """Joints [n, n_joint] of one robot at times [n] from 0, in double precision (host side)."""
+    t, time = np.asarray(time_s, float)[:, None], np.asarray(plan.time_s, float)
+    k = np.clip(np.searchsorted(time, t[:, 0], side="right") - 1, 0, time.size - 2)
+    begin, end = (_row(plan, rows) for rows in (k, k + 1))
+    span = (time[k + 1] - time[k])[:, None]
+    inside = (span > 0) & (t < time[-1])
+    span = np.where(span > 0, span, 1.0)
+    degree = np.asarray(plan.degree)[k][:, None]
+    bend: Any = segment  # arithmetic alone: arrays of NumPy do as well
+    moving: JointState = bend(begin, end, span, (t - time[k][:, None]) / span, degree)
+    at: dict[str, Any] = {
+        "position": np.where(inside, moving.position, np.asarray(plan.position, float)[-1]),
+        "velocity": np.where(inside, moving.velocity, 0.0),
+        "acceleration": np.where(inside, moving.acceleration, 0.0),
+    }
+    return JointState(**at)
+
+
+def _row(plan: JointTrajectory, k: Any) -> JointState:
+    rows: Any = [
+        np.asarray(leaf, float)[k] for leaf in (plan.position, plan.velocity, plan.acceleration)
+    ]
+    return JointState(position=rows[0], velocity=rows[1], acceleration=rows[2])

@@ -1,0 +1,283 @@
+"""Controllers stacked: each stage turns the command from above into the next one down, to PWM.
+
+A stage is a pure function of one robot with its own gains and its own memory, in the form of
+cascaded control (Fossen 2021, chapter 15): guidance over pose over velocity over allocation. A
+stack is a row of stages in which each takes what the one above gives, and the last gives the
+thrusters' signals. A command enters at the first stage that takes its type, so a path, a pose, a
+velocity, a wrench or the signals themselves can drive the same stack; the memory of the stages
+above stays as it is until a command comes to them again.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control import allocation, command_checks
+from angler_mjx.robot.control.allocation import AllocationParams
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    Estimate,
+    PoseTarget,
+    ThrusterPwm,
+)
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.robot.vehicles.params import VehicleParams
+
+type Command = (
+    Trajectory
+    | JointTrajectory
+    | TrackingTarget
+    | PoseTarget
+    | BodyTwist
+    | BodyWrench
+    | ThrusterPwm
+)
+"""What can be told to a robot."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class ControlParams:
+    """One robot, and what controllers know of it."""
+
+    vehicle: VehicleParams
+    """As it is; `known` is what controllers take it for."""
+    allocation: AllocationParams
+    cruise_speed_mps: jax.Array
+    """[] speed along a planned path."""
+    nominal: VehicleParams | None = None
+    """What controllers and planners take the vehicle for; None: for what it is."""
+
+    @property
+    def known(self) -> VehicleParams:
+        """The vehicle as controllers and planners know it."""
+        return self.vehicle if self.nominal is None else self.nominal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What a stage is given beside its command."""
+
+    params: ControlParams
+    estimate: Estimate
+    realised: BodyWrench | None
+    """What the thrusters gave of the wrench asked for in the step before; None for stages that do
+    not want it."""
+    dt: float
+    """Control period, s."""
+    density: float
+    """Of the water, kg/m^3."""
+    gravity: float
+    """m/s^2."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class NoGains:
+    """Of a stage that has none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One controller of a stack."""
+
+    name: str
+    takes: tuple[type, ...]
+    """Types of commands."""
+    gives: type
+    """Type of the command to the stage below."""
+    step: Callable[[Any, Any, Given, Any], tuple[Any, Any]]
+    """(gains, carry, given, command) -> (carry, command to the stage below); pure, of one robot."""
+    reset: Callable[[Estimate, jax.Array], Any]
+    """(estimate, heading [] rad at the start) -> carry."""
+    gains: Callable[..., Any] = NoGains
+    """Dataclass of its gains, all with defaults."""
+    check: Callable[[Any], None] | None = None
+    """Refuses gains that make no sense, with a ConfigError (host side)."""
+    wants_flow: bool = False
+    """Whether it is to be told the current."""
+    wants_realised: bool = False
+    """Whether it is to be told what became of the wrench of the step before."""
+    progress: Callable[[Any, Any], jax.Array] | None = None
+    """(carry, plan) -> time [] s along the plan that the robot has come to; None for stages that
+    take no plan."""
+    wants_sway: bool = False
+    """Whether it cannot fly a vehicle that has no thrust to the side."""
+
+
+type Stages = tuple[Stage, ...]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """Memory of a stack of one robot."""
+
+    stages: tuple[Any, ...]
+    """Carry of each stage."""
+    realised: BodyWrench | None
+    """For the stages that want it; None where none does."""
+    demanded: BodyWrench | None = None
+    """What the thrusters were asked for in the step before, NaN where by signals alone: for those
+    who watch. None where nobody does."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Action:
+    """What came of one control step of a stack."""
+
+    memory: Memory
+    target_m: jax.Array
+    """[3] position that was aimed at, in W; where no stage aimed at one, the robot's own."""
+    pwm: ThrusterPwm
+    demanded: BodyWrench | None
+    """The wrench that the thrusters were asked for; None where there was none above the signals."""
+
+
+def takes(stage: Stage) -> str:
+    """The commands of a stage, in words."""
+    return " or ".join(kind.__name__ for kind in stage.takes)
+
+
+def entry(stages: Stages, command: type) -> int:
+    """Number of the first stage that takes a type of command; that of stages for the signals.
+
+    Raises:
+        ConfigError: no stage takes it.
+    """
+    if command is ThrusterPwm:
+        return len(stages)
+    for i, stage in enumerate(stages):
+        if command in stage.takes:
+            return i
+    accepted = dict.fromkeys(kind.__name__ for stage in stages for kind in stage.takes)
+    raise ConfigError(
+        f"command {command.__name__}: no stage of {', '.join(s.name for s in stages)} takes it; "
+        f"give one of {', '.join([*accepted, 'ThrusterPwm'])}"
+    )
+
+
+def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrusters: int) -> None:
+    """Refuse a batch of commands that a stack cannot be driven by (host side).
+
+    Args:
+        stages: the stack.
+        command: of every robot.
+        lead: sizes of the axes that all arrays begin with, [world, robot].
+        thrusters: of a robot, padding included.
+
+    Raises:
+        ConfigError: no stage takes it, or an array of it has another shape than its robots want.
+    """
+    entry(stages, type(command))
+    command_checks.check_arrays(command, lead, thrusters)
+
+
+def progress_s(stages: Stages, memory: Memory, plan: Any) -> jax.Array:
+    """Return the time [] s along its plan that a robot has come to.
+
+    Args:
+        stages: the stack.
+        memory: of the stack.
+        plan: that the robot follows.
+
+    Raises:
+        ConfigError: no stage takes the plan.
+    """
+    i = entry(stages, type(plan))
+    progress = stages[i].progress
+    if progress is None:
+        raise ConfigError(f"stage {stages[i].name} does not say how far along a plan a robot is")
+    return progress(memory.stages[i], plan)
+
+
+def wants_flow(stages: Stages) -> bool:
+    """Whether any stage is to be told the current."""
+    return any(stage.wants_flow for stage in stages)
+
+
+def reset(stages: Stages, estimate: Estimate, yaw_rad: jax.Array) -> Memory:
+    """Memory of a robot that begins with an estimate and a heading []."""
+    wanted = any(stage.wants_realised for stage in stages)
+    return Memory(
+        stages=tuple(stage.reset(estimate, yaw_rad) for stage in stages),
+        realised=BodyWrench(tau=jnp.zeros_like(estimate.nu)) if wanted else None,
+    )
+
+
+def step(
+    stages: Stages,
+    gains: Sequence[Any],
+    params: ControlParams,
+    memory: Memory,
+    estimate: Estimate,
+    command: Any,
+    dt: float,
+    density: float,
+    gravity: float,
+) -> Action:
+    """One control step of one robot.
+
+    Args:
+        stages: the stack.
+        gains: of each stage.
+        params: of the robot.
+        memory: of the stack.
+        estimate: its state as known to the controllers, with the current if a stage wants it.
+        command: of any type that a stage takes, or the signals themselves.
+        dt: control period, s.
+        density: of the water, kg/m^3.
+        gravity: m/s^2.
+
+    Raises:
+        ConfigError: no stage takes the command.
+    """
+    first = entry(stages, type(command))
+    carries = list(memory.stages)
+    aim, told = _aim(command, estimate.p), False
+    demanded = command if isinstance(command, BodyWrench) else None
+    for i in range(first, len(stages)):
+        stage = stages[i]
+        given = Given(
+            params=params,
+            estimate=estimate,
+            realised=memory.realised if stage.wants_realised else None,
+            dt=dt,
+            density=density,
+            gravity=gravity,
+        )
+        carries[i], command = stage.step(gains[i], carries[i], given, command)
+        aim = _aim(command, aim)
+        demanded = command if isinstance(command, BodyWrench) else demanded
+        told |= stage.wants_realised
+    return Action(
+        memory=Memory(
+            stages=tuple(carries),
+            # Of a step in which those who want it had no say they would learn nothing.
+            realised=allocation.realised(params.allocation, command) if told else memory.realised,
+            demanded=None if memory.demanded is None else _known(demanded, estimate),
+        ),
+        target_m=aim,
+        pwm=command,
+        demanded=demanded,
+    )
+
+
+def _known(demanded: BodyWrench | None, estimate: Estimate) -> BodyWrench:
+    """A wrench, of NaN where there is none."""
+    return demanded or BodyWrench(tau=jnp.full_like(estimate.nu, jnp.nan))
+
+
+def _aim(command: Any, before: jax.Array) -> jax.Array:
+    """Position [3] that a command aims at; ``before`` where it does not aim."""
+    aims: jax.Array = (
+        command.position_m if isinstance(command, PoseTarget | TrackingTarget) else before
+    )
+    return aims

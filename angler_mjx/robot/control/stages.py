@@ -1,0 +1,288 @@
+"""The stages that a stack can be made of, and the stacks that have names."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from types import ModuleType
+from typing import Any
+
+import jax
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control import allocation, stack
+from angler_mjx.robot.control.commands import (
+    BodyTwist,
+    BodyWrench,
+    Estimate,
+    PoseTarget,
+    ThrusterPwm,
+)
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.laws import (
+    aitsm,
+    computed_torque,
+    follow,
+    ismc,
+    los,
+    pid_pose,
+    pid_velocity,
+    pose,
+    tracking,
+    velocity,
+)
+from angler_mjx.robot.control.laws.ardusub import law as ardusub
+from angler_mjx.robot.control.laws.targets import TrackingTarget
+from angler_mjx.robot.control.stack import Given, Stage, Stages
+from angler_mjx.robot.control.trajectory import Trajectory
+
+_PATHS = (Trajectory, JointTrajectory)
+_POSES = (PoseTarget, TrackingTarget)
+
+
+def _of_law(
+    name: str,
+    law: ModuleType,
+    gains: type,
+    takes: tuple[type, ...],
+    gives: type,
+    *,
+    flow: bool = False,
+    realised: bool = False,
+    sway: bool = False,
+    progress: Callable[[Any, Any], jax.Array] | None = None,
+) -> Stage:
+    """A stage of a law that knows its vehicle and the water."""
+
+    def step(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+        more: dict[str, Any] = {}
+        if flow:
+            more["flow"] = given.estimate.flow
+        if realised:
+            more["realised"] = given.realised
+        after: tuple[Any, Any] = law.step(
+            gains,
+            given.params.known,
+            carry,
+            given.estimate,
+            command,
+            given.dt,
+            given.density,
+            given.gravity,
+            **more,
+        )
+        return after
+
+    def reset(estimate: Estimate, _: jax.Array) -> Any:
+        return law.reset(estimate)
+
+    return Stage(
+        name=name,
+        takes=takes,
+        gives=gives,
+        step=step,
+        reset=reset,
+        gains=gains,
+        check=law.check,
+        wants_flow=flow,
+        wants_realised=realised,
+        wants_sway=sway,
+        progress=progress,
+    )
+
+
+def _nothing(_: Estimate, __: jax.Array) -> tuple[()]:
+    """Memory of a stage that has none."""
+    return ()
+
+
+def _follow(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+    return follow.step(gains, carry, given.estimate, command, given.dt)
+
+
+def _track(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+    return follow.track(gains, carry, given.estimate, command, given.dt)
+
+
+def _clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
+    return carry.clock_s
+
+
+def _pose(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+    params = given.params
+    return carry, pose.step(gains, params.known, params.cruise_speed_mps, given.estimate, command)
+
+
+def _allocation(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
+    """A stage that allocates a wrench."""
+
+    def step(_: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+        return carry, allocate(given.params.allocation, command)
+
+    return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_nothing)
+
+
+_ALL = (
+    Stage(
+        name="follow",
+        takes=_PATHS,
+        gives=PoseTarget,
+        step=_follow,
+        reset=lambda _, yaw_rad: follow.reset(yaw_rad),
+        gains=follow.FollowGains,
+        check=follow.check,
+        progress=_clock,
+    ),
+    Stage(
+        name="reference",
+        takes=_PATHS,
+        gives=TrackingTarget,
+        step=_track,
+        reset=lambda _, yaw_rad: follow.reset(yaw_rad),
+        gains=follow.FollowGains,
+        check=lambda gains: follow.check(gains, "reference"),
+        progress=_clock,
+    ),
+    _of_law("los", los, los.LosGains, (Trajectory,), BodyTwist, progress=los.progress_s),
+    Stage(
+        name="pose",
+        takes=_POSES,
+        gives=BodyTwist,
+        step=_pose,
+        reset=_nothing,
+        gains=pose.PoseGains,
+        check=pose.check,
+    ),
+    _of_law("pid_pose", pid_pose, pid_pose.PidPoseGains, _POSES, BodyTwist),
+    _of_law("velocity", velocity, velocity.VelocityGains, (BodyTwist,), BodyWrench),
+    _of_law(
+        "pid_velocity",
+        pid_velocity,
+        pid_velocity.PidVelocityGains,
+        (BodyTwist,),
+        BodyWrench,
+        realised=True,
+    ),
+    _of_law("ismc", ismc, ismc.IsmcGains, (BodyTwist,), BodyWrench),
+    _of_law("aitsm", aitsm, aitsm.AitsmGains, (BodyTwist,), BodyWrench),
+    _of_law(
+        "tracking",
+        tracking,
+        tracking.TrackingGains,
+        _POSES,
+        BodyWrench,
+        flow=True,
+        realised=True,
+    ),
+    _of_law(
+        "computed_torque",
+        computed_torque,
+        computed_torque.ComputedTorqueGains,
+        _POSES,
+        BodyWrench,
+        flow=True,
+    ),
+    _allocation("pseudo_inverse", allocation.allocate),
+    _allocation("prioritized", allocation.allocate_to_limits),
+    _of_law("ardusub", ardusub, ardusub.ArduSubGains, _POSES, ThrusterPwm, sway=True),
+)
+
+STAGES = {stage.name: stage for stage in _ALL}
+"""Every stage by its name."""
+
+CONTROLLERS: dict[str, tuple[str, ...]] = {
+    "cascade": ("follow", "pose", "velocity", "pseudo_inverse"),
+    "pid": ("follow", "pid_pose", "pid_velocity", "pseudo_inverse"),
+    "los": ("los", "velocity", "pseudo_inverse"),
+    "tracking": ("reference", "tracking", "pseudo_inverse"),
+    "computed_torque": ("reference", "computed_torque", "pseudo_inverse"),
+    "ismc": ("follow", "pose", "ismc", "pseudo_inverse"),
+    "aitsm": ("follow", "pose", "aitsm", "pseudo_inverse"),
+    "ardusub": ("follow", "ardusub"),
+}
+"""The stages of each stack that has a name; all take a planner's `Trajectory`. The laws that feed a
+current forward (tracking, computed_torque) are told it; those that reject what they do not know
+(ismc, aitsm, and all with an integral alone) are not."""
+
+
+def named(controller: str) -> Stages:
+    """The stages of a stack that has a name."""
+    return tuple(STAGES[name] for name in CONTROLLERS[controller])
+
+
+def called(stages: Stages) -> str:
+    """A stack in words: its name, or its stages."""
+    names = tuple(stage.name for stage in stages)
+    for name, own in CONTROLLERS.items():
+        if own == names:
+            return f"controller {name!r}"
+    return f"the controller of stages {_quoted(names)}"
+
+
+def build(
+    names: Sequence[str],
+    gains: Mapping[str, Mapping[str, float]],
+) -> tuple[Stages, tuple[Any, ...]]:
+    """A stack by the names of its stages, and the gains of each (host side).
+
+    Args:
+        names: from the highest to the lowest.
+        gains: by stage and gain, those that differ from a stage's own.
+
+    Raises:
+        ConfigError: a stage or gain that is not known, a gain that makes no sense, stages that do
+            not fit; one message with every fault.
+    """
+    if unknown := [name for name in names if name not in STAGES]:
+        raise ConfigError(f"stages: unknown {_quoted(unknown)}; there is {', '.join(STAGES)}")
+    stages = tuple(STAGES[name] for name in names)
+    faults = fit_faults(stages)
+    faults += [
+        f"gains.{name}: the stack has no such stage; its stages are {', '.join(names)}"
+        for name in gains
+        if name not in names
+    ]
+    made = []
+    for stage in stages:
+        numbers = gains.get(stage.name, {})
+        known_gains = [entry.name for entry in fields(stage.gains())]
+        faults += [
+            f"gains.{stage.name}.{name} = {value:g}: unknown gain; there is "
+            + (", ".join(known_gains) or "none")
+            for name, value in numbers.items()
+            if name not in known_gains
+        ]
+        made.append(stage.gains(**{name: x for name, x in numbers.items() if name in known_gains}))
+        try:
+            if stage.check is not None:
+                stage.check(made[-1])
+        except ConfigError as error:
+            faults.append(str(error))
+    if faults:
+        raise ConfigError("; ".join(faults))
+    return stages, tuple(made)
+
+
+def fit_faults(stages: Stages) -> list[str]:
+    """What keeps stages from being a stack: pairs that do not fit, a wrong end, one twice."""
+    if not stages:
+        return ["stages: empty; name at least one"]
+    faults = [
+        f"stages: {upper.name!r} gives {upper.gives.__name__}, but {lower.name!r} below it takes "
+        f"{stack.takes(lower)}"
+        for upper, lower in itertools.pairwise(stages)
+        if upper.gives not in lower.takes
+    ]
+    if stages[-1].gives is not ThrusterPwm:
+        faults.append(
+            f"stages: the last one, {stages[-1].name!r}, gives {stages[-1].gives.__name__}; a "
+            "stack ends in ThrusterPwm: put an allocation below it"
+        )
+    names = [stage.name for stage in stages]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        faults.append(f"stages: {_quoted(twice)} more than once; its gains would be one")
+    return faults
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(map(repr, names))

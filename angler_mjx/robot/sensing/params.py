@@ -1,0 +1,296 @@
+"""What the sensor model knows of one robot: arrays in SI units, compiled from a config."""
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from statistics import NormalDist
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.sensing.config import ImuConfig, SensorsConfig, UsblConfig
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class ImuParams:
+    """Standard deviations are of a mean over one control period."""
+
+    offset_m: jax.Array
+    """[3] in F, from the centre of mass."""
+    gyro_std: jax.Array
+    """[] rad/s: density / sqrt(dt)."""
+    gyro_walk_std: jax.Array
+    """[] rad/s, of what the wandering bias gets in one step."""
+    gyro_walk_kept: jax.Array
+    """[] 1, what is left of it after one step: exp(-dt / tau)."""
+    gyro_turn_on_std: jax.Array
+    """[] rad/s."""
+    accel_std: jax.Array
+    """[] m/s^2, and so on as for the gyroscopes."""
+    accel_walk_std: jax.Array
+    accel_walk_kept: jax.Array
+    accel_turn_on_std: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DepthParams:
+    """Of the pressure sensor."""
+
+    every: jax.Array
+    """int32 [], here and below: steps from reading to reading, 0 = not fitted."""
+    offset_m: jax.Array
+    std_m: jax.Array
+    resolution_m: jax.Array
+    surface_std_m: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class AhrsParams:
+    """Of compass and level."""
+
+    every: jax.Array
+    level_std_rad: jax.Array
+    heading_std_rad: jax.Array
+    heading_bias_std_rad: jax.Array
+    hard_iron_std: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class DvlParams:
+    """Of the Doppler log."""
+
+    every: jax.Array
+    offset_m: jax.Array
+    std_mps: jax.Array
+    std_per_speed: jax.Array
+    min_altitude_m: jax.Array
+    max_altitude_m: jax.Array
+    min_cos_tilt: jax.Array
+    dropout_below: jax.Array
+    """[] a standard normal number below this is a dropout."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class UsblParams:
+    """Of the acoustic positioning."""
+
+    every: jax.Array
+    latency: jax.Array
+    """int32 [] steps, less than ``every``."""
+    latency_s: jax.Array
+    offset_m: jax.Array
+    transceiver_m: jax.Array
+    std_m: jax.Array
+    std_per_range: jax.Array
+    outlier_below: jax.Array
+    outlier_std_m: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class GpsParams:
+    """Of the satellite receiver."""
+
+    every: jax.Array
+    offset_m: jax.Array
+    std_m: jax.Array
+    max_depth_m: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class TruthNoiseParams:
+    """Of the noise on the true state."""
+
+    position_std_m: jax.Array
+    attitude_std_rad: jax.Array
+    velocity_std_mps: jax.Array
+    rate_std_radps: jax.Array
+    current_std_mps: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class SensorParams:
+    """The instruments of one robot."""
+
+    imu: ImuParams
+    depth: DepthParams
+    ahrs: AhrsParams
+    dvl: DvlParams
+    usbl: UsblParams
+    gps: GpsParams
+    truth: TruthNoiseParams
+    dt_s: jax.Array
+    """[] control period."""
+    gravity_mps2: jax.Array
+    """[]"""
+    noise: bool = field(metadata={"static": True})
+    """False: readings are exact. They still come at their rates, after their latency, and only
+    with bottom lock or at the surface. The figures above remain what a filter believes."""
+
+
+def louder(params: SensorParams, factor: jax.Array) -> SensorParams:
+    """The same instruments with ``factor`` [] times the noise.
+
+    Standard deviations are scaled, those of biases too; rates, dropouts, the share of echoes and
+    the steps of readings stay.
+    """
+
+    def scaled(part: Any) -> Any:
+        names = [one.name for one in fields(part) if "std" in one.name]
+        return replace(part, **{name: factor * getattr(part, name) for name in names})
+
+    parts = ("imu", "depth", "ahrs", "dvl", "usbl", "gps", "truth")
+    return replace(params, **{name: scaled(getattr(params, name)) for name in parts})
+
+
+def check(config: SensorsConfig, control_dt_s: float) -> None:
+    """Refuse instruments that cannot be (host side).
+
+    Args:
+        config: of the robot.
+        control_dt_s: control period, s.
+
+    Raises:
+        ConfigError: a USBL whose latency is not shorter than its period, or a DVL whose altitudes
+            leave nothing between them.
+    """
+    dvl, usbl = config.dvl, config.usbl
+    if not dvl.min_altitude_m < dvl.max_altitude_m:
+        raise ConfigError(
+            f"sensors.dvl.min_altitude_m = {dvl.min_altitude_m}: "
+            f"must be below max_altitude_m = {dvl.max_altitude_m}"
+        )
+    every = max(1, round(usbl.period_s / control_dt_s))
+    if usbl.fitted and round(usbl.latency_s / control_dt_s) >= every:
+        raise ConfigError(
+            f"sensors.usbl.latency_s = {usbl.latency_s}: must be shorter than "
+            f"period_s = {usbl.period_s} by at least one control period of {control_dt_s} s; "
+            "one fix is under way at a time"
+        )
+
+
+def build(config: SensorsConfig, control_dt_s: float, gravity_mps2: float) -> SensorParams:
+    """Compile the instruments of one robot.
+
+    Rates become whole control periods: the nearest, at least one.
+
+    Args:
+        config: of the robot.
+        control_dt_s: control period, s.
+        gravity_mps2: m/s^2.
+
+    Raises:
+        ConfigError: as `check`.
+    """
+    check(config, control_dt_s)
+    depth, ahrs, dvl, gps, truth = config.depth, config.ahrs, config.dvl, config.gps, config.truth
+
+    def every(fitted: bool, rate_hz: float) -> jax.Array:
+        return _steps(fitted, 1.0 / rate_hz, control_dt_s)
+
+    return SensorParams(
+        imu=_imu(config.imu, control_dt_s),
+        depth=DepthParams(
+            every=every(depth.fitted, depth.rate_hz),
+            offset_m=_vector(depth.offset_m),
+            std_m=_number(depth.noise_m),
+            resolution_m=_number(depth.resolution_m),
+            surface_std_m=_number(depth.surface_offset_m),
+        ),
+        ahrs=AhrsParams(
+            every=every(ahrs.fitted, ahrs.rate_hz),
+            level_std_rad=_number(math.radians(ahrs.level_noise_deg)),
+            heading_std_rad=_number(math.radians(ahrs.heading_noise_deg)),
+            heading_bias_std_rad=_number(math.radians(ahrs.heading_bias_deg)),
+            hard_iron_std=_number(ahrs.hard_iron),
+        ),
+        dvl=DvlParams(
+            every=every(dvl.fitted, dvl.rate_hz),
+            offset_m=_vector(dvl.offset_m),
+            std_mps=_number(dvl.noise_mps),
+            std_per_speed=_number(0.01 * dvl.noise_percent_of_speed),
+            min_altitude_m=_number(dvl.min_altitude_m),
+            max_altitude_m=_number(dvl.max_altitude_m),
+            min_cos_tilt=_number(math.cos(math.radians(dvl.max_tilt_deg))),
+            dropout_below=_below(dvl.dropout),
+        ),
+        usbl=_usbl(config.usbl, control_dt_s),
+        gps=GpsParams(
+            every=every(gps.fitted, gps.rate_hz),
+            offset_m=_vector(gps.offset_m),
+            std_m=_number(gps.noise_m),
+            max_depth_m=_number(gps.max_depth_m),
+        ),
+        truth=TruthNoiseParams(
+            position_std_m=_number(truth.position_m),
+            attitude_std_rad=_number(math.radians(truth.attitude_deg)),
+            velocity_std_mps=_number(truth.velocity_mps),
+            rate_std_radps=_number(truth.rate_radps),
+            current_std_mps=_number(truth.current_mps),
+        ),
+        dt_s=_number(control_dt_s),
+        gravity_mps2=_number(gravity_mps2),
+        noise=config.noise,
+    )
+
+
+def _imu(config: ImuConfig, dt: float) -> ImuParams:
+    gyro_kept, gyro_walk = _walk(config.gyro_walk_radps2_per_rthz, config.gyro_walk_time_s, dt)
+    accel_kept, accel_walk = _walk(config.accel_walk_mps3_per_rthz, config.accel_walk_time_s, dt)
+    return ImuParams(
+        offset_m=_vector(config.offset_m),
+        gyro_std=_number(config.gyro_noise_radps_per_rthz / math.sqrt(dt)),
+        gyro_walk_std=_number(gyro_walk),
+        gyro_walk_kept=_number(gyro_kept),
+        gyro_turn_on_std=_number(config.gyro_turn_on_radps),
+        accel_std=_number(config.accel_noise_mps2_per_rthz / math.sqrt(dt)),
+        accel_walk_std=_number(accel_walk),
+        accel_walk_kept=_number(accel_kept),
+        accel_turn_on_std=_number(config.accel_turn_on_mps2),
+    )
+
+
+def _walk(density: float, tau: float, dt: float) -> tuple[float, float]:
+    """What is kept and what is added in one step of db/dt = -b / tau + density w(t), exactly."""
+    added = density * math.sqrt(-0.5 * tau * math.expm1(-2 * dt / tau))
+    return math.exp(-dt / tau), added
+
+
+def _usbl(config: UsblConfig, dt: float) -> UsblParams:
+    latency = round(config.latency_s / dt)
+    return UsblParams(
+        every=_steps(config.fitted, config.period_s, dt),
+        latency=jnp.asarray(latency, jnp.int32),
+        latency_s=_number(latency * dt),
+        offset_m=_vector(config.offset_m),
+        transceiver_m=_vector(config.transceiver_m),
+        std_m=_number(config.noise_m),
+        std_per_range=_number(0.01 * config.noise_percent_of_range),
+        outlier_below=_below(config.outlier),
+        outlier_std_m=_number(config.outlier_m),
+    )
+
+
+def _steps(fitted: bool, period_s: float, dt: float) -> jax.Array:
+    return jnp.asarray(max(1, round(period_s / dt)) if fitted else 0, jnp.int32)
+
+
+def _below(probability: float) -> jax.Array:
+    """Where a standard normal number lies below with this probability."""
+    return _number(NormalDist().inv_cdf(probability) if probability > 0 else -math.inf)
+
+
+def _number(value: float) -> jax.Array:
+    return jnp.asarray(value, float)
+
+
+def _vector(value: tuple[float, float, float]) -> jax.Array:
+    return jnp.asarray(value, float)

@@ -1,0 +1,130 @@
+"""Which ways a vehicle can be driven by its thrusters, and what it needs to fly a path.
+
+Level, a vehicle has four ways to go: surge, sway, heave and yaw; righting moments see to roll and
+pitch. A way is there if thrusters can push along it and along none of the other three, both ways.
+A path can be flown with surge, heave and yaw: where sway is missing, controllers turn the bow to
+where the vehicle must go.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.thrusters import FloatArray
+
+SLOW_SHARE = 0.1
+"""A sway slower than this share of surge is not counted: all ways together would be held to it."""
+
+_WAYS = {"surge": 0, "sway": 1, "heave": 2, "yaw": 5}
+"""Rows of the wrench matrix."""
+_ALONE = 1e-2
+"""Share of a push along one way that may go along the others, and of the largest singular value
+below which one is a small offset of the geometry (as in `angler_mjx.robot.control.allocation`)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """What a vehicle can do at full thrust."""
+
+    terminal_speed_mps: FloatArray
+    """[3] surge, sway, heave in still water, the slower direction; 0 for one that is not there."""
+    yaw: bool
+    """Whether it can turn about the vertical alone."""
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Ways that are not there."""
+        there = [*(self.terminal_speed_mps > 0), self.yaw]
+        return tuple(way for way, is_there in zip(_WAYS, there, strict=True) if not is_there)
+
+
+def drive(
+    B: FloatArray, reverse_n: float, forward_n: float, D_l: FloatArray, D_q: FloatArray
+) -> Drive:
+    """What thrusters and damping make of a vehicle.
+
+    Args:
+        B: [6, n_t] wrench per newton of each thruster, in F.
+        reverse_n: thrust of each at the lowest PWM, N (negative).
+        forward_n: thrust at the highest PWM, N.
+        D_l: [3] linear damping of surge, sway, heave, N s/m.
+        D_q: [3] quadratic damping, N s^2/m^2.
+    """
+    level = B[list(_WAYS.values())]
+    reach = level @ np.linalg.pinv(level, rcond=_ALONE)
+    alone = np.linalg.norm(reach - np.eye(4), axis=0) < _ALONE
+    force = full_force(level, reverse_n, forward_n)
+    there = alone & (force > 0)
+    speed, can = np.zeros(3), there[:3]
+    speed[can] = terminal_speed(force[:3][can], D_l[can], D_q[can])
+    if speed[1] < SLOW_SHARE * speed[0]:
+        speed[1] = 0.0
+    return Drive(terminal_speed_mps=speed, yaw=bool(there[3]))
+
+
+def require_flyable(config: VehicleConfig, able: Drive) -> None:
+    """Refuse a vehicle that cannot fly a path.
+
+    Raises:
+        ConfigError: naming it and the ways that it lacks.
+    """
+    lacking = [way for way in able.missing if way != "sway"]
+    if lacking:
+        raise ConfigError(
+            f"vehicle {config.name!r} cannot fly a path: no thrust in {' or '.join(lacking)} "
+            "alone, both ways; a path takes surge, heave and yaw, each without the others: add "
+            "thrusters or turn those in [thrusters] layout"
+        )
+
+
+def full_force(rows: FloatArray, reverse_n: float, forward_n: float) -> FloatArray:
+    """Largest force along each axis that is there in both directions.
+
+    Each thruster runs at the end of its table that helps: one that points backward pushes in
+    reverse to drive the vehicle forward.
+
+    Args:
+        rows: [k, n_t] rows of the wrench matrix.
+        reverse_n: Thrust at the lowest PWM, N (negative).
+        forward_n: Thrust at the highest PWM, N.
+
+    Returns:
+        [k] N.
+    """
+    positive = np.maximum(rows * forward_n, rows * reverse_n).sum(axis=1)
+    negative = np.maximum(-rows * forward_n, -rows * reverse_n).sum(axis=1)
+    both: FloatArray = np.minimum(positive, negative)
+    return both
+
+
+def terminal_speed(force_n: FloatArray, D_l: FloatArray, D_q: FloatArray) -> FloatArray:
+    """Speed at which damping balances a force: the positive root of D_l v + D_q v^2 = F.
+
+    Still water, one axis at a time, net buoyancy left out.
+
+    Returns:
+        [k] m/s.
+    """
+    speed: FloatArray = 2 * force_n / (D_l + np.sqrt(D_l**2 + 4 * D_q * force_n))
+    return speed
+
+
+def wrench_matrix(config: VehicleConfig) -> FloatArray:
+    """Wrench at the centre of mass, in F, per newton of each thruster.
+
+    Column i is [d_i; r_i x d_i - s_i k d_i], r_i from the centre of mass, d_i the direction of
+    positive thrust, s_i the spin, k the reaction torque per newton (m).
+
+    Returns:
+        [6, n_t]; 1 (first three rows), m.
+    """
+    layout = config.thrusters.layout
+    arm = np.array([t.position_m for t in layout]) - np.asarray(config.base.center_of_mass_m)
+    direction = np.array([t.direction for t in layout])
+    spin = np.array([[t.spin] for t in layout], dtype=np.float64)
+    reaction = -config.rotor.reaction_torque.coefficient_m * spin * direction
+    wrench: FloatArray = np.concatenate([direction, np.cross(arm, direction) + reaction], axis=1).T
+    wrench[np.abs(wrench) < 1e-12] = 0.0  # cosines of right angles
+    return wrench

@@ -1,0 +1,65 @@
+"""A load that a vehicle carries: what it adds to the vehicle's parameters.
+
+A compact body that is held at the vehicle's centre of mass, so that centre stays where it is and no
+moment comes of its weight or its drag. What it adds stands beside the vehicle's own: how load and
+vehicle disturb each other's water is left out, as in the sum of parts of Fossen (Handbook of Marine
+Craft Hydrodynamics and Motion Control, 2nd ed. 2021, 8.4.2: drag of a body from drag areas,
+F = 1/2 rho Cd A |u| u).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.robot.vehicles.config import VehicleConfig
+
+type Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load:
+    """What is carried; axes are those of F."""
+
+    mass_kg: float
+    volume_m3: float
+    """Displaced, fully submerged."""
+    drag_area_m2: Three
+    """Cd A in surge, sway and heave."""
+    added_mass_kg: Three
+    """In surge, sway and heave."""
+    density_kgpm3: float
+    """Of the water, for the drag."""
+
+
+def laden(config: VehicleConfig, parameter_set: str, load: Load) -> VehicleConfig:
+    """The vehicle file of a robot that carries a load: what one of its sets says, and the load's.
+
+    The load's mass has no inertia about the centre of mass; its buoyancy acts there too, so the
+    centre of buoyancy of both lies between it and the vehicle's own.
+
+    Raises:
+        ConfigError: there is no such set.
+    """
+    given = config.find_set(parameter_set)
+    body, water, damping = given.rigid_body, given.buoyancy, given.damping
+    volume = water.volume_m3 + load.volume_m3
+    center = np.asarray(water.center_of_buoyancy_m) * (water.volume_m3 / volume)
+    drag = 0.5 * load.density_kgpm3 * np.array([*load.drag_area_m2, 0.0, 0.0, 0.0])
+    added = np.asarray(given.added_mass.coefficients) + np.diag([*load.added_mass_kg, 0, 0, 0])
+    made = given.model_copy(
+        update={
+            "rigid_body": body.model_copy(update={"mass_kg": body.mass_kg + load.mass_kg}),
+            "buoyancy": water.model_copy(
+                update={"volume_m3": volume, "center_of_buoyancy_m": tuple(center.tolist())}
+            ),
+            "added_mass": given.added_mass.model_copy(
+                update={"coefficients": tuple(map(tuple, added.tolist()))}
+            ),
+            "damping": damping.model_copy(
+                update={"quadratic": tuple((np.asarray(damping.quadratic) + drag).tolist())}
+            ),
+        }
+    )
+    return config.model_copy(
+        update={"parameter_sets": {**config.parameter_sets, parameter_set: made}}
+    )

@@ -1,0 +1,181 @@
+"""What the physics knows of one robot: a pytree of arrays, compiled from a vehicle file.
+
+Everything is about the robot's centre of mass, in F (x forward, y left, z up). The work is done
+once, on the host, in float64; the arrays have JAX's default float type.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.drive import drive, wrench_matrix
+from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.rotor import RotorFilter
+from angler_mjx.robot.vehicles.rotor_config import RotorResponse
+from angler_mjx.robot.vehicles.thrusters import tables_at
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class VehicleParams:
+    """One robot. ``n_t`` thrusters and ``c`` capsules include padding after ``stack``."""
+
+    mass_kg: jax.Array
+    """[] dry mass."""
+    inertia_kgm2: jax.Array
+    """[3, 3] about the centre of mass, in F."""
+    M_A: jax.Array
+    """[6, 6] added mass, positive; kg, kg m, kg m^2."""
+    D_l: jax.Array
+    """[6] linear damping, positive; N s/m, N m s/rad."""
+    D_q: jax.Array
+    """[6] quadratic damping, positive; N s^2/m^2, N m s^2/rad^2."""
+    volume_m3: jax.Array
+    """[] displaced volume, fully submerged."""
+    p_cb_m: jax.Array
+    """[3] centre of buoyancy from the centre of mass."""
+    hull_height_m: jax.Array
+    """[] height over which buoyancy fades at the surface."""
+    B: jax.Array
+    """[6, n_t] wrench per newton of thrust, reaction torque included; padding columns are zero."""
+    thrust_n: jax.Array
+    """[201] thrust on the PWM grid 1100, 1104 ... 1900 us, at the robot's voltage."""
+    power_w: jax.Array
+    """[201] electrical power on the same grid."""
+    tau_s: jax.Array
+    """[] time constant of the rotors; for rotors of first order."""
+    capsule_a_m: jax.Array
+    """[c, 3] one end of each hull capsule's axis; padding repeats the last capsule."""
+    capsule_b_m: jax.Array
+    """[c, 3] the other end."""
+    capsule_r_m: jax.Array
+    """[c] radius of each capsule."""
+    radius_m: jax.Array
+    """[] smallest sphere about the centre of mass that holds the hull."""
+    terminal_speed_mps: jax.Array
+    """[3] surge, sway, heave at full thrust in still water; the slower of the two directions. 0 for
+    a way in which thrusters cannot push alone (see `angler_mjx.robot.vehicles.drive`)."""
+    thruster_exists: jax.Array
+    """bool [n_t] False for padding and for dead thrusters: neither draws power."""
+    thruster_health: jax.Array
+    """[n_t] share of the table's thrust that each thruster gives: 1 as the table says, 0 dead."""
+    rotor: RotorFilter | None = field(default=None, metadata={"static": True})
+    """What thrusts follow their commands by; None for a lag of first order."""
+    steered: bool = field(default=False, metadata={"static": True})
+    """Whether some of these vehicles have no sway, so that controllers must look."""
+
+
+def build(
+    config: VehicleConfig,
+    parameter_set: str | None,
+    voltage_v: float,
+    *,
+    thruster_health: Mapping[str, float] | None = None,
+    thrust_gain: Sequence[float] = (),
+    rotor_response: RotorResponse | None = None,
+) -> VehicleParams:
+    """Compile a vehicle file to the parameters of one robot.
+
+    Args:
+        config: Vehicle file.
+        parameter_set: Name of one of its sets; None for its default.
+        voltage_v: Battery voltage, V.
+        thruster_health: Share of its thrust, in [0, 1], of each thruster that is not sound, by
+            name. Terminal speeds are those of a sound vehicle.
+        thrust_gain: Times the share of each, in the order of the file; 1 if left out.
+        rotor_response: First or third order; None for what the file says.
+
+    Raises:
+        ConfigError: unknown set or thruster, a voltage outside the thruster's data, a share out of
+            range, or a response that the file has no numbers for.
+    """
+    chosen = config.find_set(parameter_set)
+    health = np.array(config.find_health(thruster_health or {}))
+    health = health * np.asarray(thrust_gain) if len(thrust_gain) else health
+    thrust_n, power_w = tables_at(load_thruster(config.rotor.model), voltage_v)
+    B = wrench_matrix(config)
+    D_l = np.asarray(chosen.damping.linear, dtype=np.float64)
+    D_q = np.asarray(chosen.damping.quadratic, dtype=np.float64)
+    speed = drive(B, thrust_n[0], thrust_n[-1], D_l[:3], D_q[:3]).terminal_speed_mps
+    center = np.asarray(config.base.center_of_mass_m)
+    capsules = config.hull.capsules
+    start = np.array([capsule.from_m for capsule in capsules]) - center
+    end = np.array([capsule.to_m for capsule in capsules]) - center
+    radius = np.array([capsule.radius_m for capsule in capsules])
+    reach = np.maximum(np.linalg.norm(start, axis=1), np.linalg.norm(end, axis=1)) + radius
+    return VehicleParams(
+        mass_kg=_array(chosen.rigid_body.mass_kg),
+        inertia_kgm2=_array(chosen.rigid_body.inertia_kgm2),
+        M_A=_array(chosen.added_mass.coefficients),
+        D_l=_array(D_l),
+        D_q=_array(D_q),
+        volume_m3=_array(chosen.buoyancy.volume_m3),
+        p_cb_m=_array(chosen.buoyancy.center_of_buoyancy_m),
+        hull_height_m=_array(config.hull.height_m),
+        B=_array(B),
+        thrust_n=_array(thrust_n),
+        power_w=_array(power_w),
+        tau_s=_array(config.rotor.lag.time_constant_s),
+        capsule_a_m=_array(start),
+        capsule_b_m=_array(end),
+        capsule_r_m=_array(radius),
+        radius_m=_array(reach.max()),
+        terminal_speed_mps=_array(speed),
+        thruster_exists=jnp.asarray(health > 0.0),
+        thruster_health=_array(health),
+        rotor=_rotor(config, rotor_response),
+        steered=bool(speed[1] == 0),
+    )
+
+
+def stack(variants: list[VehicleParams]) -> VehicleParams:
+    """Put robots of any kind side by side, padded to common numbers of thrusters and capsules.
+
+    Args:
+        variants: At least one robot; their rotors must be alike.
+
+    Returns:
+        The same fields with one more leading axis, the variant.
+    """
+    n_t = max(variant.B.shape[1] for variant in variants)
+    n_capsule = max(variant.capsule_r_m.shape[0] for variant in variants)
+    steered = any(variant.steered for variant in variants)
+    padded = [replace(_pad(one, n_t, n_capsule), steered=steered) for one in variants]
+    stacked: VehicleParams = jax.device_put(jax.tree.map(lambda *rows: np.stack(rows), *padded))
+    return stacked
+
+
+def _rotor(config: VehicleConfig, response: RotorResponse | None) -> RotorFilter | None:
+    given = config.rotor.third_order
+    if config.find_response(response) == "first_order" or given is None:
+        return None
+    lead, *a = given.denominator
+    b_2, b_1, b_0 = (value / lead for value in given.numerator)
+    a_2, a_1, a_0 = (value / lead for value in a)
+    return RotorFilter(numerator=(b_2, b_1, b_0), denominator=(a_2, a_1, a_0))
+
+
+def _array(value: ArrayLike) -> jax.Array:
+    # Rounded by NumPy: for JAX each shape is a program to compile, and so for the padding below.
+    array: jax.Array = jax.device_put(np.asarray(value, jnp.result_type(float)))
+    return array
+
+
+def _pad(params: VehicleParams, n_t: int, n_capsule: int) -> VehicleParams:
+    more_t = n_t - params.B.shape[1]
+    more_c = n_capsule - params.capsule_r_m.shape[0]
+    padded: dict[str, Any] = {
+        "B": np.pad(params.B, ((0, 0), (0, more_t))),
+        "thruster_exists": np.pad(params.thruster_exists, (0, more_t)),
+        "thruster_health": np.pad(params.thruster_health, (0, more_t), constant_values=1.0),
+        "capsule_a_m": np.pad(params.capsule_a_m, ((0, more_c), (0, 0)), mode="edge"),
+        "capsule_b_m": np.pad(params.capsule_b_m, ((0, more_c), (0, 0)), mode="edge"),
+        "capsule_r_m": np.pad(params.capsule_r_m, (0, more_c), mode="edge"),
+    }
+    return replace(params, **padded)

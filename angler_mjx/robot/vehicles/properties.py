@@ -1,0 +1,80 @@
+"""Numbers of a vehicle that a person wants to see before flying it: all closed forms."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.robot.vehicles.config import ParameterSet, VehicleConfig
+from angler_mjx.robot.vehicles.drive import drive, wrench_matrix
+from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.thrusters import FloatArray, tables_at
+
+GRAVITY_MPS2 = 9.81
+FRESH_WATER_KGPM3 = 1000.0
+"""The published sets were identified in fresh water; weight and buoyancy are compared there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Properties:
+    """One vehicle with one parameter set at one voltage, in still fresh water."""
+
+    parameter_set: str
+    mass_kg: float
+    weight_n: float
+    buoyancy_n: float
+    wrench_matrix: FloatArray
+    """[6, n_t]"""
+    terminal_speed_mps: FloatArray
+    """[3] surge, sway, heave; the slower of the two directions."""
+    speed_time_constant_s: FloatArray
+    """[3] how fast a small deviation from the terminal speed dies out."""
+    roll_period_s: float | None
+    """None where nothing rights the vehicle."""
+    pitch_period_s: float | None
+    rotor_time_constant_s: float
+
+
+def describe(config: VehicleConfig, parameter_set: str | None, voltage_v: float) -> Properties:
+    """Work out the properties of a vehicle.
+
+    Raises:
+        ConfigError: unknown set or thruster, or a voltage outside the thruster's data.
+    """
+    chosen = config.find_set(parameter_set)
+    thrust_n, _ = tables_at(load_thruster(config.rotor.model), voltage_v)
+    B = wrench_matrix(config)
+    linear = np.asarray(chosen.damping.linear[:3])
+    quadratic = np.asarray(chosen.damping.quadratic[:3])
+    speed = drive(B, thrust_n[0], thrust_n[-1], linear, quadratic).terminal_speed_mps
+    slope = linear + 2 * quadratic * speed
+    M_A = np.asarray(chosen.added_mass.coefficients)
+    virtual_mass = chosen.rigid_body.mass_kg + np.diag(M_A)[:3]
+    return Properties(
+        parameter_set=config.default_set if parameter_set is None else parameter_set,
+        mass_kg=chosen.rigid_body.mass_kg,
+        weight_n=chosen.rigid_body.mass_kg * GRAVITY_MPS2,
+        buoyancy_n=_buoyancy_n(chosen),
+        wrench_matrix=B,
+        terminal_speed_mps=speed,
+        speed_time_constant_s=np.divide(
+            virtual_mass, slope, out=np.full(3, np.inf), where=slope > 0
+        ),
+        roll_period_s=_period_s(chosen, 0),
+        pitch_period_s=_period_s(chosen, 1),
+        rotor_time_constant_s=config.rotor.lag.time_constant_s,
+    )
+
+
+def _buoyancy_n(chosen: ParameterSet) -> float:
+    return FRESH_WATER_KGPM3 * chosen.buoyancy.volume_m3 * GRAVITY_MPS2
+
+
+def _period_s(chosen: ParameterSet, axis: int) -> float | None:
+    """Undamped small-angle period, diagonal terms: T = 2 pi sqrt((I + M_A) / (rho g V z_cb))."""
+    stiffness = _buoyancy_n(chosen) * chosen.buoyancy.center_of_buoyancy_m[2]
+    if stiffness <= 0:
+        return None
+    inertia = chosen.rigid_body.inertia_kgm2[axis][axis]
+    added = chosen.added_mass.coefficients[3 + axis][3 + axis]
+    return 2 * math.pi * math.sqrt((inertia + added) / stiffness)

@@ -1,0 +1,111 @@
+"""How one robot differs from its vehicle file: factors on what a parameter set says.
+
+A varied vehicle is a vehicle file with other numbers: models and checks take it as any other. The
+inertia goes with the mass. Added mass keeps its symmetry and stays positive definite: element ij
+goes with the root of the product of the factors of i and j.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.robot.vehicles.config import VehicleConfig
+from angler_mjx.robot.vehicles.drive import full_force, wrench_matrix
+from angler_mjx.robot.vehicles.library import load_thruster
+from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
+from angler_mjx.robot.vehicles.thrusters import tables_at
+
+type Six = tuple[float, float, float, float, float, float]
+_ONES: Six = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variation:
+    """Factors, 1 for as the file says."""
+
+    number: int = 0
+    """In the bank of its parameter set."""
+    mass: float = 1.0
+    """Of dry mass and inertia."""
+    buoyancy: float = 1.0
+    """Of the displaced volume."""
+    damping: Six = _ONES
+    """Of linear and quadratic damping, by axis [u v w p q r]."""
+    added_mass: Six = _ONES
+    """By axis."""
+    thrust: tuple[float, ...] = ()
+    """Share of its thrust that each thruster gives, gain and faults together, in the order of the
+    file; all of it if left out."""
+    battery_v: float | None = None
+    """V; the robot's own if left out."""
+
+
+def varied(config: VehicleConfig, parameter_set: str, variation: Variation) -> VehicleConfig:
+    """The vehicle file of one robot: what its ``parameter_set`` says is varied.
+
+    Raises:
+        ConfigError: there is no such set.
+    """
+    given = config.find_set(parameter_set)
+    body, water = given.rigid_body, given.buoyancy
+    root = np.sqrt(np.asarray(variation.added_mass))
+    added = np.asarray(given.added_mass.coefficients) * np.outer(root, root)
+    damping: dict[str, Any] = {
+        name: tuple((np.asarray(values) * np.asarray(variation.damping)).tolist())
+        for name, values in (
+            ("linear", given.damping.linear),
+            ("quadratic", given.damping.quadratic),
+        )
+    }
+    inertia = np.asarray(body.inertia_kgm2) * variation.mass
+    made = given.model_copy(
+        update={
+            "rigid_body": body.model_copy(
+                update={"mass_kg": body.mass_kg * variation.mass, "inertia_kgm2": _rows(inertia)}
+            ),
+            "buoyancy": water.model_copy(
+                update={"volume_m3": water.volume_m3 * variation.buoyancy}
+            ),
+            "added_mass": given.added_mass.model_copy(update={"coefficients": _rows(added)}),
+            "damping": given.damping.model_copy(update=damping),
+        }
+    )
+    sets: Mapping[str, Any] = {**config.parameter_sets, parameter_set: made}
+    return config.model_copy(update={"parameter_sets": sets})
+
+
+def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(map(float, row)) for row in matrix)
+
+
+def heave(
+    config: VehicleConfig,
+    parameter_set: str,
+    variation: Variation,
+    battery_v: float,
+    density_kgpm3: float,
+) -> tuple[float, float]:
+    """What lifts a vehicle under water, and what its thrusters can do about it.
+
+    Args:
+        config: vehicle file.
+        parameter_set: name of one of its sets.
+        variation: of it; ``thrust`` may be one number for all thrusters.
+        battery_v: where the variation has none.
+        density_kgpm3: of the water.
+
+    Returns:
+        Buoyancy less weight, N, and the thrust in heave that is there both ways, N.
+
+    Raises:
+        ConfigError: there is no such set, or the voltage lies outside the thruster's data.
+    """
+    chosen = varied(config, parameter_set, variation).find_set(parameter_set)
+    volts = battery_v if variation.battery_v is None else variation.battery_v
+    thrust_n, _ = tables_at(load_thruster(config.rotor.model), volts)
+    row = wrench_matrix(config)[2:3] * np.asarray(variation.thrust or 1.0)
+    force_n = float(full_force(row, float(thrust_n[0]), float(thrust_n[-1]))[0])
+    displaced_kg = density_kgpm3 * chosen.buoyancy.volume_m3
+    return (displaced_kg - chosen.rigid_body.mass_kg) * GRAVITY_MPS2, force_n

@@ -1,0 +1,257 @@
+"""One world of the simulator as a session: each robot takes commands of any level, step by step."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.robot.control.allocation import NEUTRAL_US
+from angler_mjx.robot.control.commands import BodyWrench
+from angler_mjx.robot.control.joint_tolerance import Tolerances
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.runs.session import checks, fleet_facts, paths, presence
+from angler_mjx.runs.session.checks import Limits, Place
+from angler_mjx.runs.session.interface import Floats, Observation, Order, RobotInfo
+from angler_mjx.runs.session.orders import PLAN, Orders
+from angler_mjx.runs.session.rejoin import Ways
+from angler_mjx.runs.session.view import View, Watched, believed, covariance, look, shown
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario, load_scenario
+from angler_mjx.scenario.task_table import refuse_task
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import World, WorldState
+
+POINTS = 256
+"""Points of a JointTrajectory, where a caller says nothing."""
+START_TOLERANCE = 0.5
+"""m, and rad of yaw: how far a path may begin from a robot, where a caller says nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inside:
+    """What lies behind a simulated scene, for those who record or draw it; [1] world leads."""
+
+    simulator: Simulator
+    worlds: World
+    state: WorldState
+    """As it is now."""
+    sample: Sample | None
+    """Of the state before the last step, with the signals of that step; None before the first."""
+
+
+class BatchSession:
+    """A `Session` over one world of a scenario: the same world as number ``world`` of its runs.
+
+    Everything is compiled when it is made; no command, however mixed, compiles anything again. It
+    runs on JAX's default device as plain XLA, also where a run would take kernels of its own.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        *,
+        world: int = 0,
+        seed: int | None = None,
+        engine: str | None = None,
+        points: int = POINTS,
+        start_tolerance: float = START_TOLERANCE,
+        tolerances: Tolerances | None = None,
+    ) -> None:
+        """Compile the scene and reset it.
+
+        Args:
+            scenario: the scenario, its name, or its file.
+            world: which of its worlds.
+            seed: instead of the scenario's.
+            engine: likewise, ``mjx`` or ``fused``.
+            points: most points of a JointTrajectory.
+            start_tolerance: how far a path may begin from a robot, m and rad; 0 is any distance.
+            tolerances: of JointTrajectories, for x, y, z and yaw; those of `paths` if left out.
+
+        Raises:
+            ConfigError: the scenario has faults, or there is no such world, engine or tolerance.
+        """
+        self._scenario = _chosen(scenario, seed, engine)
+        if world < 0:
+            raise ConfigError(f"world = {world}: worlds are counted from 0")
+        self._index, self._allowed = world, paths.stacked(tolerances, self._scenario)
+        self._simulator = Simulator(self._scenario)
+        self._dt_s = self._simulator.spec.control_dt_s
+        self._points, self._start_tolerance = points, start_tolerance
+        self._closed, self._drawn = False, -1
+        self.reset()
+        self.step()  # everything that a step needs is compiled now
+        paths.compile_joins(self._orders.slots, self._view)
+        self._ways.compile()
+        self.reset()
+
+    @property
+    def robots(self) -> Sequence[RobotInfo]:
+        """Who is there, in order."""
+        return self._facts.robots
+
+    @property
+    def dt_s(self) -> float:
+        """Control period, s."""
+        return self._dt_s
+
+    def inside(self) -> Inside:
+        """What lies behind the scene; it is to be looked at, not to be changed."""
+        self._open()
+        return Inside(
+            simulator=self._simulator,
+            worlds=self._worlds,
+            state=self._state,
+            sample=self._sample,
+        )
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """See `Session.reset`; other seeds draw another world of the same scenario."""
+        self._open()
+        number = self._scenario.seed if seed is None else seed
+        if number != self._drawn:
+            self._furnish(self._simulator.worlds(self._index, seed=number))
+            self._drawn = number
+        self._state, self._steps = self._rest, 0
+        self._sample: Sample | None = None
+        dtype = self._rest.vehicles.p.dtype
+        self._orders = Orders(self._simulator.spec.stages, self._facts, self._limits, dtype)
+        neutral = np.full((1, len(self.robots), self._facts.thrusters), NEUTRAL_US, dtype)
+        self._view = self._seen = self._look(neutral)
+        self._target_m: Floats = np.asarray(self._view.p)
+        return self.observe()
+
+    def step(self, commands: Mapping[int, Order] | None = None) -> Observation:
+        """See `Session.step`."""
+        self._open()
+        for robot in commands or {}:
+            presence.is_there(self.robots, robot)
+        # Half a period: times are sums in floating point.
+        for robot, order in {**self._orders.due(self._soon_s), **(commands or {})}.items():
+            try:
+                self.check(robot, order)
+            except ConfigError as error:
+                self._orders.refuse(robot, str(error), self._seen)
+            else:
+                self._orders.tell(robot, order, self._seen, self._soon_s)
+        told = self._orders.slots.commands()
+        self._state, self._sample = self._simulator.step(self._worlds, self._state, told)
+        self._steps += 1
+        self._view = self._look(np.asarray(self._sample.pwm_us))
+        self._target_m = np.asarray(self._sample.target_m)[0]
+        self._seen = believed(self._view, self._sample.belief)
+        self._orders.report(self._seen)
+        return self.observe()
+
+    def observe(self) -> Observation:
+        """See `Session.observe`."""
+        self._open()
+        return shown(
+            self._facts,
+            self._view,
+            self._seen,
+            time_s=self._time_s,
+            covariance=None if self._sample is None else covariance(self._sample.belief),
+            target_m=self._target_m,
+            status=self._orders.status(np.asarray(self._view.outcome).tolist()),
+        )
+
+    def check(self, robot: int, command: Order) -> None:
+        """See `Session.check`."""
+        self._goes_on(robot)
+        info, view = self.robots[robot], self._seen
+        place = Place(p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot]))
+        checks.check(info, place, self._limits, command, self._time_s)
+
+    def resume_plan(self, robot: int) -> None:
+        """See `Session.resume_plan`; what moves is not looked at on the way back."""
+        self._goes_on(robot)
+        name, told = self.robots[robot].name, self._orders[robot]
+        if not self._facts.found[robot]:
+            raise ConfigError(f"{name}: has no plan: the planner found no way for it")
+        if told.command == PLAN:
+            return
+        clearance = self.robots[robot].radius_m + self._scenario.planner.margin_m - paths.SLACK_M
+        p, speed = np.asarray(self._seen.p[robot], float), self.robots[robot].cruise_speed_mps
+        velocity = paths.over_ground(self._seen, robot)
+        yaw = float(self._seen.yaw_rad[robot])
+        back = self._ways.back(p, velocity, told.plan, told.left_s, clearance, speed, yaw)
+        if back is None or back.time_s.size > self._limits.rows(back.kind):
+            raise ConfigError(
+                f"{name}: no way back to its plan was found from ({p[0]:.2f}, {p[1]:.2f}, "
+                f"{p[2]:.2f}) m; bring it nearer"
+            )
+        self._orders.resume(robot, back)
+
+    def close(self) -> None:
+        """See `Session.close`."""
+        self._open()
+        self._closed = True
+        del self._simulator, self._worlds, self._rest, self._state, self._sample, self._ways
+
+    @property
+    def _time_s(self) -> float:
+        return self._steps * self._dt_s
+
+    @property
+    def _soon_s(self) -> float:
+        """What is due by then is due in the step that begins now."""
+        return (self._steps + 0.5) * self._dt_s
+
+    @property
+    def _limits(self) -> Limits:
+        return self._facts.limits(self._points, self._start_tolerance)
+
+    def _open(self) -> None:
+        if self._closed:
+            raise RunError("the session is closed; make a new one")
+
+    def _goes_on(self, robot: int) -> None:
+        """Refuse to drive a robot that failed."""
+        self._open()
+        presence.goes_on(self.robots, robot, self._view.outcome)
+
+    def _furnish(self, worlds: World) -> None:
+        """Take a world, and what can be known of it before anything moves."""
+        self._worlds = worlds
+        self._facts = fleet_facts.gather(self._simulator, worlds)
+        state = self._simulator.reset(worlds)
+        # Beside the others: a leaf that lay elsewhere would have the step compiled once more.
+        nu = state.vehicles.nu
+        unasked = jax.device_put(np.full(nu.shape, np.nan, nu.dtype), nu.sharding)
+        carry = replace(state.carry, demanded=BodyWrench(tau=unasked))
+        self._rest: WorldState = replace(state, carry=carry)
+        self._ways = Ways(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
+
+    def _look(self, pwm_us: Any) -> View:
+        watched, slots = None, self._orders.slots
+        if JointTrajectory in slots.kinds:
+            watched = Watched(
+                trajectory=slots.slot(JointTrajectory),
+                allowed=self._allowed,
+                before=jax.device_put(self._orders.results),
+            )
+        view: View = jax.device_get(look(self._worlds, self._state, pwm_us, watched))
+        return view
+
+
+def _chosen(scenario: Scenario | str | Path, seed: int | None, engine: str | None) -> Scenario:
+    """The scenario with its overrides, one world at a time."""
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    refuse_task(
+        chosen.task,
+        "a session tells robots nothing of a task; fly it with angler rollout, or take a scenario "
+        'of type = "goal"',
+    )
+    changes: dict[str, Any] = {"tile": 1, "kernels": "xla"}
+    if engine not in (None, "mjx", "fused"):
+        raise ConfigError(f"engine = {engine!r}: there is mjx and fused")
+    if engine is not None:
+        changes["engine"] = engine
+    if seed is not None:
+        changes["seed"] = seed
+    return chosen.model_copy(update=changes)

@@ -1,0 +1,115 @@
+"""What is known of a scene's robots and obstacles before anything moves."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.plans import of_robot
+from angler_mjx.robot.vehicles import library
+from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
+from angler_mjx.runs.session.checks import Limits
+from angler_mjx.runs.session.interface import Floats, RobotInfo
+from angler_mjx.runs.session.plan import Plan
+from angler_mjx.runs.session.slots import kinds_of
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.sim.state import World
+
+WAY_BACK = 32
+"""Way-points that a way back to a plan may have beside those of the plan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Obstacles that are there."""
+
+    which: NDArray[np.integer[Any]]
+    kind: NDArray[np.integer[Any]]
+    size_m: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """Of one world; [R] leads."""
+
+    robots: tuple[RobotInfo, ...]
+    plans: tuple[Plan, ...]
+    found: tuple[bool, ...]
+    """Whether the planner found a way for each robot."""
+    radius_m: tuple[float, ...]
+    cruise_mps: tuple[float, ...]
+    thrusters: int
+    """Rows of the signals, padding included."""
+    way_points: int
+    """Of the planner's paths."""
+    jointed: bool
+    """Whether these are trajectories of joints."""
+    obstacles: Rows
+
+    def limits(self, points: int, start_tolerance: float) -> Limits:
+        """What a session of this world can take: no less than its own plans.
+
+        Args:
+            points: of a JointTrajectory, as its caller wants it.
+            start_tolerance: see `Limits`.
+        """
+        most = self.way_points + WAY_BACK
+        return Limits(
+            start_tolerance=start_tolerance,
+            points=max(points, most) if self.jointed else points,
+            way_points=most,
+        )
+
+
+def gather(simulator: Simulator, worlds: World) -> Facts:
+    """Read a world.
+
+    Args:
+        simulator: of its scenario.
+        worlds: [1] leads.
+    """
+    count = worlds.variant.shape[1]
+    path: Any = jax.tree.map(lambda leaf: leaf[0], jax.device_get(worlds.path))
+    given = worlds.environment.obstacles
+    rows = np.flatnonzero(np.asarray(given.exists)[0])
+    robots = tuple(_info(simulator, worlds, i) for i in range(count))
+    return Facts(
+        robots=robots,
+        plans=tuple(Plan.of(of_robot(path, i)) for i in range(count)),
+        found=tuple(map(bool, np.asarray(worlds.planned)[0])),
+        radius_m=tuple(robot.radius_m for robot in robots),
+        cruise_mps=tuple(robot.cruise_speed_mps for robot in robots),
+        thrusters=worlds.control.vehicle.B.shape[-1],
+        way_points=path.time_s.shape[-1],
+        jointed=isinstance(path, JointTrajectory),
+        obstacles=Rows(
+            which=rows,
+            kind=np.asarray(given.kind)[0][rows],
+            size_m=np.asarray(given.size_m)[0][rows],
+        ),
+    )
+
+
+def _info(simulator: Simulator, worlds: World, i: int) -> RobotInfo:
+    vehicle, chosen = simulator.variants()[int(worlds.variant[0, i])]
+    params = worlds.control.vehicle
+    accepts = kinds_of(simulator.spec.stages)
+    wrench, table, linear, quadratic = (
+        np.asarray(x, float)[0, i] for x in (params.B, params.thrust_n, params.D_l, params.D_q)
+    )
+    moment = full_force(wrench[5:], float(table[0]), float(table[-1]))
+    return RobotInfo(
+        name=f"robot_{i}",
+        vehicle=vehicle,
+        parameter_set=chosen,
+        radius_m=float(params.radius_m[0, i]),
+        cruise_speed_mps=float(worlds.control.cruise_speed_mps[0, i]),
+        max_speed_mps=np.asarray(params.terminal_speed_mps, float)[0, i],
+        max_turn_radps=float(terminal_speed(moment, linear[5:], quadratic[5:])[0]),
+        thrusters=tuple(one.name for one in library.load(vehicle).thrusters.layout),
+        accepts=(*accepts, JointGoal) if JointTrajectory in accepts else accepts,
+    )

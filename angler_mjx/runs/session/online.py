@@ -1,0 +1,184 @@
+"""Policies and planners on one scene: what a policy is told and commands, through any session.
+
+A policy that flies in a batch is asked here by the loop of the host, with the same function: what
+the robots are told comes from the session's observation, what may be known of the scenery from the
+scene behind it. A `Problem` of any time is drawn in the same way.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning import asking
+from angler_mjx.planning.problem import Problem
+from angler_mjx.robot.control.commands import Estimate
+from angler_mjx.runs.session.interface import Observation, Order, Session
+from angler_mjx.runs.session.recording import Recordable
+from angler_mjx.sim import policy as policies
+from angler_mjx.sim.aboard.here import Aboard
+from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Observation as Seen
+from angler_mjx.sim.policy import Policy, PolicyMemory
+from angler_mjx.sim.record import Belief
+from angler_mjx.sim.state import Outcome
+from angler_mjx.world.acoustics.config import refuse_acoustics
+
+FLYING = (Outcome.RUNNING, Outcome.REACHED)
+
+
+class Scene(Session, Recordable, Protocol):
+    """A session of which the scene can be seen."""
+
+
+class Flyer:
+    """A policy that commands the robots of a session."""
+
+    def __init__(self, session: Scene, policy: Policy | None = None) -> None:
+        """Compile the policy and ask it to begin; the session stands at its reset.
+
+        Args:
+            session: that it commands.
+            policy: the one that the scenario asks for if left out.
+
+        Raises:
+            ConfigError: there is none, or the session does not take what it commands.
+        """
+        inside = session.inside()
+        chosen = inside.simulator.policy if policy is None else policy
+        if chosen is None:
+            raise ConfigError(
+                "nothing flies: the scenario plans nothing anew, keeps no order and names no "
+                'policy; set planner.replan_hz, execution.order = "kept" or policy.name, or give a '
+                "policy"
+            )
+        refuse_acoustics(
+            inside.simulator.scenario.acoustics,
+            'in a session robots know everything of each other; take "perfect", or angler rollout',
+        )
+        self._session, self._policy = session, chosen
+        spec, stages = inside.simulator.spec, inside.simulator.spec.stages
+
+        def known(world: Any, vehicles: Any, obstacles: Any, belief: Any, number: Any) -> Any:
+            here = Aboard(
+                spec=spec,
+                policy=chosen,
+                world=world,
+                number=number,
+                vehicles=vehicles,
+                obstacles=obstacles,
+            )
+            return here.known(belief)
+
+        def begin(scene: Any, *told: Any) -> PolicyMemory:
+            world, *moving = _alone(scene)
+            memory: PolicyMemory = policies.begin(
+                chosen, stages, world.policy_key, known(world, *moving, *told)
+            )
+            return memory
+
+        def act(memory: PolicyMemory, scene: Any, *now: Any) -> tuple[PolicyMemory, Any]:
+            world, *moving = _alone(scene)
+            told = partial(known, world, *moving, *now)
+            after: tuple[PolicyMemory, Any] = policies.step(
+                chosen, world.policy_key, memory, told, now[-1]
+            )
+            return after
+
+        self._act: Callable[..., tuple[PolicyMemory, Any]] = jax.jit(act)
+        self._begin: Callable[..., PolicyMemory] = jax.jit(begin)
+        self.restart()
+        # Compiled now, and not in the first step of a flight; what it gives is of no use yet.
+        jax.block_until_ready(self._act(self._memory, *self._scene(session.observe())))
+
+    def restart(self) -> None:
+        """Ask the policy to begin anew, after a reset of the session; nothing is compiled again."""
+        self._memory = self._begin(*self._scene(self._session.observe()))
+
+    @property
+    def memory(self) -> PolicyMemory:
+        """Of the policy."""
+        return self._memory
+
+    def commands(self, observation: Observation) -> dict[int, Order]:
+        """What the robots that still fly are told in the step that begins now.
+
+        Args:
+            observation: of the session, as it is.
+        """
+        self._memory, command = self._act(self._memory, *self._scene(observation))
+        host = jax.device_get(command)
+        told: dict[int, Order] = {}
+        for robot, status in enumerate(observation.status):
+            if status.outcome in FLYING:
+                told[robot] = jax.tree.map(lambda leaf, robot=robot: leaf[robot], host)
+        return told
+
+    def _scene(self, observation: Observation) -> tuple[Any, ...]:
+        inside = self._session.inside()
+        scene = (inside.worlds, inside.state.vehicles, inside.state.obstacles)
+        number = np.int32(round(observation.time_s / self._session.dt_s))
+        return scene, _belief(observation.estimate), number
+
+
+def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
+    """What a planner is asked at this time of a session.
+
+    Robots begin where they are told that they are; time is counted from now.
+
+    Args:
+        session: a scene.
+        knows: what may be known of what moves; what the scenario says if left out.
+    """
+    inside, now = session.inside(), session.observe()
+    scenario, spec = inside.simulator.scenario, inside.simulator.spec
+    level = scenario.planner.knows.knows() if knows is None else knows
+    left_s = max(scenario.time.horizon_s - now.time_s, spec.control_dt_s)
+    world, obstacles = _alone((inside.worlds, inside.state.obstacles))
+    w, x, y, z = np.moveaxis(np.asarray(now.estimate.q, np.float32), -1, 0)
+    made = asking.ask_now(
+        world,
+        jnp.uint32(scenario.seed),
+        spec,
+        level,
+        left_s,
+        scenario.planner.deadline_s,
+        Seen(
+            time_s=jnp.float32(now.time_s),
+            obstacles=obstacles,
+            at_m=jnp.asarray(now.estimate.p, jnp.float32),
+        ),
+        jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
+    )
+    host: Problem = jax.tree.map(np.asarray, made)
+    return host
+
+
+def _alone(batch: Any) -> Any:
+    """The one world of a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[0], batch)
+
+
+def _belief(estimate: Estimate) -> Belief:
+    """What the robots are told of themselves; how sure they are nobody asks here."""
+    p, q, nu = (_single(x) for x in (estimate.p, estimate.q, estimate.nu))
+    flow = None if estimate.flow is None else _single(estimate.flow)
+    still = _single(np.zeros_like(p))
+    return Belief(
+        p=p,
+        q=q,
+        nu=nu,
+        flow=flow,
+        position_std_m=still,
+        velocity_std_mps=still,
+        attitude_std_rad=still,
+    )
+
+
+def _single(values: Any) -> Any:
+    """On the host, for a call that takes it to the device."""
+    return np.asarray(values, np.float32)

@@ -1,0 +1,150 @@
+"""What each robot of a session was told, and how it stands with that."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.robot.control.joint_goal import JointGoal
+from angler_mjx.robot.control.joint_tolerance import ResultCode
+from angler_mjx.robot.control.joint_trajectory import JointTrajectory
+from angler_mjx.robot.control.plans import checked
+from angler_mjx.robot.control.stack import Stages
+from angler_mjx.runs.session import paths
+from angler_mjx.runs.session.checks import Limits
+from angler_mjx.runs.session.fleet_facts import Facts
+from angler_mjx.runs.session.interface import Order, RobotStatus
+from angler_mjx.runs.session.plan import Plan
+from angler_mjx.runs.session.slots import Sizes, Slots
+from angler_mjx.runs.session.view import View
+from angler_mjx.sim.state import Outcome
+
+PLAN = "plan"
+"""What a robot follows that was told nothing else."""
+
+
+@dataclass(kw_only=True)
+class OrderState:
+    """The order of one robot, and how it stands with it."""
+
+    plan: Plan
+    """As it was told it last."""
+    command: str = PLAN
+    left_s: float = 0.0
+    """How far along its plan it was when it was told something else."""
+    refused: str = ""
+    note: str = ""
+    result: ResultCode = ResultCode.SUCCESSFUL
+    """Of its JointTrajectory; ACTIVE while it follows one."""
+    waiting: JointGoal | None = None
+    """One that begins later."""
+
+
+class Orders:
+    """Takes checked orders for robots, and refusals.
+
+    Attributes:
+        slots: what the controllers are told.
+    """
+
+    def __init__(self, stages: Stages, facts: Facts, limits: Limits, dtype: Any) -> None:
+        """Every robot is told its plan.
+
+        Raises:
+            ConfigError: the controllers do not take plans of its type.
+        """
+        self._stages, self._limits, self._dtype = stages, limits, dtype
+        self.slots = Slots(
+            stages,
+            Sizes(
+                robots=len(facts.robots),
+                thrusters=facts.thrusters,
+                points=limits.points,
+                way_points=limits.way_points,
+            ),
+        )
+        self._states = [OrderState(plan=plan) for plan in facts.plans]
+        for robot, plan in enumerate(facts.plans):
+            self.resume(robot, plan)
+            if not facts.found[robot]:
+                self._states[robot].note = "the planner found no way: it holds its start"
+
+    def __getitem__(self, robot: int) -> OrderState:
+        """The order of a robot."""
+        return self._states[robot]
+
+    @property
+    def results(self) -> np.ndarray:
+        """int32 [R] how JointTrajectories stand."""
+        return np.array([state.result for state in self._states], np.int32)
+
+    def status(self, outcomes: Sequence[Any]) -> tuple[RobotStatus, ...]:
+        """For an observation."""
+        return tuple(
+            RobotStatus(
+                outcome=Outcome(int(outcome)),
+                command=state.command,
+                refused=state.refused,
+                note=state.note,
+            )
+            for state, outcome in zip(self._states, outcomes, strict=True)
+        )
+
+    def due(self, now_s: float) -> dict[int, Order]:
+        """JointTrajectories that waited for this time."""
+        return {
+            robot: state.waiting
+            for robot, state in enumerate(self._states)
+            if state.waiting is not None and state.waiting.stamp_s <= now_s
+        }
+
+    def tell(self, robot: int, order: Order, view: View, now_s: float) -> None:
+        """Give a robot an order that was checked."""
+        if isinstance(order, JointGoal) and order.stamp_s > now_s:
+            state = self._states[robot]
+            state.waiting, state.refused = order, ""
+            state.note = f"a JointTrajectory begins at {order.stamp_s:g} s"
+            return
+        command = paths.ready(self.slots, view, robot, order, self._limits, now_s)
+        self._put(robot, command, type(command).__name__, view)
+        if isinstance(command, JointTrajectory):
+            state = self._states[robot]
+            state.result, state.note = ResultCode.ACTIVE, ResultCode.ACTIVE.name
+
+    def refuse(self, robot: int, reason: str, view: View) -> None:
+        """Refuse a robot's order: it holds; refused again, where it was refused first."""
+        if not self._states[robot].refused:
+            self._hold(robot, view)
+        self._states[robot].refused = reason
+
+    def resume(self, robot: int, plan: Plan) -> None:
+        """Let a robot follow its plan from its beginning."""
+        self._states[robot] = OrderState(plan=plan)
+        told = plan.padded(self._limits.rows(plan.kind), self._dtype)
+        self.slots.put(robot, checked(self._stages, told))
+
+    def report(self, view: View) -> None:
+        """Say how JointTrajectories stand; one that failed ends where the robot is."""
+        for robot, state in enumerate(self._states):
+            if state.result is not ResultCode.ACTIVE:
+                continue
+            code = ResultCode(int(view.result[robot]))
+            state.result, note = code, code.name
+            if code in (ResultCode.PATH_TOLERANCE_VIOLATED, ResultCode.GOAL_TOLERANCE_VIOLATED):
+                note = f"{code.name}: {paths.farthest(self.slots, view, robot)}; it holds here"
+                self._hold(robot, view)
+            self._states[robot].note = note
+
+    def _hold(self, robot: int, view: View) -> None:
+        command = paths.hold(self.slots.kinds, view, robot, self._limits)
+        self._put(robot, command, "hold", view)
+
+    def _put(self, robot: int, command: Any, name: str, view: View) -> None:
+        """Tell a robot something else than what it had."""
+        state = self._states[robot]
+        left = state.left_s
+        if state.command == PLAN:
+            left = paths.along(self._stages, state.plan, view, robot)
+        self._states[robot] = OrderState(plan=state.plan, command=name, left_s=left)
+        self.slots.put(robot, command)

@@ -1,0 +1,346 @@
+"""Compiled functions of a scenario, shared by simulators of this process that need the same ones.
+
+Tracing and compiling a scenario takes seconds to a minute; a grid of cells, a notebook or a test
+asks for the same programs many times over. `shared` returns those made before where everything that
+was traced into them is equal. Programs that hold a planner or policy of a caller, or fields of
+files, are made anew for each simulator: their code and their files may have changed.
+"""
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from angler_kernels.clearance import cell_neighbours
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.robot.control.stack import Command
+from angler_mjx.runs.simulator import devices as on_devices
+from angler_mjx.runs.simulator.compiling import Compiled, CompileTime, Program, Together
+from angler_mjx.runs.simulator.devices import (
+    EACH,
+    SAME,
+    Memory,
+    limit_bytes,
+    placed,
+    too_large,
+    tree_bytes,
+)
+from angler_mjx.runs.simulator.prepare import ask_all, preparer
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim import fleet
+from angler_mjx.sim.engines import base as engines
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
+from angler_mjx.world import generate
+from angler_mjx.world.config import resolve
+
+type Segment = tuple[WorldState, Sample, jax.Array]
+"""State after a segment, samples of it, and the number of running robots of each world."""
+
+HELD = 16
+"""Most sets of programs that `shared` keeps; the one that was asked for longest ago is dropped."""
+
+SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
+"""Most samples of a segment, or control steps where that is more. A call took an H200 2 ms to
+begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
+
+LABELS = {"name", "description", "worlds", "seed", "tile"}
+"""Keys of a scenario that no program depends on; its tile is given beside it."""
+PLANNER_LABELS = {"name", "requested", "settings"}
+"""Keys of a planner that no program depends on where it plans on the host, or paths are given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """Everything from which the programs of a scenario are made."""
+
+    scenario: Scenario
+    tile: int
+    """Worlds of one device in one call."""
+    mesh: Mesh
+    kernels: str
+    paths: PathShape
+    planner: PlannerSpec | None
+    """A planner that is part of the programs; None where paths come from outside them."""
+    policy: tuple[Policy, ...]
+    """On the devices of the mesh; empty without one."""
+    owned: bool
+    """Whether code of a caller is traced: a policy object, or a class with ``plan_batch``."""
+
+    def key(self) -> Hashable | None:
+        """Return a value equal for equal programs; None where they cannot be shared."""
+        world = self.scenario.world
+        if self.owned or world.files:
+            return None
+        excluded: dict[str, Any] = dict.fromkeys(LABELS, True)
+        if self.planner is None and not self.scenario.planner.replan_hz:
+            excluded["planner"] = PLANNER_LABELS
+        numbers = [(leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(self.policy)]
+        return (
+            self.scenario.digest(),
+            self.scenario.model_dump_json(exclude=excluded),
+            self.tile,
+            self.mesh,
+            self.kernels,
+            self.paths,
+            repr(self.planner),
+            jax.tree.structure(self.policy),
+            tuple(numbers),
+            tuple(repr(getattr(jax.config, name, None)) for name in sorted(jax.config.values)),
+        )
+
+
+class Programs:
+    """Compiled functions of one scenario on one tile a device; shapes as in `Simulator`.
+
+    Attributes:
+        fleet: compiled vehicles, on every device.
+        engine: that advances the worlds.
+        samples: stored samples in one segment.
+        steps_per_sample: control steps from one to the next.
+        prepare: worlds of the fleet, from the seed and the first world of each device.
+        reset: states of the fleet's worlds at t = 0.
+        step: one control step.
+        segment: one segment from the end of the one before, of a run.
+        from_anywhere: one segment from any control step.
+        commanded: one segment with a command in place of the paths.
+        take: parameters of the fleet's variants.
+        pack: cells of worlds as the engine reads them; None where it reads them as they are.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        """Compile the vehicles and put the functions together; programs are not compiled yet.
+
+        Raises:
+            ConfigError: a vehicle file has faults, or the fleet does not fit the world's cells.
+        """
+        self._setup, scenario = setup, setup.scenario
+        self.spec: SimSpec = scenario.sim_spec()
+        self.fleet: Fleet = jax.device_put(
+            fleet.build(
+                scenario.members(), multibody=scenario.engine == "mjx", load=scenario.carried()
+            ),
+            NamedSharding(setup.mesh, SAME),
+        )
+        radius = np.asarray(jax.jit(fleet.radius_bound)(self.fleet))
+        generate.check_fleet(resolve(scenario.world), radius)
+        self.samples, self.steps_per_sample = _segment_size(scenario)
+        self.engine = engines.by_name(scenario.engine, setup.kernels)
+        self.memory: Memory | None = None
+        self._asking: dict[Knows, Compiled] = {}
+        self._compiled, self._lock = False, threading.Lock()
+        policy = setup.policy[0] if setup.policy else None
+        sampling = preparer(scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy)
+        self.prepare = self._spread(sampling, SAME, SAME, EACH)
+        # A policy is an argument of the programs: one with other numbers needs no compilation.
+        driver = (SAME,) * len(setup.policy)
+        reset, step = (
+            partial(function, self.spec)
+            for function in (self.engine.reset, self.engine.control_step)
+        )
+        self.reset = self._spread(reset, SAME, EACH, *driver)
+        self.step = self._spread(step, SAME, EACH, EACH, EACH, *driver)
+        # Of runs, whose segments begin where the one before ended; and of any.
+        steps = self.samples * self.steps_per_sample
+        of_run, of_any = (partial(self._run_segment, n) for n in (steps, 1))
+        self.segment = self._spread(of_run, SAME, EACH, EACH, *driver, donate_argnums=2)
+        self.from_anywhere = self._spread(of_any, SAME, EACH, EACH, *driver, donate_argnums=2)
+        self.commanded = self._spread(self._run_commanded, SAME, EACH, EACH, EACH, donate_argnums=2)
+        self.take = partial(self._spread(fleet.parameters, SAME, EACH), self.fleet)
+        looked_up = scenario.engine == "fused"
+        self.pack = self._spread(jax.vmap(cell_neighbours), EACH) if looked_up else None
+
+    def ask(self, knows: Knows) -> Compiled:
+        """Return the program that makes problems of worlds at an information level."""
+        if knows not in self._asking:
+            asking = partial(ask_all, self._setup.scenario, knows)
+            self._asking[knows] = self._spread(asking, EACH, SAME, EACH)
+        return self._asking[knows]
+
+    @cached_property
+    def wave_shape(self) -> World:
+        """Shapes, types and places of a wave of worlds; tracing the planner takes a while."""
+        shapes = self.prepare.shape(*self._seed_shapes())
+        worlds: World = placed(shapes, self._setup.mesh, EACH)
+        return worlds
+
+    def compile(self) -> CompileTime:
+        """Compile for the tile ahead of time; later calls use the compiled functions.
+
+        Returns:
+            Seconds of each program; zeros if it was done before.
+
+        Raises:
+            RunError: the tile does not fit into device memory; names a tile that does.
+        """
+        with self._lock:
+            if self._compiled:
+                return CompileTime()
+            took = self._compile()
+            self._compiled = True
+            return took
+
+    def explain(self, error: Exception) -> None:
+        """Turn a device's error for want of memory into one that names a tile that would fit.
+
+        Raises:
+            RunError: it is one of those; others are left as they are.
+        """
+        if not on_devices.is_out_of_memory(error):
+            return
+        limit = limit_bytes(self._setup.mesh.devices.flat[0])
+        # What failed needs more than there is, whatever the account says.
+        needed = None if self.memory is None else max(self.memory.needed, limit)
+        cause = str(error).splitlines()[0][:120]
+        raise too_large(self._setup.tile, needed, limit, cause) from error
+
+    def _compile(self) -> CompileTime:
+        start, mesh = time.perf_counter(), self._setup.mesh
+        worlds, state, begun = self._begin_all()
+        try:
+            made = [program.result() for program in begun]
+        except jax.errors.JaxRuntimeError as error:
+            # There is no account yet of what the programs need: what they give is the least.
+            least = (2 * tree_bytes(worlds) + tree_bytes(state)) // mesh.size
+            self.memory = Memory(prepare=least, segment=least)
+            self.explain(error)
+            raise
+        functions, seconds = zip(*made, strict=True)
+        self.memory = on_devices.analyse(*functions)
+        limit = limit_bytes(mesh.devices.flat[0])
+        if self.memory is not None and self.memory.needed > limit:
+            raise too_large(self._setup.tile, self.memory.needed, limit, "before the first world")
+        programs = (self.prepare, self.reset, self.segment)
+        for program, executable in zip(programs, functions, strict=True):
+            program.keep(executable)
+        prepare_s, reset_s, segment_s = seconds
+        return CompileTime(
+            prepare_s=prepare_s,
+            reset_s=reset_s,
+            segment_s=segment_s,
+            total_s=time.perf_counter() - start,
+        )
+
+    def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
+        """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
+        mesh = self._setup.mesh
+        kinds, number, firsts = self._seed_shapes()
+        driver = placed(self._setup.policy, mesh, SAME)
+        with Together(3) as programs:
+            # Each is traced for the shapes that come of the one before: tracing that gave them.
+            prepare = programs.begin(self.prepare, kinds, number, firsts)
+            worlds = self.wave_shape
+            reset = programs.begin(self.reset, kinds, worlds, *driver)
+            state = placed(self.reset.shape(kinds, worlds, *driver), mesh, EACH)
+            segment = programs.begin(self.segment, kinds, worlds, state, *driver)
+        return worlds, state, [prepare, reset, segment]
+
+    def _seed_shapes(self) -> tuple[Fleet, Any, Any]:
+        """Arguments of the function that prepares worlds: fleet, seed, first worlds."""
+        mesh = self._setup.mesh
+        number = jax.ShapeDtypeStruct((), jnp.uint32)
+        firsts = jax.ShapeDtypeStruct((mesh.size,), jnp.uint32)
+        return (
+            placed(self.fleet, mesh, SAME),
+            placed(number, mesh, SAME),
+            placed(firsts, mesh, EACH),
+        )
+
+    def _spread(
+        self, function: Callable[..., Any], *specs: PartitionSpec, **options: Any
+    ) -> Compiled:
+        """A compiled function that runs on each device, on its tiles.
+
+        Results say themselves that they lie tile by tile: what takes them is then one program,
+        whether it was compiled ahead of time or is called.
+        """
+        return Compiled(
+            on_devices.on_each(self._setup.mesh, function, *specs),
+            out_shardings=NamedSharding(self._setup.mesh, EACH),
+            **options,
+        )
+
+    def _run_segment(
+        self,
+        begins: int,
+        kinds: Fleet,
+        worlds: World,
+        state: WorldState,
+        policy: Policy | None = None,
+        command: Command | None = None,
+    ) -> Segment:
+        after, sample = self.engine.segment(
+            self.spec,
+            kinds,
+            worlds,
+            state,
+            n_sample=self.samples,
+            steps_per_sample=self.steps_per_sample,
+            command=command,
+            policy=policy,
+            begins=begins,
+        )
+        running = jnp.sum(after.tally.outcome == Outcome.RUNNING, axis=-1, dtype=jnp.int32)
+        return after, sample, running
+
+    def _run_commanded(
+        self, kinds: Fleet, worlds: World, state: WorldState, command: Command
+    ) -> Segment:
+        return self._run_segment(1, kinds, worlds, state, None, command)
+
+
+_held: OrderedDict[Hashable, Programs] = OrderedDict()
+_lock = threading.Lock()
+
+
+def shared(setup: Setup) -> Programs:
+    """Return the programs of a setup; those of an equal one where it was asked for before.
+
+    Raises:
+        ConfigError: as `Programs`.
+    """
+    key = setup.key()
+    if key is None:
+        return Programs(setup)
+    with _lock:
+        held = _held.get(key)
+    made = held or Programs(setup)
+    with _lock:
+        kept = _held.setdefault(key, made)
+        _held.move_to_end(key)
+        while len(_held) > HELD:
+            _held.popitem(last=False)
+    return kept
+
+
+def forget() -> None:
+    """Drop all shared programs; simulators that use them keep theirs."""
+    with _lock:
+        _held.clear()
+
+
+def _segment_size(scenario: Scenario) -> tuple[int, int]:
+    """Samples in one segment, and control steps from one to the next."""
+    timing = scenario.time
+    steps = timing.steps_per_sample or _divisor(timing.control_steps, 100)
+    if not timing.steps_per_sample:
+        return 1, steps
+    most = max(SEGMENT_SAMPLES, SEGMENT_STEPS // steps)
+    return _divisor(timing.control_steps // steps, most), steps
+
+
+def _divisor(total: int, most: int) -> int:
+    """Largest divisor of ``total`` up to ``most``: short segments make a steady progress bar."""
+    return max(n for n in range(1, most + 1) if total % n == 0)

@@ -1,0 +1,183 @@
+"""The policy that a scenario asks for: one by name, or order kept and plans made anew in flight."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.planning.mppi.costs import Weights
+from angler_mjx.planning.mppi.policy import Mppi
+from angler_mjx.planning.online.host_planner import HostAnew
+from angler_mjx.planning.online.planners import BatchAnew, CurrentAnew, GridAnew, PriorityAnew
+from angler_mjx.planning.online.policy import Online
+from angler_mjx.planning.online.replanning import Replanning
+from angler_mjx.planning.problem import Problem
+from angler_mjx.planning.register import PlannerSpec, gives_joints
+from angler_mjx.planning.routes.policy import AlongRoutes
+from angler_mjx.robot.control.laws.follow import FollowGains
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.on_device import (
+    CURRENT,
+    GRID,
+    current_config,
+    priority_budget,
+    ways_config,
+)
+from angler_mjx.scenario.policy_tables import default_knows
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.policy import Policy
+
+
+def policy_of(scenario: Scenario, given: Policy | None) -> Policy | None:
+    """What commands the robots of a scenario.
+
+    Args:
+        scenario: that may name a policy, or ask for order or replanning.
+        given: a policy of the caller's; it takes the place of an order that auto chose.
+
+    Raises:
+        ConfigError: both ask for the robots, or the planner cannot plan while they fly.
+    """
+    if given is not None and scenario.keeps_order_by_auto:
+        return given
+    if not scenario.flown:
+        if given is None and scenario.task_spec() is not None:
+            raise ConfigError(
+                f"task.type = {scenario.task.type!r}: plans lead to one goal, and nobody flies "
+                "from place to place; leave policy.name out, or give a policy of your own"
+            )
+        return given
+    if given is not None:
+        key = "planner.replan_hz" if scenario.planner.replan_hz else 'execution.order = "kept"'
+        if not scenario.online:
+            key = f'policy.name = "{scenario.policy.name}"'
+        raise ConfigError(
+            f"policy {type(given).__name__}: the scenario's {key} commands the robots already; "
+            "leave out one of them"
+        )
+    if scenario.online:
+        return made(scenario)
+    return along_routes(scenario) if scenario.policy.name == "routes" else mppi(scenario)
+
+
+def along_routes(scenario: Scenario) -> AlongRoutes:
+    """Flight along routes with a scenario's settings."""
+    settings = scenario.policy.routes
+    period = settings.period(scenario.time)
+    return AlongRoutes(
+        dt_s=scenario.time.control_dt_s,
+        horizon_s=settings.horizon_s,
+        routes_margin_m=scenario.planner.margin_m,
+        period=period,
+        looks=period,
+        knows=_knows(scenario),
+    )
+
+
+def mppi(scenario: Scenario) -> Mppi:
+    """Path integral control with a scenario's settings."""
+    settings, time = scenario.policy.mppi, scenario.time
+    return Mppi(
+        weights=Weights(**settings.weights),
+        density_kgpm3=scenario.water.density_kgpm3,
+        gravity_mps2=scenario.sim_spec().water.gravity_mps2,
+        output=settings.output,
+        samples=settings.samples,
+        horizon_s=settings.horizon_s,
+        dt_s=settings.dt_s,
+        knots=settings.knots,
+        period=settings.period(time),
+        knows=_knows(scenario),
+        ahead_s=settings.horizon_s,
+    )
+
+
+def _knows(scenario: Scenario) -> Knows:
+    """Return the information level of the policy that the scenario names."""
+    return (scenario.policy.knows or default_knows(scenario.policy, scenario.planner)).knows()
+
+
+def made(scenario: Scenario) -> Online:
+    """The policy of a scenario that flies its plans online.
+
+    Raises:
+        ConfigError: the planner cannot plan while robots fly.
+    """
+    _, gains = scenario.controller.stack()
+    follows = gains[0] if isinstance(gains[0], FollowGains) else FollowGains()
+    dt_s, settings = scenario.time.control_dt_s, _replanning(scenario)
+    return Online(
+        gains=follows,
+        dt_s=dt_s,
+        keeps_order=scenario.execution.order == "kept",
+        replanning=settings,
+        knows=None if settings is None else settings.knows,
+        looks=1 if settings is None else settings.every,
+        ahead_s=0.0 if settings is None else scenario.time.horizon_s,
+    )
+
+
+def _replanning(scenario: Scenario) -> Replanning | None:
+    planner, time = scenario.planner, scenario.time
+    if planner.replan_hz == 0.0:
+        return None
+    return Replanning(
+        planner=_anew(scenario),
+        every=round(1.0 / (planner.replan_hz * time.control_dt_s)),
+        delay=round(planner.delay_s / time.control_dt_s),
+        dt_s=time.control_dt_s,
+        points=planner.points,
+        margin_m=planner.margin_m,
+        knows=planner.knows.knows(),
+        horizon_s=time.horizon_s,
+        goal_tolerance_m=scenario.goal_tolerance_m,
+        deadline_s=_deadline_s(scenario),
+    )
+
+
+def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
+    spec = scenario.planner.chosen()
+    if spec.reference.name == CURRENT:
+        return CurrentAnew(config=current_config(scenario, spec))
+    if spec.reference.on_device:
+        config = ways_config(scenario, spec)
+        if spec.reference.name == GRID:
+            return GridAnew(config=config)
+        return PriorityAnew(config=replace(config, room_m=0.0), budget=priority_budget(spec))
+    settings = tuple(sorted(spec.settings.items()))
+    if _on_host(spec):
+        return _of_host(scenario, spec, settings)
+    return BatchAnew(reference=spec.reference, settings=settings)
+
+
+def _on_host(spec: PlannerSpec) -> bool:
+    if spec.reference.on_device:
+        return False
+    return not callable(getattr(spec.reference.load(), "plan_batch", None))
+
+
+def _of_host(
+    scenario: Scenario, spec: PlannerSpec, settings: tuple[tuple[str, Any], ...]
+) -> HostAnew:
+    name, rate = spec.reference.name, f"planner.replan_hz = {scenario.planner.replan_hz:g}"
+    if scenario.tile != 1:
+        raise ConfigError(
+            f"{rate}: planner {name} plans on the host, and batches of worlds are planned for on "
+            "the device in flight: take grid, priority, current or a class with plan_batch, leave "
+            "out replan_hz, or fly one scene with angler fly (or one world at a time: tile = 1)"
+        )
+    if gives_joints(spec):
+        raise ConfigError(
+            f"{rate}: planner {name} gives headings (JointTrajectory), and replanning goes on from "
+            "way-points; leave out its heading, or replan_hz"
+        )
+    return HostAnew(reference=spec.reference, settings=settings, points=scenario.planner.points)
+
+
+def _deadline_s(scenario: Scenario) -> float:
+    """Wall-clock time for a plan: one of the host has to be made when it is to be taken up."""
+    planner = scenario.planner
+    if not _on_host(planner.chosen()):
+        return planner.deadline_s
+    return min(planner.deadline_s, planner.delay_s or 1.0 / planner.replan_hz)

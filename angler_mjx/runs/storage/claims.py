@@ -1,0 +1,332 @@
+"""Folders that are built beside their place, by one process at a time.
+
+``NAME`` is made at once, empty, so that nobody else can take it while the work goes on; the work
+goes into the hidden ``.NAME.partial`` beside it, which takes the place of the empty folder at the
+end. A file ``lock`` in it is locked while its process lives, however that ends.
+"""
+
+import fcntl
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs.storage import atomic
+
+LOCK = "lock"
+PREFIX, SUFFIX = ".", ".partial"
+
+RESUMABLE, BROKEN_OFF = "go on with it with --resume, or remove", "it cannot go on; remove"
+"""What can be done about an unfinished folder whose process has ended."""
+
+
+@dataclass(kw_only=True)
+class Claim:
+    """A folder that this process builds."""
+
+    out: Path
+    """The name that it will have."""
+    building: Path
+    """Absolute path where it is built: libraries resolve relative paths each in its own way."""
+    flag: str
+    """How a person named it, for messages."""
+    handle: int | None
+    """Of the lock; None when it was given up."""
+
+    def publish(self) -> None:
+        """Give the folder its name, and part from it.
+
+        Raises:
+            RunError: the name was taken by another; the folder stays whole where it was built.
+        """
+        try:
+            atomic.sync(self.building)
+            self.building.rename(self.out)
+        except OSError as error:
+            self.release()
+            raise RunError(
+                f"{self.flag} {self.out}: cannot be given that name "
+                f"({error.strerror or error}); what was made is whole in {self.building}: give it "
+                f"another name, for example with mv {self.building} NAME"
+            ) from error
+        with suppress(OSError):  # it has its name: nothing is lost any more
+            atomic.sync(self.out.parent)
+            (self.out / LOCK).unlink()
+        self._unlock()
+
+    def release(self) -> None:
+        """Part from the hidden folder and leave it as it is, for another to go on with."""
+        if self.handle is not None:
+            with suppress(OSError):  # what another put there stays
+                self.out.rmdir()
+            self._unlock()
+
+    def withdraw(self) -> None:
+        """Take the folder and its name away: only while nothing in it is worth keeping."""
+        shutil.rmtree(self.building, ignore_errors=True)
+        self.release()
+
+    def _unlock(self) -> None:
+        if self.handle is not None:
+            os.close(self.handle)
+            self.handle = None
+
+
+def partial_path(out: Path) -> Path:
+    """Where the folder ``out`` is built."""
+    return out.parent / f"{PREFIX}{out.name}{SUFFIX}"
+
+
+def kept(building: Path) -> str | None:
+    """What can be done about a hidden folder that holds anything but its lock."""
+    return RESUMABLE if any(path.name != LOCK for path in building.iterdir()) else None
+
+
+def claim(
+    out: Path,
+    *,
+    flag: str = "--out",
+    what: str = "run",
+    left: Callable[[Path], str | None] = kept,
+) -> Claim:
+    """Take a name and make the hidden folder.
+
+    What a process that was killed left behind is taken away first where it is worth nothing.
+
+    Args:
+        out: the folder to be.
+        flag: how a person named it.
+        what: is made, in a word.
+        left: what can be done about the hidden folder that a dead process left, for a message;
+            None if nothing in it is worth keeping.
+
+    Raises:
+        ConfigError: the name is taken, by something unfinished perhaps, or cannot be had.
+    """
+    require_name(out, flag=flag)
+    require_place(out, flag=flag)
+    building = partial_path(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
+    try:
+        require_none(out, flag=flag, what=what, left=left)
+        if building.is_dir():
+            _sweep(out, building, f"{flag} {out}", what)
+        building.mkdir()
+        try:
+            out.mkdir()
+            handle = _lock(building / LOCK, f"{flag} {out}", what)
+        except BaseException:
+            shutil.rmtree(building, ignore_errors=True)
+            raise
+    except FileExistsError as error:
+        if not out.parent.is_dir():
+            raise ConfigError(
+                f"{flag} {out}: cannot be written ({out.parent} is no folder)"
+            ) from error
+        raise ConfigError(
+            f"{flag} {out}: exists since a moment ago; give another folder or remove it"
+        ) from error
+    except OSError as error:
+        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
+    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
+
+
+def require_none(
+    out: Path,
+    *,
+    flag: str = "--out",
+    what: str = "run",
+    left: Callable[[Path], str | None] = kept,
+) -> None:
+    """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
+
+    One that cannot be had is refused too; nothing is made. Arguments as of `claim`.
+
+    Raises:
+        ConfigError: it is.
+    """
+    require_name(out, flag=flag)
+    require_place(out, flag=flag)
+    building = partial_path(out)
+    if building.is_dir():
+        locked = (building / LOCK).exists()
+        os.close(_lock(building / LOCK, f"{flag} {out}", what))
+        # Without a lock another process may be about to make one.
+        advice = left(building)
+        if advice is None and locked and _is_bare(out):
+            return
+        both = f"{out} and {building}" if os.path.lexists(out) else str(building)
+        raise ConfigError(
+            f"{flag} {out}: an unfinished {what} lies in {building}, and its process has ended; "
+            f"{advice or BROKEN_OFF} {both}"
+        )
+    if os.path.lexists(out):
+        link = "" if out.exists() else " as a link to nothing"
+        raise ConfigError(f"{flag} {out}: exists{link}; give another folder or remove it")
+
+
+def _is_bare(out: Path) -> bool:
+    """Whether a name is free, or taken by nothing but the empty folder of a claim."""
+    if not os.path.lexists(out):
+        return True
+    return out.is_dir() and not out.is_symlink() and not any(out.iterdir())
+
+
+def _sweep(out: Path, building: Path, named: str, what: str) -> None:
+    """Take away what a dead process left, while nobody else can."""
+    handle = _lock(building / LOCK, named, what)
+    try:
+        with suppress(FileNotFoundError):
+            out.rmdir()
+        shutil.rmtree(building)
+    finally:
+        os.close(handle)
+
+
+def reclaim(out: Path, *, flag: str = "--resume", what: str = "run") -> Claim | None:
+    """Take up the folder of a process that ended, or a folder that it had given its name.
+
+    Returns:
+        The claim; None if there is nothing of that name.
+
+    Raises:
+        ConfigError: its process still works on it, or it cannot be written.
+    """
+    require_name(out, flag=flag)
+    building = partial_path(out)
+    try:
+        if building.is_dir():
+            handle = _lock(building / LOCK, f"{flag} {out}", what)
+        elif out.is_dir() and any(out.iterdir()):
+            handle = _lock(out / LOCK, f"{flag} {out}", what)
+            out.rename(building)
+        else:
+            return None
+        if not os.path.lexists(out):
+            out.mkdir()
+    except OSError as error:
+        raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
+    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
+
+
+def require_name(out: Path, *, flag: str) -> None:
+    """Refuse a name that its file system cannot hold, with what it is hidden by around it.
+
+    Raises:
+        ConfigError: naming the longest that it can.
+    """
+    around = len(PREFIX + SUFFIX)
+    try:
+        place = out.absolute().parent
+        while not place.exists():
+            place = place.parent
+        most = os.pathconf(place, "PC_NAME_MAX")
+    except OSError as error:
+        shown = str(out) if len(str(out)) <= 60 else f"{str(out)[:57]}..."
+        raise ConfigError(
+            f"{flag} {shown}: cannot be the name of a folder ({error.strerror}); give another one"
+        ) from error
+    length = len(os.fsencode(out.name))
+    if length > most - around:
+        raise ConfigError(
+            f"{flag} {out.name[:40]}...: the name has {length} bytes, {most - around} are the most "
+            "here; give a shorter one"
+        )
+
+
+def require_place(out: Path, *, flag: str) -> None:
+    """Refuse a name under which this process can make no folder, as far as can be seen beforehand.
+
+    Raises:
+        ConfigError: saying what of its path is no folder, or cannot be written.
+    """
+    place = out.absolute().parent
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigError(
+            f"{flag} {out}: cannot be written (a part of {out.parent} is no folder); "
+            "give another folder"
+        )
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"{flag} {out}: cannot be written (nothing can be made in {place}); give another folder"
+        )
+
+
+def _lock(path: Path, named: str, what: str) -> int:
+    """Lock a file as long as this process lives.
+
+    Raises:
+        ConfigError: another one holds it.
+        OSError: it cannot be written.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = os.path.samestat(os.fstat(handle), path.stat())
+        except (BlockingIOError, FileNotFoundError):
+            free = False
+        except OSError:  # a file system without locks: by what the file says
+            free = not _lives(_owner(handle))
+        if not free:
+            owner = _owner(handle)
+            who = "it has just begun"
+            if {"pid", "host", "since"} <= owner.keys():
+                who = f"{owner['pid']} on {owner['host']}, since {owner['since']}"
+            raise ConfigError(
+                f"{named}: another process makes this {what}: {who}; "
+                f"wait for it or end it (if it is gone for sure, remove {path})"
+            )
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, json.dumps(_myself()).encode(), 0)
+    except BaseException:
+        os.close(handle)
+        raise
+    return handle
+
+
+def _myself() -> dict[str, Any]:
+    return {
+        "pid": os.getpid(),
+        "host": platform.node(),
+        "since": time.strftime("%Y-%m-%d %H:%M:%S %z"),
+        "started": _started(os.getpid()),
+    }
+
+
+def _owner(handle: int) -> dict[str, Any]:
+    try:
+        found = json.loads(os.pread(handle, 4096, 0))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _lives(owner: dict[str, Any]) -> bool:
+    """Whether the process that a lock names goes on; one on another host may."""
+    if not owner:
+        return False
+    if owner.get("host") != platform.node():
+        return True
+    started = owner.get("started")
+    return started is not None and started == _started(owner.get("pid"))
+
+
+def _started(pid: Any) -> str | None:
+    """When a process of this host began, in ticks since boot; None if there is none."""
+    try:
+        return Path(f"/proc/{int(pid)}/stat").read_text().rpartition(")")[2].split()[19]
+    except (OSError, ValueError, TypeError, IndexError):
+        return None

@@ -1,0 +1,312 @@
+"""Environments on disk: arrays of a Zarr v3 group, worlds leading, one chunk per tile.
+
+The names of the arrays are those of the fields of `Environment`, with "/" between levels
+(``grid/occupied``, ``current/0/core_m``). What is not an array (which kinds of current there are)
+stands in the group's attributes, so that a group can be read without the config that made it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs.storage import arrays, claims, inputs
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.world import currents, ocean
+from angler_mjx.world.config import WorldConfig, resolve
+from angler_mjx.world.environment import Environment
+from angler_mjx.world.generate import generate_batch, require_valid
+from angler_mjx.world.grid import Grid
+from angler_mjx.world.obstacles import Obstacles
+
+SCHEMA_VERSION = 1
+
+_CURRENTS: dict[str, type] = {
+    kind.__name__: kind
+    for kind in (
+        currents.Uniform,
+        currents.GaussMarkov,
+        currents.Vortices,
+        currents.Rankine,
+        currents.DoubleGyre,
+        currents.DepthProfile,
+        currents.Tide,
+        currents.Gridded,
+    )
+}
+"""Kinds of current by the names in a group."""
+
+_DIMS = {
+    "start_m": ("robot", "xyz"),
+    "goal_m": ("robot", "xyz"),
+    "start_yaw_rad": ("robot",),
+    "path_ratio": ("robot",),
+    "line_free": ("robot",),
+    "grid/occupied": ("x", "y", "z"),
+    "grid/origin_m": ("xyz",),
+    "obstacles/size_m": ("obstacle", "size"),
+    "obstacles/path": ("obstacle", "column"),
+    "obstacles/p0": ("obstacle", "xyz"),
+    "obstacles/q0": ("obstacle", "wxyz"),
+    "obstacles/nu0": ("obstacle", "uvwpqr"),
+    "obstacles/inertia_kgm2": ("obstacle", "xyz"),
+    "obstacles/M_A": ("obstacle", "uvwpqr"),
+    "obstacles/D_l": ("obstacle", "uvwpqr"),
+    "obstacles/D_q": ("obstacle", "uvwpqr"),
+}
+"""Dimensions after ``world``; of what is not here they are called after the array."""
+
+_SHARED = {"world", "robot", "obstacle", "xyz", "wxyz", "uvwpqr"}
+"""Dimensions of one size in a whole group."""
+
+MOST_BYTES = 2**30
+"""Of one world's array: what claims more is damaged."""
+
+
+def describe(group: zarr.Group, environment: Environment, count: int, tile: int) -> None:
+    """Make the arrays of a group; nothing is written into them yet.
+
+    Args:
+        group: empty.
+        environment: a batch as it will be written, or its shapes (`jax.eval_shape`).
+        count: number of worlds of the whole group.
+        tile: worlds of one chunk.
+    """
+    group.attrs.update(
+        {
+            "schema": "angler_mjx environment",
+            "schema_version": SCHEMA_VERSION,
+            "world_frame": "x east, y north, z up; metres; water surface at z = 0",
+            "cells": "cell (i, j, k) spans origin_m + cell_m * [i, i+1] x [j, j+1] x [k, k+1]",
+            "quaternion": "wxyz, body to world",
+            "current": [type(component).__name__ for component in environment.current],
+            "obstacle_kinds": list(environment.obstacles.kinds),
+            "obstacle_motions": list(environment.obstacles.motions),
+        }
+    )
+    files = [_file(component) for component in environment.current]
+    if any(files):
+        group.attrs["current_file"] = files
+    current = tuple(type(component).__name__ for component in environment.current)
+    for name, leaf in leaves(environment).items():
+        tail, meaning = leaf.shape[1:], arrays.about(name, current)
+        group.create_array(
+            name,
+            shape=(count, *tail),
+            chunks=(min(tile, count), *tail),
+            dtype=np.dtype(leaf.dtype),
+            compressors=BloscCodec(cname="lz4", shuffle="shuffle", clevel=1),
+            attributes=meaning.attributes(),
+            dimension_names=["world", *meaning.axes],
+        )
+
+
+def _file(component: currents.Component) -> dict[str, str | None] | None:
+    """Where the field of a current is kept, which no world holds; None where there is none."""
+    if not isinstance(component, currents.Gridded):
+        return None
+    field = component.field
+    u, v, w = field.names
+    return {"file": field.source, "digest": field.digest, "u": u, "v": v, "w": w}
+
+
+def write(group: zarr.Group, first: int, environment: Environment) -> None:
+    """Write a batch; worlds past the end of the group are dropped.
+
+    Args:
+        group: described before.
+        first: index of the batch's first world in the group.
+        environment: batch of worlds.
+    """
+    for name, leaf in leaves(environment).items():
+        array: Any = group[name]
+        last = min(first + leaf.shape[0], array.shape[0])
+        array[first:last] = np.asarray(leaf)[: last - first]
+
+
+def read(group: zarr.Group, index: int | slice) -> Environment:
+    """One world of a group, or a batch of them; leaves are host arrays.
+
+    Args:
+        group: written before.
+        index: of one world, or a slice of worlds.
+
+    Raises:
+        ConfigError: the group is damaged.
+    """
+    with reading(_place(group)):
+        return _read(group, index)
+
+
+def check(nodes: Mapping[str, Any], where: Path) -> None:
+    """Refuse a group whose arrays do not fit together, before anything of them is read.
+
+    Args:
+        nodes: of the group, by their names.
+        where: it lies, for messages.
+
+    Raises:
+        ConfigError: naming the array.
+    """
+    sizes = {"xyz": 3, "wxyz": 4, "uvwpqr": 6}
+    for name, array in nodes.items():
+        if not isinstance(array, zarr.Array):
+            continue
+        dims = ("world", *_dims(name, array.ndim - 1))
+        # Other dimensions are an array's own.
+        keys = [dim if dim in _SHARED else f"{name} {dim}" for dim in dims]
+        fits = len(dims) == array.ndim and all(
+            sizes.setdefault(key, size) == size for key, size in zip(keys, array.shape, strict=True)
+        )
+        if not fits or array.nbytes > MOST_BYTES * max(1, array.shape[0]):
+            raise ConfigError(
+                f"{where}/{name}: has the shape {array.shape}, which does not fit the "
+                "others; copy its zarr.json again, or make the file anew"
+            )
+
+
+def _place(group: zarr.Group) -> Path:
+    return Path(str(getattr(group.store, "root", ""))) / group.path
+
+
+def _dims(name: str, count: int) -> tuple[str, ...]:
+    """Dimensions of an array after ``world``."""
+    last = name.rsplit("/", 1)[-1]
+    known = _DIMS.get(name)
+    if known is None and count == 1 and name.startswith("obstacles/"):
+        known = ("obstacle",)
+    if known is not None and len(known) == count:
+        return known
+    return tuple(f"{last}_{i}" for i in range(count))
+
+
+def _read(group: zarr.Group, index: int | slice) -> Environment:
+    attributes: Any = group.attrs
+
+    def part(kind: type, prefix: str, **static: Any) -> Any:
+        names = [f.name for f in fields(kind) if f.name not in static]
+        return kind(**{name: group[prefix + name][index] for name in names}, **static)  # type: ignore[index]
+
+    kinds = [_CURRENTS[name] for name in attributes["current"]]
+    kept = attributes.get("current_file") or [None] * len(kinds)
+    files = [{} if one is None else {"field": _field(group, one), "numbers": None} for one in kept]
+    environment: Environment = part(
+        Environment,
+        "",
+        grid=part(Grid, "grid/"),
+        obstacles=part(
+            Obstacles,
+            "obstacles/",
+            kinds=tuple(attributes["obstacle_kinds"]),
+            motions=tuple(attributes["obstacle_motions"]),
+        ),
+        current=tuple(
+            part(kind, f"current/{i}/", **file)
+            for i, (kind, file) in enumerate(zip(kinds, files, strict=True))
+        ),
+    )
+    return environment
+
+
+def _field(group: zarr.Group, about: dict[str, str | None]) -> ocean.Field:
+    """The field that worlds were made with: of the run's copy of its file, or of the file."""
+    place, source = _place(group), str(about["file"])
+    # Those of a run lie in its trajectories.
+    copies = inputs.ocean_stand_ins(place.parent.parent) if group.path else {}
+    field = ocean.load(copies.get(source, source), about)
+    if field.digest != about["digest"]:
+        raise ConfigError(
+            f"{source}: is not the file that these worlds were made with; put that one back"
+        )
+    return field
+
+
+def make(
+    path: Path,
+    config: WorldConfig,
+    radius_m: np.ndarray,
+    seed: int,
+    count: int,
+    tile: int = 256,
+    advance: Callable[[int], None] = lambda done: None,
+) -> int:
+    """Generate worlds and write them to a new file; all of it or nothing.
+
+    Args:
+        path: of the Zarr group to make.
+        config: what to generate.
+        radius_m: [n_robot] radius of each robot.
+        seed: of the first world's key and all others'.
+        count: number of worlds.
+        tile: worlds generated at once.
+        advance: called with the number of worlds done after each tile.
+
+    Returns:
+        How many worlds cannot hold the fleet; they are stored with ``valid`` False.
+
+    Raises:
+        ConfigError: the path exists, or the config cannot be used with this fleet.
+        RunError: the path cannot be written.
+    """
+    tile = min(tile, count)
+    # What a process that was killed left cannot be gone on with: it is made anew.
+    claimed = claims.claim(path, what="file of environments", left=lambda building: None)
+    invalid, done = 0, 0
+    try:
+        group = zarr.open_group(claimed.building, mode="a")
+        for first in range(0, count, tile):
+            batch = generate_batch(config, radius_m, seed, first, tile)
+            if first == 0:
+                describe(group, batch, count, tile)
+                group.attrs["world_config"] = config.model_dump(mode="json")
+                group.attrs["world_recipe"] = resolve(config).model_dump(mode="json")
+                group.attrs["radius_m"] = np.asarray(radius_m).tolist()
+                group.attrs["seed"] = seed
+                require_valid(batch)
+            write(group, first, batch)
+            done = min(first + tile, count)
+            invalid += int(np.sum(~np.asarray(batch.valid)[: done - first]))
+            advance(done)
+    except OSError as error:
+        claimed.withdraw()
+        raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
+    except BaseException:
+        claimed.withdraw()
+        raise
+    claimed.publish()
+    return invalid
+
+
+def open_file(path: Path) -> zarr.Group:
+    """A file that `make` wrote, or the environments of a run folder.
+
+    Raises:
+        ConfigError: there is none, or it is something else.
+    """
+    inside = path / "trajectories.zarr" / "environment"
+    path = inside if inside.exists() else path
+    with reading(path, "give a file of angler env make, or a run folder with trajectories"):
+        group = zarr.open_group(path, mode="r")
+        about: Any = dict(group.attrs)
+    version = about.get("schema_version")
+    if about.get("schema") != "angler_mjx environment" or version != SCHEMA_VERSION:
+        raise ConfigError(f"{path}: holds no environments of schema version {SCHEMA_VERSION}")
+    with reading(path):
+        check(dict(group.members(max_depth=None)), path)
+    return group
+
+
+def leaves(tree: Any) -> dict[str, Any]:
+    """Arrays of an environment, or another dataclass, by their names in a group."""
+    found = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {"/".join(_word(step) for step in path): leaf for path, leaf in found}
+
+
+def _word(step: Any) -> str:
+    return str(step.idx) if isinstance(step, jax.tree_util.SequenceKey) else str(step.name)

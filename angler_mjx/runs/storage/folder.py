@@ -1,0 +1,333 @@
+"""The run folder: where it is built, what lies in it, and how it is read back.
+
+``config.json`` resolved scenario, ``environment.json`` versions and machine, ``policy.json`` where
+one commanded the robots, ``variants.json`` where vehicles were randomised, ``inputs/`` copies of
+the vehicle, thruster and plan files, ``summary.json``, ``episodes.parquet``, ``trajectories.zarr``,
+``run.log``, ``figures/``, ``replay.rrd``; ``robots/`` where each robot left files of its own. While
+a run goes on, the folder is hidden (``.NAME.partial``) and ``parts/`` holds the episodes of the
+finished tiles.
+"""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import zarr
+
+from angler_mjx.errors import ConfigError, RunError, size
+from angler_mjx.files import parse
+from angler_mjx.runs.storage import atomic, claims, environments, inputs, layout, results
+from angler_mjx.runs.storage.claims import Claim, partial_path
+from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim import fleet
+
+CONFIG, ENVIRONMENT, SUMMARY = "config.json", "environment.json", "summary.json"
+POLICY, VARIANTS = "policy.json", "variants.json"
+EPISODES, TRAJECTORIES, PARTS = "episodes.parquet", "trajectories.zarr", "parts"
+FIGURES, REPLAY, ROBOTS, LOG = "figures", "replay.rrd", "robots", "run.log"
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder, read lazily; whatever of it is damaged is a `ConfigError` that names it."""
+
+    path: Path
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a run folder."""
+        object.__setattr__(self, "path", Path(self.path))
+        if not (self.path / SUMMARY).is_file():
+            raise ConfigError(f"{self.path}: not a run folder (no {SUMMARY} in it)")
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The resolved scenario.
+
+        A vehicle file that is not there any more, or was edited since, is replaced by its copy.
+        """
+        return read_scenario(self.path)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """What ``summary.json`` holds."""
+        return read_table(self.path / SUMMARY)
+
+    @cached_property
+    def environment(self) -> dict[str, Any]:
+        """What ``environment.json`` holds: versions, device, machine, commit, command."""
+        return read_table(self.path / ENVIRONMENT)
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """One row per robot per world, ordered by world and robot."""
+        return read_episodes(self.path / EPISODES)
+
+    @cached_property
+    def trajectories(self) -> zarr.Group:
+        """Sampled trajectories; see their attributes.
+
+        Raises:
+            ConfigError: the run stored none, or an array is missing or described wrongly.
+        """
+        place, scenario = self.path / TRAJECTORIES, self.scenario
+        if not place.exists():
+            if scenario.time.record_hz > 0:
+                raise ConfigError(
+                    f"{place}: is missing: the run stored no trajectories, or they were removed; "
+                    "copy it again, or make the run anew"
+                )
+            raise ConfigError(f"{self.path}: this run stored no trajectories (record_hz = 0)")
+        with reading(place):
+            group = zarr.open_group(place, mode="r")
+            nodes = dict(group.members(max_depth=None))
+            layout.check(
+                nodes,
+                str(place),
+                worlds=scenario.worlds,
+                robots=len(scenario.members()),
+                estimated=scenario.senses,
+                also=scenario.store.also,
+                tasked=scenario.task_spec() is not None,
+            )
+            inside = f"{layout.ENVIRONMENT}/"
+            environments.check(
+                {n.removeprefix(inside): node for n, node in nodes.items() if n.startswith(inside)},
+                place / layout.ENVIRONMENT,
+            )
+        return group
+
+    def vehicle_file(self, label: str) -> str:
+        """The vehicle of a row of ``episodes``, as `robot.vehicles.library.load` takes it."""
+        return inputs.vehicle_file(self.path, label)
+
+
+def read_scenario(path: Path) -> Scenario:
+    """The resolved scenario of a run folder, whole or in the making.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    source = path / CONFIG
+    table = read_table(source)
+    instead = inputs.stand_ins(path)
+    with reading(source):
+        for entry in table["fleet"]:
+            entry["vehicle"] = instead.get(entry["vehicle"], entry["vehicle"])
+        inputs.put_ocean(table["world"], inputs.ocean_stand_ins(path))
+        if "name" in table.get("planner", {}):
+            name = inputs.planner_stand_in(path, table["planner"]["name"])
+            table["planner"]["name"] = name
+    return parse(Scenario, table, source=str(source))
+
+
+def read_episodes(path: Path) -> pa.Table:
+    """Rows of episodes, missing values as nulls; older files held NaN and infinity for them.
+
+    Raises:
+        ConfigError: the file is damaged or holds something else.
+    """
+    with reading(path):
+        table = pq.read_table(path, page_checksum_verification=True)
+        return results.checked(table)
+
+
+def left(building: Path) -> str | None:
+    """What can be done about the hidden folder of a process that is gone; None if it holds nothing.
+
+    A run can go on as soon as it says of what it is; logs of robots are kept.
+    """
+    if (building / CONFIG).exists():
+        return claims.RESUMABLE
+    held = (building / ROBOTS).exists() or holds_results(building)
+    return claims.BROKEN_OFF if held else None
+
+
+def require_none(out: Path) -> None:
+    """Refuse the name of a run that is taken; see `claims.require_none`."""
+    claims.require_none(out, left=left)
+
+
+def create(out: Path) -> Claim:
+    """Take the name of a run and make the hidden folder in which it is built.
+
+    Raises:
+        ConfigError: ``out`` exists, or its parent cannot be written.
+    """
+    claimed = claims.claim(out, left=left)
+    try:
+        (claimed.building / PARTS).mkdir()
+    except OSError as error:
+        claimed.withdraw()
+        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+    return claimed
+
+
+def begin(
+    building: Path,
+    scenario: Scenario,
+    environment: dict[str, Any],
+    others: list[tuple[str, Path]] | None = None,
+) -> None:
+    """Write what is known before the first step.
+
+    Args:
+        building: the hidden folder.
+        scenario: resolved.
+        environment: versions and machine.
+        others: role and file of what is used beside the scenario's vehicles.
+    """
+    files = [*inputs.of_world(scenario.world), *(others or [])]
+    inputs.take(building, [entry.vehicle for entry in scenario.fleet], files)
+    write_json(building / CONFIG, scenario.model_dump(mode="json"))
+    _write_variants(building, scenario)
+    write_json(building / ENVIRONMENT, environment)
+
+
+def _write_variants(building: Path, scenario: Scenario) -> None:
+    """Say what each variant is, where vehicles are randomised."""
+    if scenario.randomise.of_vehicles:
+        write_json(building / VARIANTS, {"variants": fleet.described(scenario.members())})
+
+
+def where(out: Path) -> Path:
+    """Where the run of this name lies: hidden while it is built, also by one that was killed."""
+    building = partial_path(out)
+    return building if building.exists() else out
+
+
+def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
+    """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
+
+    Args:
+        out: name of the run.
+        tell: told what is damaged and made again.
+
+    Raises:
+        ConfigError: there is none, it is complete, it goes on, or its vehicles were edited.
+    """
+    if not partial_path(out).exists() and (out / SUMMARY).is_file():
+        summary = Run(out).summary
+        if summary.get("complete") is True:
+            raise ConfigError(f"--resume {out}: this run is complete; nothing is left to do")
+        if "interrupted" in summary:
+            raise ConfigError(f"--resume {out}: this scene broke off and cannot go on; run it anew")
+    place = where(out)
+    if not (place / CONFIG).is_file():
+        raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
+    scenario = read_scenario(place)  # before anything is moved, as the next
+    inputs.require_unchanged(place, flag=f"--resume {out}")
+    if (place / inputs.FOLDER).resolve() in Path(scenario.planner.name).parents:
+        tell(f"the planner's file is another one now; the run goes on with {scenario.planner.name}")
+    claimed = claims.reclaim(out)
+    if claimed is None:
+        raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
+    try:
+        _unfold(claimed.building)
+        _set_aside(claimed.building, tell)
+        _write_variants(claimed.building, scenario)
+    except OSError as error:
+        claimed.release()
+        raise ConfigError(f"--resume {out}: cannot be written ({error.strerror})") from error
+    except BaseException:
+        claimed.release()
+        raise
+    return claimed
+
+
+def _unfold(building: Path) -> None:
+    """Take the end of a run back: its rows are parts again."""
+    (building / PARTS).mkdir(exist_ok=True)
+    if (building / EPISODES).exists():
+        (building / EPISODES).replace(building / PARTS / "before.parquet")
+    (building / SUMMARY).unlink(missing_ok=True)
+    shutil.rmtree(building / FIGURES, ignore_errors=True)
+    (building / REPLAY).unlink(missing_ok=True)
+
+
+def _set_aside(building: Path, tell: Callable[[str], None]) -> None:
+    """Rename parts that cannot be read: their worlds are computed again."""
+    for part in sorted((building / PARTS).glob("*.parquet")):
+        try:
+            read_episodes(part)
+        except ConfigError as error:
+            part.replace(part.with_suffix(".damaged"))
+            tell(f"{error}; its worlds are computed again")
+
+
+def read_parts(building: Path) -> pa.Table | None:
+    """Episodes of the finished tiles, ordered by world and robot; None if there are none.
+
+    Raises:
+        ConfigError: a part is damaged.
+    """
+    parts = sorted((building / PARTS).glob("*.parquet"))
+    if not parts:
+        return None
+    table = pa.concat_tables([read_episodes(part) for part in parts])
+    table = table.sort_by([("world", "ascending"), ("robot", "ascending")])
+    # A tile that was computed again stands in two parts, with the same rows.
+    keys = np.stack([table["world"].to_numpy(), table["robot"].to_numpy()])
+    first = np.r_[True, (np.diff(keys) != 0).any(axis=0)]
+    return table if first.all() else table.filter(pa.array(first))
+
+
+def write_part(building: Path, first_world: int, episodes: pa.Table) -> None:
+    """Keep the episodes of finished tiles: on the disk when this returns."""
+    write_episodes(building / PARTS / f"{first_world:012d}.parquet", episodes)
+    atomic.sync(building / PARTS)
+
+
+def write_episodes(path: Path, episodes: pa.Table) -> None:
+    """Write rows with checksums, whole or not at all."""
+    with atomic.whole(path) as writing:
+        pq.write_table(episodes, writing, write_page_checksum=True)
+
+
+def holds_results(building: Path) -> bool:
+    """Whether anything was computed into a hidden folder."""
+    parts = building / PARTS
+    return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
+
+
+def finish(claimed: Claim, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+    """Close the run: results in place, the folder under its own name, parts gone.
+
+    Raises:
+        RunError: the name cannot be had; the run stays whole where it was built.
+        OSError: the disk gave out; the run can be resumed.
+    """
+    write_episodes(claimed.building / EPISODES, episodes)
+    write_json(claimed.building / SUMMARY, summary)
+    claimed.publish()
+    shutil.rmtree(claimed.out / PARTS, ignore_errors=True)
+    return Run(claimed.out)
+
+
+def write_json(path: Path, table: dict[str, Any]) -> None:
+    """Write a table as indented JSON, whole or not at all."""
+    atomic.write_text(path, json.dumps(table, indent=2, allow_nan=False) + "\n")
+
+
+def require_space(out: Path, needed_bytes: int) -> None:
+    """Refuse a run that cannot fit on the disk.
+
+    Raises:
+        RunError: the free space is smaller than what the run will write at most.
+    """
+    place = out.absolute().parent
+    while not place.exists():
+        place = place.parent
+    free = shutil.disk_usage(place).free
+    if needed_bytes > free:
+        raise RunError(
+            f"--out {out}: the trajectories need up to {size(needed_bytes)}, "
+            f"{size(free)} are free; lower --record-hz (0 stores none) or --worlds"
+        )

@@ -1,0 +1,331 @@
+"""What lies in ``trajectories.zarr``: names, dimensions and units, for writer and readers.
+
+What is recorded of a control step is declared in `angler_mjx.sim.record`; here it gets its place.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTrajectory
+from angler_mjx.robot.control.plans import Plan, course, of_robot, points_m
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES, TASK
+from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.spec import TaskSpec
+
+END = "end"
+"""Group of the one state of each world that comes after its last sample."""
+ENVIRONMENT = "environment"
+TIME = "time_s"
+
+YAW = VEHICLE_JOINTS.index("yaw")
+
+MOST = 10**7
+"""Of a dimension of one world: what claims more is damaged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """An array of a run."""
+
+    dims: tuple[str, ...]
+    """After ``world``."""
+    unit: str
+    text: str
+    dtype: Any = np.float32
+
+
+_JOINT = {"joint": len(VEHICLE_JOINTS)}
+_NO_TASK = dict.fromkeys(("place", "job", "x", "y", "z"), 0)
+_STEP = Kind(
+    dims=(),
+    unit="1",
+    text="control steps until this state, the one after the last sample",
+    dtype=np.int32,
+)
+_PLAN = {
+    "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
+    "plan_m": Kind(dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"),
+}
+_JOINTS = ("robot", "way_point", "joint")
+MOTION = {
+    "plan_yaw_rad": Kind(
+        dims=("robot", "way_point"), unit="rad", text="heading at each way-point, 0 = east"
+    ),
+    "plan_velocity": Kind(
+        dims=_JOINTS,
+        unit="m/s, rad/s",
+        text="of x, y, z and heading at each way-point, W",
+    ),
+    "plan_acceleration": Kind(
+        dims=_JOINTS, unit="m/s^2, rad/s^2", text="likewise; 0 where the segments do not use it"
+    ),
+    "plan_degree": Kind(
+        dims=("robot", "way_point"),
+        unit="1",
+        text="of the polynomial from each way-point on: 1, 3 or 5",
+        dtype=np.uint8,
+    ),
+}
+"""Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
+
+OF_TASK = {
+    f"{TASK}/place_m": Kind(
+        dims=("place", "xyz"),
+        unit="m",
+        text="places of the task, world frame: where jobs begin, where goods go (deliver alone), "
+        "homes of the robots",
+    ),
+    f"{TASK}/exists": Kind(
+        dims=("job",), unit="1", text="1 for the jobs that this world has", dtype=np.uint8
+    ),
+    f"{TASK}/by": Kind(
+        dims=("job",),
+        unit="1",
+        text="robot that did each job, the last one where all had to; -1: not done",
+        dtype=np.int16,
+    ),
+    f"{TASK}/done_at_s": Kind(dims=("job",), unit="s", text="when; NaN: not done"),
+    f"{TASK}/cells": Kind(
+        dims=("x", "y", "z"),
+        unit="1",
+        text="of a survey, cells next to what is surveyed: 1 to be seen, 2 seen, 0 others",
+        dtype=np.uint8,
+    ),
+    f"{TASK}/seen_at_s": Kind(
+        dims=("x", "y", "z"),
+        unit="s",
+        text="of a survey, when a robot saw each cell first; NaN: never, or not to be seen",
+    ),
+}
+"""Of worlds with a task: what it is, and what had been done at the end."""
+
+ARRAYS: dict[str, Kind] = {
+    **{
+        field.about.array: Kind(
+            dims=("time", *field.about.axes),
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in FIELDS
+    },
+    f"{END}/step": _STEP,
+    **{
+        f"{END}/{field.about.array}": Kind(
+            dims=field.about.axes,
+            unit=field.about.unit,
+            text=field.about.text,
+            dtype=field.stored,
+        )
+        for field in STATES
+    },
+    **_PLAN,
+    **MOTION,
+    **OF_TASK,
+}
+"""Arrays [world, ...] by their names in the group, in the order in which they are made."""
+
+EARLIER = {"pwm_us": np.uint16}
+"""Types that runs of version 0.1.0 have; they have no end either."""
+
+
+ASKED = {field.about.array: field.about.asked for field in FIELDS if field.about.asked}
+"""By which word arrays are asked for that only some runs have."""
+
+
+def names(
+    sizes: Mapping[str, int],
+    *,
+    estimated: bool,
+    jointed: bool = False,
+    also: Sequence[str] = (),
+) -> list[str]:
+    """Arrays of a run; those in which nothing could lie are left out.
+
+    Args:
+        sizes: of the dimensions that differ from run to run; those of a task where there is one.
+        estimated: whether any robot's controllers were told something other than the truth.
+        jointed: whether the plans are trajectories of joints.
+        also: what the run asked for beside what all have.
+    """
+    return [
+        name
+        for name, kind in ARRAYS.items()
+        if (estimated or not name.startswith(f"{ESTIMATE}/"))
+        and (jointed or name not in MOTION)
+        and (name not in ASKED or ASKED[name] in also)
+        and (sizes.get("job", 0) > 0 or not name.startswith(f"{TASK}/"))
+        and 0 not in tail(kind, sizes)
+    ]
+
+
+def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Shape of a kind of array after the worlds."""
+    return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
+
+
+def check(
+    nodes: Mapping[str, Any],
+    where: str,
+    *,
+    worlds: int,
+    robots: int,
+    estimated: bool,
+    also: Sequence[str] = (),
+    tasked: bool = False,
+) -> None:
+    """Refuse trajectories that are not those of a run, before anything of them is read.
+
+    Args:
+        nodes: of the Zarr group, by their names.
+        where: it lies, for messages.
+        worlds: of the run.
+        robots: of its fleet.
+        estimated: as in `names`.
+        also: likewise.
+        tasked: whether there is a task.
+
+    Raises:
+        ConfigError: an array is missing, or has another shape or type.
+    """
+    time = nodes[TIME]
+    if time.ndim != 1 or not 1 <= time.size <= MOST or time.dtype.kind != "f":
+        raise ConfigError(f"{where}/{TIME}: has the shape {time.shape} of {time.dtype}, not [time]")
+    sizes = {"time": time.size, "robot": robots}
+    for name, dim in (("plan_time_s", "way_point"), ("pwm_us", "thruster")):
+        sizes[dim] = _size(nodes, name, -1, where)
+    sizes["obstacle"] = _size(nodes, "obstacle_p_m", -2, where) if "obstacle_p_m" in nodes else 0
+    if tasked:
+        sizes |= {
+            "place": _size(nodes, f"{TASK}/place_m", -2, where),
+            "job": _size(nodes, f"{TASK}/by", -1, where),
+        }
+        if f"{TASK}/cells" in nodes:
+            for axis, dim in enumerate("xyz"):
+                sizes[dim] = _size(nodes, f"{TASK}/cells", axis - 3, where)
+    ended = any(name.startswith(f"{END}/") for name in nodes)
+    jointed = not MOTION.keys().isdisjoint(nodes)
+    for name in names(sizes, estimated=estimated, jointed=jointed, also=also):
+        if name.startswith(f"{END}/") and not ended:
+            continue
+        if name not in nodes:
+            raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
+        array, kind = nodes[name], ARRAYS[name]
+        wanted = (worlds, *tail(kind, sizes))
+        typed = array.dtype in (kind.dtype, EARLIER.get(name, kind.dtype))
+        if array.shape != wanted or not typed or array.chunks != (1, *wanted[1:]):
+            raise ConfigError(
+                f"{where}/{name}: is described as {array.dtype} {array.shape} in chunks of "
+                f"{array.chunks}, and should be {np.dtype(kind.dtype)} {wanted} in chunks of one "
+                "world; copy its zarr.json again, or make the run anew"
+            )
+
+
+def _size(nodes: Mapping[str, Any], name: str, axis: int, where: str) -> int:
+    if name not in nodes:
+        raise ConfigError(f"{where}/{name}: is missing; copy it again, or make the run anew")
+    shape = nodes[name].shape
+    size = int(shape[axis]) if len(shape) >= -axis else -1
+    if not 1 <= size <= MOST:
+        raise ConfigError(f"{where}/{name}: has the shape {shape}; copy its zarr.json again")
+    return size
+
+
+def plan_arrays(plan: Plan) -> dict[str, jax.Array]:
+    """The arrays of a plan by their names here, with its leading axes."""
+    made = {"plan_time_s": plan.time_s, "plan_m": points_m(plan)}
+    if isinstance(plan, JointTrajectory):
+        made |= {
+            "plan_yaw_rad": plan.position[..., YAW],
+            "plan_velocity": plan.velocity,
+            "plan_acceleration": plan.acceleration,
+            "plan_degree": plan.degree,
+        }
+    return made
+
+
+def courses(stored: Mapping[str, Any], world: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the course of each robot's plan in a world, for pictures (`robot.control.plans`)."""
+    robots = stored["plan_time_s"].shape[1]
+    plan = read_plan(stored, world, np.ones(robots, bool))
+    return [course(of_robot(plan, i)) for i in range(robots)]
+
+
+def read_plan(stored: Mapping[str, Any], world: int, found: Any) -> Plan:
+    """The plan of a world, the same numbers that were flown, in float32.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        found: bool [R] whether the planner found a way for each robot.
+
+    Returns:
+        Arrays of NumPy, [R] leading.
+    """
+    given: dict[str, Any] = {
+        "time_s": np.asarray(stored["plan_time_s"][world]),
+        "found": np.asarray(found, bool),
+    }
+    points: Any = np.asarray(stored["plan_m"][world])
+    if "plan_degree" not in stored:
+        return Trajectory(position_m=points, **given)
+    yaw = np.asarray(stored["plan_yaw_rad"][world])
+    position: Any = np.concatenate([points, yaw[..., None]], axis=-1)
+    given |= {
+        "velocity": np.asarray(stored["plan_velocity"][world]),
+        "acceleration": np.asarray(stored["plan_acceleration"][world]),
+        "degree": np.asarray(stored["plan_degree"][world], np.int32),
+        "commanded": np.ones((len(points), len(VEHICLE_JOINTS)), bool),
+    }
+    return JointTrajectory(joints=VEHICLE_JOINTS, position=position, **given)
+
+
+def read_task(
+    stored: Mapping[str, Any],
+    world: int,
+    spec: TaskSpec,
+    *,
+    samples: int,
+    ended_s: np.ndarray,
+    completed_s: float | None,
+) -> History:
+    """How far the task of a world was over time.
+
+    Args:
+        stored: arrays of a run's trajectories by name.
+        world: global index.
+        spec: settings of the task.
+        samples: how many are wanted, from the first.
+        ended_s: [R] when the episode of each robot was over.
+        completed_s: when the task was complete; None: never.
+    """
+
+    def whole(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world])
+
+    def over_time(name: str) -> np.ndarray:
+        return np.asarray(stored[f"{TASK}/{name}"][world, :samples], int)
+
+    surveyed = f"{TASK}/cells" in stored
+    return History(
+        spec=spec,
+        time_s=np.asarray(stored[TIME][:samples], float),
+        place_m=whole("place_m"),
+        exists=whole("exists").astype(bool),
+        by=whole("by").astype(int),
+        done_at_s=whole("done_at_s"),
+        share=np.asarray(stored[f"{TASK}/share"][world, :samples], float),
+        did=over_time("done"),
+        target=over_time("target"),
+        carrying=over_time("carrying"),
+        ended_s=ended_s,
+        completed_s=np.nan if completed_s is None else completed_s,
+        cells=whole("cells") > 0 if surveyed else None,
+        seen_at_s=whole("seen_at_s") if surveyed else None,
+    )

@@ -1,0 +1,344 @@
+"""Plans on disk: a Zarr group that anything can write, and that is flown like what a planner gave.
+
+    attributes      schema = "angler_mjx plans", schema_version = 1, digest and seed of the problems
+    points          int32 [world, robot]            way-points of a path; 0: there is none
+    time_s          float32 [world, robot, point]   from 0, increasing
+    position_m      float32 [world, robot, point, 3], W
+    yaw_rad         float32 [world, robot, point]   optional: then the paths have headings
+    velocity        float32 [world, robot, point, 4]   with it, optional: of x, y, z and heading;
+                    then the paths run along cubics
+    acceleration    float32 [world, robot, point, 4]   with them, optional
+    degree          int32 [world, robot, point]     of each segment, optional: 1, 3 or 5
+    planning_s      float32 [world]                 optional: the planner's time
+    reason          int32 [world, robot]            optional: which of the attribute ``reasons``
+    status          int32 [world]                   optional: which of the attribute ``statuses``
+
+World i of the arrays is world i of the seed. A number of points below 0 says that a world is not
+planned yet. ``docs/planners.md`` has a writer of twenty lines.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.planning.planner import MOST_POINTS, PathShape
+from angler_mjx.robot.control.joint_trajectory import (
+    CUBIC,
+    LINEAR,
+    VEHICLE_JOINTS,
+    JointTrajectory,
+)
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.trajectory import Trajectory
+from angler_mjx.runs.simulator.hosted import PlanNotes, status_of
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import claims, planned
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.state import World
+
+SCHEMA, SCHEMA_VERSION = "angler_mjx plans", 1
+
+_ARRAYS = {"points": 2, "time_s": 3, "position_m": 4}
+START_M, FASTER, ROUNDING_M = 0.01, 0.01, 1e-4
+"""How far from its start a path may begin; by what share it may be too fast, and how much farther
+two points may lie apart than that: float32."""
+
+
+@dataclass(frozen=True)
+class Plans:
+    """Plans of a file, for the problems of one scenario and seed."""
+
+    path: Path
+    group: zarr.Group
+    shape: PathShape
+    """Of the paths as they are flown: those of the file, their last point repeated."""
+
+    def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, PlanNotes]:
+        """Paths of some tiles of worlds; what cannot be flown is none, with its reason.
+
+        Args:
+            firsts: first world of each device's tile.
+            worlds: of them, drawn.
+            simulator: whose worlds they are.
+
+        Returns:
+            [devices * tile, robot] leading; devices without a tile have paths of the last one's.
+
+        Raises:
+            ConfigError: a world of them is not planned, or the file is damaged.
+        """
+        tiles = [*firsts, *firsts[-1:] * (simulator.devices - len(firsts))]
+        last = simulator.scenario.worlds - 1
+        indices = np.concatenate([first + np.arange(simulator.tile) for first in tiles])
+        rows = np.minimum(indices, last)  # what is past the end of a run is dropped
+        with reading(self.path):
+            count = self._rows("points", rows)
+            time, place = self._rows("time_s", rows), self._rows("position_m", rows)
+            seconds = self._rows("planning_s", rows) if "planning_s" in self.group else None
+            motion = self._motion(rows)
+            reason = self._told("reason", "reasons", rows)
+            status = self._told("status", "statuses", rows)
+        unplanned = rows[np.any(count < 0, axis=1)]
+        if unplanned.size:
+            raise ConfigError(
+                f"{self.path}: world {unplanned[0]} is not planned; go on with angler plan --resume"
+            )
+        start = np.asarray(worlds.environment.start_m)
+        why = _faults(
+            count,
+            time,
+            place,
+            start,
+            np.asarray(worlds.control.cruise_speed_mps),
+            simulator.scenario.time.horizon_s,
+        )
+        found = (count > 0) & (why == "")
+        said = np.full(count.shape, "", object) if reason is None else reason
+        said = np.where(why != "", why, np.where(said == "", "no path", said))
+        notes = PlanNotes(
+            planning_s=np.full(len(count), np.nan) if seconds is None else seconds,
+            status=status_of(found, status),
+            reason=np.where(found, "", said).astype(object),
+        )
+        if motion is not None:
+            yaw = np.asarray(worlds.environment.start_yaw_rad)
+            joints = np.concatenate([place, motion.pop("yaw_rad")[..., None]], axis=-1)
+            start = np.concatenate([start, yaw[..., None]], axis=-1)
+            return _jointed(count, time, joints, motion, found, start, self.shape.points), notes
+        time, place = _padded(count, time, place, found, start)
+        time, place = (_widened(rows, self.shape.points) for rows in (time, place))
+        paths: Any = {"time_s": time, "position_m": place, "found": found}
+        return Trajectory(**paths), notes
+
+    def _motion(self, rows: np.ndarray) -> dict[str, np.ndarray] | None:
+        """Headings, velocities, accelerations and degrees; None where there are no headings."""
+        if not self.shape.joints:
+            return None
+        yaw = self._rows("yaw_rad", rows)
+        still = np.zeros((*yaw.shape, 4), np.float32)
+        bent = "velocity" in self.group
+        every = np.full(yaw.shape, CUBIC if bent else LINEAR, np.int32)
+        told = {"velocity": still, "acceleration": still, "degree": every}
+        there = {name: self._rows(name, rows) for name in told if name in self.group}
+        return {"yaw_rad": yaw, **told, **there}
+
+    def sha256(self) -> str:
+        """Hexadecimal, of all bytes of the file."""
+        digest = hashlib.sha256()
+        with reading(self.path):
+            for path in sorted(self.path.rglob("*")):
+                if path.is_file() and path.name != claims.LOCK:
+                    digest.update(str(path.relative_to(self.path)).encode())
+                    digest.update(path.read_bytes())
+        return digest.hexdigest()
+
+    def _rows(self, name: str, rows: np.ndarray) -> np.ndarray:
+        array: Any = self.group[name]
+        low, high = int(rows.min()), int(rows.max()) + 1
+        found: np.ndarray = np.asarray(array[low:high])[rows - low]
+        return found
+
+    def _told(self, name: str, list_: str, rows: np.ndarray) -> np.ndarray | None:
+        if name not in self.group:
+            return None
+        about: dict[str, Any] = dict(self.group.attrs)
+        table = np.array([*map(str, about.get(list_, [])), ""], object)
+        index = self._rows(name, rows)
+        there = (index >= 0) & (index < len(table))
+        words: np.ndarray = table[np.where(there, index, -1)]
+        return words
+
+
+def how_planned(path: Path) -> dict[str, Any]:
+    """Return how the planning of a file of plans ended, as in `angler_mjx.runs.storage.planned`."""
+    with reading(path):
+        group = zarr.open_group(path, mode="r")
+        plans = Plans(path=path, group=group, shape=PathShape(points=2))
+        count: Any = group["points"]
+        points = np.asarray(count[:])
+        rows = np.arange(len(points))
+        reason = plans._told("reason", "reasons", rows)
+        status = plans._told("status", "statuses", rows)
+    nothing = np.full(points.shape, "", object)
+    words = nothing if reason is None else reason
+    ended = nothing if status is None else np.repeat(status[:, None], points.shape[1], axis=1)
+    return planned.of_robots(
+        np.repeat(rows, points.shape[1]),
+        (points > 0).reshape(-1),
+        ended.reshape(-1).tolist(),
+        words.reshape(-1).tolist(),
+    )
+
+
+def open_plans(path: Path, scenario: Scenario) -> Plans:
+    """A file of plans for the worlds of a scenario.
+
+    Raises:
+        ConfigError: it is none, is damaged, or was made for other problems.
+    """
+    with reading(path, "give a file of angler plan, or one as docs/planners.md describes"):
+        group = zarr.open_group(path, mode="r")
+        about: dict[str, Any] = dict(group.attrs)
+        shapes = {name: np.shape(array) for name, array in group.arrays()}
+    if about.get("schema") != SCHEMA or about.get("schema_version") != SCHEMA_VERSION:
+        raise ConfigError(f"{path}: holds no plans of schema version {SCHEMA_VERSION}")
+    for name, dims in _ARRAYS.items():
+        if len(shapes.get(name, ())) != dims:
+            raise ConfigError(
+                f"{path}/{name}: must be an array of {dims} dimensions; see docs/planners.md"
+            )
+    worlds, robots, points = shapes["time_s"]
+    if shapes["points"] != (worlds, robots) or shapes["position_m"] != (worlds, robots, points, 3):
+        raise ConfigError(
+            f"{path}: points {shapes['points']}, time_s {shapes['time_s']} and position_m "
+            f"{shapes['position_m']} do not fit each other"
+        )
+    _require_same(path, about, scenario, worlds, robots)
+    if not 2 <= points <= MOST_POINTS:
+        raise ConfigError(f"{path}: paths of {points} points; must be 2 to {MOST_POINTS}")
+    joints = "yaw_rad" in shapes
+    for name, size in (("yaw_rad", 3), ("velocity", 4), ("acceleration", 4), ("degree", 3)):
+        wanted = (worlds, robots, points, 4)[:size]
+        if name in shapes and (not joints or shapes[name] != wanted):
+            raise ConfigError(
+                f"{path}/{name}: has the shape {shapes[name]}; must be {wanted}, and yaw_rad must "
+                "be there too"
+            )
+    width = _width(points, scenario.planner.points)
+    return Plans(path=path, group=group, shape=PathShape(points=width, joints=joints))
+
+
+def _require_same(
+    path: Path, about: Mapping[str, Any], scenario: Scenario, worlds: int, robots: int
+) -> None:
+    members = len(scenario.members())
+    if robots != members:
+        raise ConfigError(
+            f"{path}: plans of {robots} robots a world; the fleet of {scenario.name} has {members}"
+        )
+    for key in ("seed", "digest"):
+        if key not in about:
+            raise ConfigError(
+                f"{path}: lacks the attribute {key}; copy it from the file of angler problems that "
+                "the plans were made for"
+            )
+    if about["seed"] != scenario.seed:
+        raise ConfigError(
+            f"{path}: plans for seed {shown(about['seed'])}, not {scenario.seed}; give "
+            "--seed, or make plans for this one"
+        )
+    if about["digest"] != scenario.digest():
+        source = "the problems that the plans were made for"
+        if "scenario" in about:
+            source = f"the scenario {shown(about['scenario'])} that the plans were made for"
+        raise ConfigError(
+            f"{path}: plans for other problems (digest {shown(str(about['digest'])[:12])}, not "
+            f"{scenario.digest()[:12]}): world, fleet, water or horizon of {scenario.name} differ "
+            f"from those of {source}"
+        )
+    if worlds < scenario.worlds:
+        raise ConfigError(
+            f"{path}: holds plans of {worlds} worlds, {scenario.worlds} are to be flown; "
+            "give --worlds, or plan more"
+        )
+
+
+def _width(points: int, usual: int) -> int:
+    """Return the number of points with which paths of a file are flown.
+
+    Programs are compiled for it. Files of a few points more or less are flown by one program: that
+    of the scenario's planners where it is wide enough, else of the next power of two.
+
+    Args:
+        points: of the file's paths.
+        usual: of the scenario's planners (``planner.points``).
+    """
+    return usual if points <= usual else min(1 << (points - 1).bit_length(), MOST_POINTS)
+
+
+def _widened(rows: np.ndarray, points: int) -> np.ndarray:
+    """Repeat the last point of paths [w, r, n, ...] until they have so many."""
+    missing = points - rows.shape[2]
+    return np.concatenate([rows, np.repeat(rows[:, :, -1:], missing, axis=2)], axis=2)
+
+
+def _padded(
+    count: np.ndarray, time: np.ndarray, place: np.ndarray, found: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and places that repeat their last; robots without a path hold their start."""
+    points = time.shape[-1]
+    at = np.minimum(np.arange(points), np.clip(count - 1, 0, points - 1)[..., None])
+    time = np.take_along_axis(time, at, 2)
+    place = np.take_along_axis(place, at[..., None], 2)
+    return (
+        np.where(found[..., None], time, 0.0).astype(np.float32),
+        np.where(found[..., None, None], place, start[:, :, None]).astype(np.float32),
+    )
+
+
+def _jointed(
+    count: np.ndarray,
+    time: np.ndarray,
+    joints: np.ndarray,
+    motion: dict[str, np.ndarray],
+    found: np.ndarray,
+    start: np.ndarray,
+    points: int,
+) -> JointTrajectory:
+    """Paths of joints of so many points, as `_padded` has times and places."""
+    nothing = np.zeros_like(start)
+    padded = {
+        name: _padded(count, time, motion[name], found, nothing)[1]
+        for name in ("velocity", "acceleration")
+    }
+    degree = np.where(found[..., None], motion["degree"], LINEAR).astype(np.int32)
+    time, position = _padded(count, time, joints, found, start)
+    commanded = np.ones((*found.shape, len(VEHICLE_JOINTS)), bool)
+    by_point = {"time_s": time, "position": position, **padded, "degree": degree}
+    arrays: Any = {
+        **{name: _widened(rows, points) for name, rows in by_point.items()},
+        "commanded": commanded,
+        "found": found,
+    }
+    return JointTrajectory(joints=VEHICLE_JOINTS, **arrays)
+
+
+def _faults(
+    count: np.ndarray,
+    time: np.ndarray,
+    place: np.ndarray,
+    start: np.ndarray,
+    speed: np.ndarray,
+    horizon_s: float,
+) -> np.ndarray:
+    """Why a path cannot be flown, [w, r] text; empty where it can, or where there is none."""
+    points = time.shape[-1]
+    real = np.arange(points) < count[..., None]
+    with np.errstate(invalid="ignore"):
+        finite = np.isfinite(time) & np.isfinite(place).all(axis=-1)
+        span = np.where(real[..., 1:], np.diff(time), 0.0)
+        way = np.where(real[..., 1:], np.linalg.norm(np.diff(place, axis=2), axis=-1), 0.0)
+        fast = way > (1.0 + FASTER) * speed[..., None] * span + ROUNDING_M
+        faults = (
+            ("has too few or too many points", (count != 0) & ((count < 2) | (count > points))),
+            ("has NaN or infinite numbers", np.any(real & ~finite, axis=-1)),
+            ("does not begin at 0 s", time[..., 0] != 0.0),
+            ("begins elsewhere", np.linalg.norm(place[:, :, 0] - start, axis=-1) > START_M),
+            ("goes back in time", np.any(span < 0.0, axis=-1)),
+            ("is faster than its cruise speed, or jumps", np.any(fast, axis=-1)),
+            (
+                "ends after the horizon",
+                np.max(np.where(real, time, 0.0), axis=-1) > horizon_s + 1e-3,
+            ),
+        )
+    why = np.full(count.shape, "", object)
+    for text, is_so in reversed(faults):
+        why = np.where(is_so & (count != 0), text, why)
+    return why

@@ -1,0 +1,105 @@
+"""The physics engines by name: each advances a tile of worlds, with the same meaning.
+
+Every function takes and gives pytrees of one world with a leading axis [tile] on every leaf.
+"""
+
+from typing import Protocol
+
+import jax
+
+from angler_mjx.robot.control.stack import Command
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.mjx import MjxEngine
+from angler_mjx.sim.engines.triton.engine import TritonEngine
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+
+
+class Engine(Protocol):
+    """What a simulator asks of an engine."""
+
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
+        """Worlds at t = 0: robots at rest at their starts, obstacles in place.
+
+        Args:
+            spec: settings.
+            fleet: compiled vehicles.
+            worlds: constants of the worlds; drawn with keys for the policy if there is one.
+            policy: that is to command the robots.
+
+        Raises:
+            ConfigError: the controllers cannot be commanded by the policy.
+        """
+        ...
+
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """A bank's constants as the engine reads them, made once for many control steps."""
+        ...
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None,
+        policy: Policy | None = None,
+        rows: jax.Array | None = None,
+        laid: Laid = (),
+        steps: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """One control step, or several with one command.
+
+        Args:
+            spec: settings.
+            fleet: compiled vehicles.
+            worlds: constants of the worlds.
+            state: of the worlds.
+            command: to the controllers instead of the paths, [tile, R] leading.
+            policy: that commands them where ``command`` does not; the one of `reset`.
+            rows: int32 [tile] which of the ``worlds`` each state is of, where they are a bank of
+                any number; each state is then at a step of its own. Without them all are at one.
+            laid: of `lay_out`, of the same fleet and worlds, or nothing: only with ``rows``.
+            steps: how many control steps.
+
+        Returns:
+            The state so many control periods later, and the sample of the state before one of the
+            steps; what it says that robots were told is of the last.
+        """
+        ...
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+        command: Command | None = None,
+        policy: Policy | None = None,
+        begins: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """``n_sample * steps_per_sample`` control steps, all with one command, or with a policy's.
+
+        Samples are [tile, n_sample, ...]. The number of the first step is a multiple of ``begins``:
+        an engine may leave out of its program what other steps would need.
+        """
+        ...
+
+
+def by_name(name: str, kernels: str) -> Engine:
+    """The engine of a scenario, with the kernels it is to run on (see `default_kernels`)."""
+    if name == "mjx":
+        return MjxEngine()
+    return TritonEngine() if kernels == "triton" else FusedEngine()
+
+
+def default_kernels(name: str, platform: str) -> str:
+    """What an engine runs on where nothing is said: ``xla``, or ``triton`` for fused on a GPU."""
+    return "triton" if name == "fused" and platform in ("gpu", "cuda") else "xla"

@@ -1,0 +1,116 @@
+"""Many vehicles of one kind in still water under constant thrust: the equations of motion alone.
+
+What remains of a simulation without control, currents, worlds and detection: it shows how fast the
+physics can be.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+from angler_kernels.lanes.planes import Layout
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.vehicles import library, params
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.engines.lanes import steps as lane_steps
+from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.sim.physics.step import VehicleState, Water
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dynamics:
+    """One vehicle in still water."""
+
+    vehicle: VehicleParams
+    """Numbers that programs hold, not arrays that they read."""
+    water: Water
+    physics_dt_s: float
+
+    def simulate(
+        self, state: VehicleState, thrust_n: jax.Array, n_steps: int, kernels: str = "xla"
+    ) -> VehicleState:
+        """Physics steps of independent vehicles.
+
+        Args:
+            state: [N] leads.
+            thrust_n: [N, n_thruster] N, what the thrusters settle at.
+            n_steps: physics steps.
+            kernels: ``xla``, or ``triton`` for one kernel that keeps the state in registers.
+
+        Returns:
+            State at the end, [N] leads; derivatives are those of ``xla``.
+        """
+        plain = partial(self._plain, n_steps=n_steps)
+        if kernels == "xla":
+            return plain(state, thrust_n)
+        fast = triton.with_gradient_of(plain, partial(self._triton, n_steps=n_steps))
+        after: VehicleState = fast(state, thrust_n)
+        return after
+
+    def _plain(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
+        after = self._steps(lanes.split(state), lanes.split(thrust_n), n_steps)
+        moved: VehicleState = lanes.join(after)
+        return moved
+
+    def _triton(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
+        layout, order = Layout.of(state, 1), Layout.of(thrust_n, 1)
+        dtype, count = state.p.dtype, state.p.shape[0]
+
+        def kernel(order_ref: jax.Array, _: jax.Array, state_ref: jax.Array) -> None:
+            lane, _row = triton.place(LANES)
+            now = layout.read(triton.loader(state_ref), lane)
+            thrust = order.read(triton.loader(order_ref), lane)
+            after = self._steps(now, thrust, n_steps)
+            layout.write(triton.storer(state_ref, lane), lane, after)
+
+        if count % LANES:
+            raise ConfigError(f"{count} vehicles: kernels = triton takes multiples of {LANES}")
+        constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
+        program = triton.Program(lanes=LANES, warps=WARPS)
+        (flat,) = triton.call(kernel, program, count, 1, constant, changed)
+        moved: VehicleState = layout.unpack(flat, (count,))
+        return moved
+
+    def _steps(self, state: VehicleState, thrust_n: np.ndarray, n_steps: int) -> VehicleState:
+        """The same on lanes."""
+        zero = jnp.zeros((), state.p[0].dtype)
+
+        def one(_: jax.Array, now: VehicleState) -> VehicleState:
+            step = partial(lane_steps.physics_step, self.physics_dt_s, self.water)
+            after: VehicleState = lanes.apply(step, self.vehicle, now, thrust_n, (), zero)
+            return after
+
+        after: VehicleState = lanes.repeat(n_steps, one, state)
+        return after
+
+
+LANES, WARPS = 128, 4
+"""Vehicles and warps of a program."""
+
+
+def build(
+    vehicle: str,
+    parameter_set: str | None = None,
+    *,
+    battery_v: float = 16.0,
+    physics_dt_s: float = 0.01,
+) -> Dynamics:
+    """One vehicle with one of its parameter sets (host side).
+
+    Raises:
+        ConfigError: unknown vehicle or set, or a file with faults.
+    """
+    given = params.build(library.load(vehicle), parameter_set, battery_v)
+    nothing = jnp.zeros(1)  # tables are for the controller
+    given = replace(given, thrust_n=nothing, power_w=nothing)
+
+    def hold(leaf: jax.Array) -> np.ndarray:
+        value = np.asarray(leaf)
+        held: np.ndarray = lanes.pack([value[i] for i in np.ndindex(*value.shape)], value.shape)
+        return held
+
+    return Dynamics(vehicle=jax.tree.map(hold, given), water=Water(), physics_dt_s=physics_dt_s)

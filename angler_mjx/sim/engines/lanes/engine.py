@@ -1,0 +1,345 @@
+"""The fused engine in plain JAX: one array for every field, robots x worlds, in one loop.
+
+Same equations, discretisation and random numbers as the mjx engine, with the closed form of a
+rigid body in place of MJX. Lanes are [R, W] for robots, [n_obstacle, W] for obstacles and [W] for
+worlds, so the worlds lie side by side in memory.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import lanes
+from angler_mjx.robot.control import plans
+from angler_mjx.robot.control.stack import Command, ControlParams
+from angler_mjx.sim import nearness, start
+from angler_mjx.sim.aboard import telling
+from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.approach import last_approaches_s
+from angler_mjx.sim.detection import Contact
+from angler_mjx.sim.engines.lanes import pairs
+from angler_mjx.sim.engines.lanes.layout import (
+    Given,
+    Moving,
+    Robots,
+    Scene,
+    carried,
+    lanes_of_group,
+    moving_of,
+    of_group,
+    outcome_of,
+    scene_of,
+    side_by_side,
+    spread_out,
+    to_arrays,
+    to_lanes,
+    vehicles_of,
+    world_state,
+)
+from angler_mjx.sim.engines.lanes.steps import Cells, OnLanes, Shape
+from angler_mjx.sim.engines.repeated import repeated
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.phase import Phase, Slots, run
+from angler_mjx.sim.physics.closed_form import ClosedForm
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
+from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import Obstacles, ObstacleState
+
+
+class FusedEngine:
+    """Closed-form rigid bodies on lanes, in plain JAX."""
+
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
+        """See `Engine.reset`."""
+        engine = ClosedForm(gravity_mps2=spec.water.gravity_mps2)
+        one = partial(start.reset, spec, engine, policy=policy)
+        state: WorldState = jax.vmap(one)(worlds.control.vehicle, worlds)
+        return state
+
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """See `Engine.lay_out`: nothing."""
+        del fleet, worlds
+        return ()
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None,
+        policy: Policy | None = None,
+        rows: jax.Array | None = None,
+        laid: Laid = (),
+        steps: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.control_step`."""
+        if steps > 1:
+            again = partial(
+                self.control_step, spec, fleet, worlds, command=command, policy=policy, rows=rows
+            )
+            return repeated(again, state, steps)
+        scene = scene_of(fleet, worlds, rows)
+        number = state.step[0] if rows is None else state.step
+        policy = telling.asked(policy, command)
+        minds, told = Minds.of(state), Told()
+        if telling.tells(spec, policy):
+            here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+            minds, told = telling.tell_tile(
+                spec,
+                policy,
+                here,
+                minds,
+                number,
+                state.vehicles,
+                state.obstacles,
+                state.tally.outcome,
+                fleet=fleet,
+            )
+        moving = moving_of(fleet, state)
+        flown = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        begin_s = told.last_approach_s
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(flown, command)
+        after, seen = _control_step(spec, scene, moving, number, command, told, begin_s)
+        sample = Sample(**told.record, **to_arrays(seen, 2))
+        sample = nearness.completed(spec, flown, sample)
+        return world_state(after, state.step + 1, minds), sample
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+        command: Command | None = None,
+        policy: Policy | None = None,
+        begins: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.segment`."""
+        del begins
+        scene, policy = scene_of(fleet, worlds), telling.asked(policy, command)
+        row, rebuild = lanes.flatten(moving_of(fleet, state))
+        rebuilds: list[Any] = []
+        begin_s = None
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(worlds, command)
+
+        @jax.jit  # traced once, for the types of its results and for the loop
+        def fly(row: list[jax.Array], minds: Minds, number: jax.Array) -> tuple[Any, Any, Any]:
+            moving, told = rebuild(row), Told()
+            if telling.tells(spec, policy):
+                there = vehicles_of(moving)
+                bodies = to_arrays(moving.obstacles, 2) if telling.watches(policy) else None
+                ended = outcome_of(moving) if spec.by_task else None
+                minds, told = telling.tell_tile(
+                    spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
+                )
+            after, sample = _control_step(spec, scene, moving, number, command, told, begin_s)
+            now, again = lanes.flatten(sample)
+            rebuilds.append(again)
+            both = zip(lanes.flatten(after)[0], row, strict=True)
+            return [lanes.spread(x, old) for x, old in both], minds, (now, told.record)
+
+        begun = Minds.of(state)
+        template = jax.eval_shape(fly, row, begun, state.step[0])[2]
+        nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
+
+        def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
+            row, minds, kept, number = carry
+            row, minds, now = fly(row, minds, number)
+            kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
+            return (row, minds, kept, number + 1), None
+
+        def recorded(carry: Any, _: None) -> tuple[Any, Any]:
+            row, minds, number = carry
+            (row, minds, kept, number), _ = jax.lax.scan(
+                one, (row, minds, nothing, number), jnp.arange(steps_per_sample)
+            )
+            return (row, minds, number), kept
+
+        (row, minds, _), (kept, record) = jax.lax.scan(
+            recorded, (row, begun, state.step[0]), length=n_sample
+        )
+        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, minds)
+        record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
+        samples = Sample(**record, **to_arrays(rebuilds[0](kept), 3))
+        return after, nearness.all_completed(spec, worlds, samples)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Everywhere(OnLanes):
+    """Obstacles of all worlds of a scene; see `phase.Here`."""
+
+    spec: SimSpec
+    scene: Scene
+    t: jax.Array
+    shape: Shape
+    _flows: list[tuple[VehicleState, Any]] = field(default_factory=list, init=False)
+
+    @property
+    def current(self) -> Current:
+        """See `OnLanes`."""
+        return self.scene.current
+
+    @property
+    def cells(self) -> Cells:
+        """See `OnLanes`."""
+        return self.scene.cells
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """See `OnLanes`."""
+        return self.scene.obstacles
+
+    def flow(self, vehicle: VehicleState) -> Any:
+        """See `phase.Here`."""
+        for known, flow in self._flows:  # controllers and the record ask for the same
+            if known is vehicle:
+                return flow
+        self._flows.append((vehicle, super().flow(vehicle)))
+        return self._flows[-1][1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfGroup(Everywhere):
+    """Robots of a group, of all worlds."""
+
+    given: Given
+    said: Any = None
+    """Instead of their paths."""
+    finished: Any = None
+    """See `phase.Here`."""
+    loaded: Any = None
+    """bool [] who carries a load; None where nobody can."""
+    last_approach_s: Any = None
+    """See `phase.Here`."""
+    approaching: Any = None
+    """See `phase.Here`."""
+    met: Contact | None = None
+    """The nearest thing to each robot of the group, when all have moved."""
+
+    @cached_property
+    def params(self) -> ControlParams:
+        """See `phase.Here`."""
+        light, laden = self.given.params, self.given.laden
+        if self.loaded is None or laden is None:
+            return light
+        return carried(self.loaded, laden, light)
+
+    @property
+    def command(self) -> Any:
+        """See `phase.Here`."""
+        if self.said is not None:
+            return self.said
+        return plans.checked(self.spec.stages, self.given.path)
+
+    @property
+    def goal_m(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.goal_m
+
+    @property
+    def fails_at_s(self) -> Any:
+        """See `phase.Here`."""
+        return self.given.fails_at_s
+
+    def contact(self, now: Slots) -> Contact:
+        """See `phase.Here`."""
+        if self.met is None:
+            raise RuntimeError("a phase that meets others began before they had moved")
+        return self.met
+
+
+def _control_step(
+    spec: SimSpec,
+    scene: Scene,
+    moving: Moving,
+    number: jax.Array,
+    command: Command | None,
+    told: Told,
+    begin_s: jax.Array | None,
+) -> tuple[Moving, dict[str, Any]]:
+    """One control step of all worlds, and its part of the sample.
+
+    ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
+    paths, and for the policy's; ``told`` [W, R, ...] is what the phases of worlds gave; ``begin_s``
+    [W, R] when the last approaches of plans begin.
+    """
+    like = moving.groups[0].vehicle.p[0]
+    t = jnp.asarray(number, like.dtype) * spec.control_dt_s
+    where: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
+    said = told.command if command is None else command
+    groups, records = [], []
+    for given, robots in zip(scene.groups, moving.groups, strict=True):
+        make = partial(OfGroup, **where, given=given)
+        with jax.named_scope("robots"):
+            now, record = lanes.shared(partial(_alone, make, robots, said, told))
+        groups.append(now)
+        records.append(record)
+    sample = side_by_side(records)
+    obstacles, seen = _obstacles(Everywhere(**where), moving.obstacles)
+    sample |= seen
+    met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
+    after, records = [], []
+    for given, now in zip(scene.groups, groups, strict=True):
+        place = OfGroup(
+            **where,
+            given=given,
+            said=None if begin_s is None else to_lanes(of_group(said, given.group), 2),
+            last_approach_s=to_lanes(of_group(begin_s, given.group), 2),
+            approaching=to_lanes(of_group(told.approaching, given.group), 2),
+            finished=to_lanes(of_group(told.finished, given.group), 2),
+            met=lanes_of_group(met, given.group),
+        )
+        judged, record = lanes.shared(partial(_run, place, MEETING, now))
+        after.append(Robots(**{name: judged[name] for name in KEPT}))
+        records.append(record)
+    sample |= side_by_side(records)
+    return Moving(groups=tuple(after), obstacles=obstacles), sample
+
+
+def _alone(
+    make: Callable[..., OfGroup], robots: Robots, said: Command | None, told: Told
+) -> tuple[Any, Any]:
+    """What the robots of a group do by themselves.
+
+    ``said`` and ``told`` [W, R, ...] are their commands, and what the phases of worlds gave.
+    """
+    group = make().given.group
+    said, known, loaded = (to_lanes(of_group(x, group), 2) for x in (said, told.known, told.loaded))
+    slots = {**vars(robots), "known": robots.vehicle if known is None else known}
+    return _run(make(said=said, loaded=loaded), ALONE, slots)
+
+
+def _run(place: OfGroup, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
+    """Phases of a group: the slots that anybody reads after them, and the record."""
+    now, record = run(place, phases, slots)
+    like = slots["vehicle"].p[0]
+    # What a controller sets to a number is one number for all lanes.
+    now["memory"], record = jax.tree.map(
+        lambda leaf: spread_out(leaf, like), (now["memory"], record)
+    )
+    return {name: now[name] for name in LASTING if name in now}, record
+
+
+def _obstacles(place: Everywhere, obstacles: ObstacleState) -> tuple[ObstacleState, Any]:
+    """The obstacles after a step, and their record; rows of padding stay where they are."""
+    slots = {"obstacles": obstacles}
+    if place.scene.n_obstacle == 0:
+        return obstacles, OBSTACLES.run(place, slots).record()
+    now, record = lanes.shared(partial(run, place, (OBSTACLES,), slots))
+    return now["obstacles"], record

@@ -1,0 +1,349 @@
+"""Worlds and their states as lanes, for the fused engine in plain JAX, and back as arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import clearance, lanes
+from angler_kernels.lanes.planes import is_table
+from angler_mjx.errors import RunError
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import ControlParams, Memory
+from angler_mjx.sim.aboard.telling import Minds
+from angler_mjx.sim.engines.lanes import judge as lane_judge
+from angler_mjx.sim.engines.lanes import steps as lane_steps
+from angler_mjx.sim.engines.lanes.steps import Cells
+from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
+from angler_mjx.sim.physics.step import VehicleState
+from angler_mjx.sim.state import Tally, World, WorldState
+from angler_mjx.world.currents import Current, looked_up
+from angler_mjx.world.environment import Environment, region
+from angler_mjx.world.obstacles import Obstacles, ObstacleState
+
+MOST = 2**31
+"""Numbers of an array whose places can still be counted."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """What changes from step to step of the robots of a group, as lanes."""
+
+    vehicle: VehicleState
+    memory: Memory
+    """Of the controllers."""
+    tally: Tally
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Moving:
+    """What changes from step to step, as lanes."""
+
+    groups: tuple[Robots, ...]
+    obstacles: ObstacleState
+
+
+@dataclass(frozen=True, kw_only=True)
+class Given:
+    """What stays the same of the robots of a group, as lanes."""
+
+    group: Group
+    params: ControlParams
+    laden: ControlParams | None
+    """With their load; None where there are none. Elements that it does not change are the same
+    objects."""
+    path: Plan
+    goal_m: Any
+    fails_at_s: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What stays the same during a segment, as lanes."""
+
+    groups: tuple[Given, ...]
+    current: Current
+    cells: Cells
+    shape: lane_steps.Shape
+    obstacles: Obstacles
+    reach: jax.Array
+    """Of the obstacles, [n_obstacle, W]."""
+    n_robot: int
+    n_obstacle: int
+
+
+def side_by_side(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
+    """Trees of lanes [n, W] of the groups as one, [R, W].
+
+    Where ``like`` gives lanes of each group, elements may be one number for all robots of a group;
+    a constant that all groups have in common stays one.
+    """
+    if len(parts) == 1:
+        return parts[0]
+
+    def beside(items: Sequence[Any]) -> Any:
+        if all(isinstance(x, np.generic) and x == items[0] for x in items):
+            return items[0]
+        if like:
+            items = [jnp.broadcast_to(x, there.shape) for x, there in zip(items, like, strict=True)]
+        return jnp.concatenate(items)
+
+    def one(*leaves: np.ndarray) -> np.ndarray:
+        out = np.empty_like(leaves[0])
+        for index in np.ndindex(*out.shape):
+            out[index] = beside([leaf[index] for leaf in leaves])
+        return out
+
+    return jax.tree.map(one, *parts)
+
+
+def lanes_of_group(tree: Any, group: Group) -> Any:
+    """The robots of a group of lanes [R, W]."""
+
+    def one(leaf: np.ndarray) -> np.ndarray:
+        out = np.empty_like(leaf)
+        for index in np.ndindex(*out.shape):
+            out[index] = leaf[index][group.first : group.first + group.count]
+        return out
+
+    return jax.tree.map(one, tree)
+
+
+def of_group(tree: Any, group: Group) -> Any:
+    """The robots of a group of arrays [W, R, ...]."""
+    return jax.tree.map(lambda leaf: leaf[:, group.first : group.first + group.count], tree)
+
+
+def spread_out(elements: np.ndarray, like: jax.Array) -> np.ndarray:
+    """Object array whose lanes all have one shape."""
+    out = np.empty_like(elements)
+    for index in np.ndindex(*elements.shape):
+        out[index] = jnp.broadcast_to(elements[index], like.shape)
+    return out
+
+
+def to_lanes(tree: Any, lead: int, rows: jax.Array | None = None) -> Any:
+    """Arrays [W, ...] with ``lead`` axes of lanes as object arrays, worlds last.
+
+    Long ones become tables. Of arrays of more worlds, ``rows`` int32 [W] says which are meant:
+    tables are read where they stand, nothing long is copied.
+    """
+
+    def one(leaf: jax.Array) -> Any:
+        tail = leaf.shape[lead:]
+        if is_table(tail):
+            return _table(leaf, lead, rows)
+        chosen = leaf if rows is None else leaf[rows]
+        return lanes.split(jnp.swapaxes(chosen, 0, lead - 1), lead)
+
+    return jax.tree.map(one, tree)
+
+
+def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.Table:
+    """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]; as `to_lanes`."""
+    tail = leaf.shape[lead:]
+    if leaf.size >= MOST:
+        raise RunError(
+            f"lanes count places in 31 bits, and an array of this tile has {leaf.size} numbers "
+            f"({', '.join(map(str, leaf.shape))}): use a tile {leaf.size // MOST + 1} times smaller"
+        )
+    size = int(np.prod(tail))
+    flat = leaf.reshape(-1)
+    body = np.arange(leaf.size // size, dtype=np.int32).reshape(leaf.shape[:lead])
+    base = jnp.asarray(body if rows is None else jnp.asarray(body)[rows]) * np.int32(size)
+    base = jnp.swapaxes(base, 0, lead - 1)
+
+    def load(place: Any) -> jax.Array:
+        return flat.at[place].get(mode="promise_in_bounds")
+
+    return lanes.Table(load, tail, leaf.dtype, base=base)
+
+
+def to_arrays(tree: Any, lead: int) -> Any:
+    """Object arrays of lanes [..., W] to arrays [W, ...]."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, lead - 1, 0), lanes.join(tree))
+
+
+def moving_of(fleet: Fleet, state: WorldState) -> Moving:
+    """The state of worlds as lanes."""
+
+    def of(group: Group) -> Robots:
+        robots = Robots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
+        lanes_of: Robots = to_lanes(of_group(robots, group), 2)
+        return lanes_of
+
+    return Moving(groups=tuple(map(of, fleet.groups)), obstacles=to_lanes(state.obstacles, 2))
+
+
+def vehicles_of(moving: Moving) -> VehicleState:
+    """Where all robots are, as arrays [W, R, ...]."""
+    vehicles: VehicleState = to_arrays(
+        side_by_side([robots.vehicle for robots in moving.groups]), 2
+    )
+    return vehicles
+
+
+def outcome_of(moving: Moving) -> jax.Array:
+    """How all robots ended so far, as an array int32 [W, R]."""
+    outcome: jax.Array = to_arrays(
+        side_by_side([robots.tally.outcome for robots in moving.groups]), 2
+    )
+    return outcome
+
+
+def world_state(moving: Moving, step: jax.Array, minds: Minds) -> WorldState:
+    """The inverse of `moving_of`; ``step`` [W]."""
+    robots = to_arrays(side_by_side(moving.groups), 2)
+    return WorldState(
+        vehicles=robots.vehicle,
+        carry=robots.memory,
+        obstacles=to_arrays(moving.obstacles, 2),
+        tally=robots.tally,
+        step=step,
+        **vars(minds),
+    )
+
+
+def grid_shape(environment: Environment) -> lane_steps.Shape:
+    """Cells along x, y and z of environments [W, ...]."""
+    nx, ny, nz = environment.grid.occupied.shape[1:]
+    return nx, ny, nz
+
+
+def packed_cells(worlds: World) -> jax.Array:
+    """`clearance.cell_neighbours` of worlds [W, ...], packed now if that was not done before."""
+    if worlds.cell_neighbours is not None:
+        return worlds.cell_neighbours
+    return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
+
+
+def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scene:
+    """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`."""
+    environment = worlds.environment
+
+    def given(group: Group) -> Given:
+        params, laden = _params(fleet, group, worlds, rows)
+        return Given(
+            group=group,
+            params=params,
+            laden=laden,
+            path=to_lanes(of_group(worlds.path, group), 2, rows),
+            goal_m=to_lanes(of_group(environment.goal_m, group), 2, rows),
+            fails_at_s=to_lanes(of_group(worlds.fails_at_s, group), 2, rows),
+        )
+
+    obstacles = to_lanes(environment.obstacles, 2, rows)
+    return Scene(
+        groups=tuple(map(given, fleet.groups)),
+        current=_current(environment.current, rows),
+        cells=_cells(worlds, rows),
+        shape=grid_shape(environment),
+        obstacles=obstacles,
+        reach=lane_judge.reach(obstacles),
+        n_robot=environment.start_m.shape[1],
+        n_obstacle=environment.obstacles.kind.shape[1] if environment.obstacles.kinds else 0,
+    )
+
+
+def _current(current: Current, rows: jax.Array | None) -> Current:
+    """Components as lanes; what they look up is one table for all worlds."""
+    dtypes = [leaf.dtype for leaf in jax.tree.leaves(current) if leaf.dtype.kind == "f"]
+
+    def one(values: np.ndarray) -> lanes.Table:
+        flat = jnp.asarray(values, dtypes[0])
+        return lanes.Table(
+            lambda at: flat.at[at].get(mode="promise_in_bounds"), flat.shape, flat.dtype
+        )
+
+    there: Current = to_lanes(current, 1, rows)
+    return looked_up(there, lambda field: [one(values) for values in field.numbers])
+
+
+def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
+    environment, neighbours = worlds.environment, packed_cells(worlds)
+    grid = environment.grid
+    lo, hi = jax.vmap(region)(environment)
+    return Cells(
+        neighbours=_table(neighbours.reshape(neighbours.shape[0], -1), 1, rows),
+        origin_m=to_lanes(grid.origin_m, 1, rows),
+        cell_m=to_lanes(grid.cell_m, 1, rows),
+        floor_z_m=to_lanes(environment.floor_z_m, 1, rows),
+        lo=to_lanes(lo, 1, rows),
+        hi=to_lanes(hi, 1, rows),
+    )
+
+
+def _params(
+    fleet: Fleet, group: Group, worlds: World, rows: jax.Array | None = None
+) -> tuple[ControlParams, ControlParams | None]:
+    """Parameters of a group's robots, and with their load, if they can carry one.
+
+    An element that no variant changes is one number for all.
+    """
+    of_world = worlds.variant if rows is None else worlds.variant[rows]
+    variant = jnp.swapaxes(of_group(of_world, group), 0, 1)
+    leaves, tree = jax.tree.flatten(fleet.control)
+    now = [variant, fleet.numbered(variant, jnp.asarray(True))] if fleet.carries else [variant]
+    found = [
+        _parameter(leaf, letters, group.variant, now)
+        for leaf, letters in zip(leaves, group.sameness, strict=True)
+    ]
+    speeds = [worlds.control.cruise_speed_mps]
+    if fleet.carries:
+        speeds.append(laden_cruise(fleet, worlds))
+
+    def params(which: int) -> ControlParams:
+        each: ControlParams = jax.tree.unflatten(tree, [one[which] for one in found])
+        cruise = to_lanes(of_group(speeds[which], group), 2, rows)
+        return replace(each, cruise_speed_mps=cruise)
+
+    return params(0), params(1) if fleet.carries else None
+
+
+def _parameter(
+    leaf: jax.Array, letters: str, common: int, variants: Sequence[jax.Array]
+) -> list[Any]:
+    """One leaf [n_variant, ...] of the parameters, by each of the numbers [n, W] of robots."""
+    tail = leaf.shape[1:]
+    flat = leaf.reshape(-1)
+
+    def load(place: Any) -> jax.Array:
+        return flat.at[place].get(mode="promise_in_bounds")
+
+    if is_table(tail):
+        places = [(one if "v" in letters else common) * np.int32(len(letters)) for one in variants]
+        return [lanes.Table(load, tail, leaf.dtype, base=base) for base in places]
+    same: list[Any] = [None] * len(letters)
+    for k, letter in enumerate(letters):
+        if letter == "z":
+            same[k] = np.zeros((), leaf.dtype)[()]
+        elif letter == "s":
+            same[k] = flat[common * len(letters) + k]
+
+    def row(variant: jax.Array) -> Any:
+        items = [
+            load(variant * np.int32(len(letters)) + k) if letter == "v" else same[k]
+            for k, letter in enumerate(letters)
+        ]
+        return lanes.pack(items, tail)
+
+    return [row(one) for one in variants]
+
+
+def carried(loaded: Any, laden: ControlParams, params: ControlParams) -> ControlParams:
+    """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
+
+    def one(with_load: Any, without: Any) -> Any:
+        if isinstance(without, lanes.Table):
+            return with_load.where(loaded[()], without)
+        pairs = zip(with_load.ravel(), without.ravel(), strict=True)
+        items = [y if x is y else jnp.where(loaded[()], x, y) for x, y in pairs]
+        return lanes.pack(items, without.shape)
+
+    chosen: ControlParams = jax.tree.map(one, laden, params)
+    return chosen

@@ -1,0 +1,187 @@
+"""The search for the nearest of the shapes that robots can meet, on lanes.
+
+Distances that cannot matter are left out: a shape whose bounding sphere is farther than the least
+distance so far is not looked at.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import lanes
+from angler_mjx.sim.engines.lanes.steps import Lanes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Met:
+    """A shape that robots can meet, in every lane; what costs something is loaded when asked for.
+
+    ``details`` gives what it is (Obstacles or `judge.Hull`), its attitude q [4], and its velocity
+    [3] in W.
+    """
+
+    p: Lanes
+    reach: Any
+    """Radius of its bounding sphere; -inf where there is none."""
+    details: Callable[[], tuple[Any, Lanes, Lanes]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Others:
+    """Shapes that robots can meet, one after another."""
+
+    count: int
+    load: Callable[[Any], Met]
+    """Shape i of these, for every lane; a `Search` of another kind asks in another way."""
+    first: int = 0
+    """Number of shape 0 among all of its kind."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Seeker:
+    """A robot that looks for the nearest shape, in every lane; leaves are object arrays."""
+
+    p: Lanes
+    a: Lanes
+    """[c, 3] one end of each axis of its hull, in W."""
+    b: Lanes
+    """[c, 3] other end."""
+    r: Lanes
+    """[c] radii."""
+    radius_m: Lanes
+    """[] of its bounding sphere."""
+    running: Lanes
+    """bool [] whether it looks at all."""
+    limit_m: Lanes
+    """[] distances from here on do not matter, unless something touches."""
+
+    def wants(self, met: Met, not_itself: Any) -> jax.Array:
+        """Whether a shape is near enough to matter."""
+        square = sum((met.p[k] - self.p[k]) ** 2 for k in range(3))
+        within = jnp.maximum(self.limit_m[()], 0.0) + self.radius_m[()] + met.reach
+        near = (within >= 0.0) & (square <= within * within)
+        wanted: jax.Array = self.running[()] & not_itself & near
+        return wanted
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Nearest:
+    """The nearest shape so far, in every lane."""
+
+    gap: jax.Array
+    index: jax.Array
+    fixed: jax.Array
+    v: tuple[jax.Array, ...]
+
+
+GROUP = 8
+"""Shapes that are asked for together where there are many: their loads wait together."""
+SLOTS = 4
+"""Groups that a lane can note."""
+MANY = GROUP + 1
+"""Shapes from which on they are listed. The list of a single group costs large batches more than
+it saves."""
+
+type Exact = Callable[[Seeker, Met], tuple[Any, Any, Lanes]]
+"""The gap to a shape, whether it never moves, and its velocity [3]."""
+
+type Search = Callable[[Seeker, Others, Exact, Nearest, Any], Nearest]
+"""The nearest of some shapes and of one found before, if nearer than the limit or touching.
+
+The last argument is the number of the shape that is the lane's own. The first of equals counts.
+"""
+
+
+def in_turn(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+    """See `Search`: one shape after another, left out where no lane wants it; ``load`` takes i."""
+    if others.count == 0:
+        return start
+
+    def one(i: jax.Array, best: Nearest) -> Nearest:
+        met, number = others.load(i), others.first + i
+        wanted = me.wants(met, number != myself)
+
+        def look(best: Nearest) -> Nearest:
+            gap, fixed, v = exact(me, met)
+            better = wanted & (gap < best.gap)
+            return Nearest(
+                gap=jnp.where(better, gap, best.gap),
+                index=jnp.where(better, number, best.index),
+                fixed=jnp.where(better, fixed, best.fixed),
+                v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
+            )
+
+        after: Nearest = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
+        return after
+
+    nearest: Nearest = jax.lax.fori_loop(0, others.count, one, start)
+    return nearest
+
+
+def in_groups(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+    """See `Search`: each lane lists the shapes that it wants, and all work through their lists.
+
+    Among many shapes every lane of a kernel wants a few, and each another: in turn, each of them
+    would cost as much as one that all lanes want. Shapes are asked for in groups of `GROUP`; a
+    lane notes a group and which of it are wanted in one number, and has room for `SLOTS` of them.
+    """
+    groups = -(-others.count // GROUP)
+    empty = jnp.zeros_like(start.index)
+
+    def ask(carry: Any) -> Any:
+        group, noted, slots = carry
+        mask = empty
+        for k in range(GROUP):
+            i = group * GROUP + k
+            met = others.load(jnp.minimum(i, others.count - 1))
+            wanted = me.wants(met, (others.first + i != myself) & (i < others.count))
+            mask |= jnp.where(wanted, 1 << k, 0)
+        note = jnp.where(mask != 0, (group << GROUP) | mask, 0)
+        slots = tuple(
+            jnp.where((noted == n) & (note != 0), note, slot) for n, slot in enumerate(slots)
+        )
+        return group + 1, noted + jnp.where(note != 0, 1, 0), slots
+
+    def pop(carry: Any) -> Any:
+        (head, *rest), best = carry
+        bit = head & -head
+        k = jax.lax.population_count((bit - 1) & (2**GROUP - 1))
+        i = jnp.where(head != 0, (head >> GROUP) * GROUP + k, 0)
+        gap, fixed, v = exact(me, others.load(i))
+        better = (head != 0) & (gap < best.gap)
+        nearest = Nearest(
+            gap=jnp.where(better, gap, best.gap),
+            index=jnp.where(better, others.first + i, best.index),
+            fixed=jnp.where(better, fixed, best.fixed),
+            v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
+        )
+        left = head ^ bit
+        done = (left & (2**GROUP - 1)) == 0
+        moved = (*rest, empty)
+        slots = tuple(jnp.where(done, x, y) for x, y in zip(moved, (left, *rest), strict=True))
+        return slots, nearest
+
+    def some(carry: Any) -> Any:
+        group, best = carry
+        group, _, slots = jax.lax.while_loop(
+            lambda x: (x[0] < groups) & ~lanes.any_lane(x[1] == SLOTS),
+            ask,
+            (group, empty, (empty,) * SLOTS),
+        )
+        _, best = jax.lax.while_loop(lambda x: lanes.any_lane(x[0][0] != 0), pop, (slots, best))
+        return group, best
+
+    _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, some, (jnp.int32(0), start))
+    found: Nearest = nearest
+    return found
+
+
+def of_lanes(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+    """See `Search`: what is quicker for so many shapes."""
+    search = in_groups if others.count >= MANY else in_turn
+    return search(me, others, exact, start, myself)

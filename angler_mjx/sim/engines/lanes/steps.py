@@ -1,0 +1,178 @@
+"""The phases of a control step on lanes: every function here works on any number side by side.
+
+The physics and the controllers are those of one robot (`angler_kernels.lanes` turns them into
+lanes). Where the lanes come from is not known here: from arrays, or from the memory of a kernel.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+
+from angler_kernels import clearance, lanes
+from angler_kernels.table import take
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.sim.physics import step as physics
+from angler_mjx.sim.physics.closed_form import ClosedForm
+from angler_mjx.sim.physics.step import VehicleState, Water
+from angler_mjx.sim.state import SimSpec
+from angler_mjx.world import currents
+from angler_mjx.world.currents import Current
+from angler_mjx.world.obstacles import Obstacles, ObstacleState
+from angler_mjx.world.obstacles import motion as obstacle_motion
+
+type Lanes = Any
+"""A pytree whose leaves are object arrays of lanes, or tables."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Cells:
+    """The static cells of a world, as the look-up of `clearance.neighbour_window` wants them."""
+
+    neighbours: Any
+    """int32 [m] flattened `clearance.cell_neighbours`."""
+    origin_m: Any
+    """[3]."""
+    cell_m: Any
+    """[]."""
+    floor_z_m: Any
+    """[]."""
+    lo: Any
+    """[3] lower corner of the region, m."""
+    hi: Any
+    """[3] upper corner."""
+
+
+type Shape = tuple[int, int, int]
+
+
+class OnLanes:
+    """What `angler_mjx.sim.step.Here` asks for, of lanes; where they come from is the engine's.
+
+    Whoever has robots adds ``params``, ``command``, ``goal_m``, ``finished``, ``fails_at_s`` and
+    ``contact``; whoever has obstacles adds ``obstacles``.
+    """
+
+    spec: SimSpec
+    t: jax.Array
+    shape: Shape
+    """Of the grid."""
+
+    @property
+    def params(self) -> ControlParams:
+        """Of the robots."""
+        raise NotImplementedError
+
+    @property
+    def current(self) -> Current:
+        """Of their worlds."""
+        raise NotImplementedError
+
+    @property
+    def cells(self) -> Cells:
+        """Of their worlds."""
+        raise NotImplementedError
+
+    @property
+    def obstacles(self) -> Obstacles:
+        """What they are."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> tuple[Lanes, Lanes]:
+        """Of the region."""
+        return self.cells.lo, self.cells.hi
+
+    def flow(self, vehicle: VehicleState) -> Lanes:
+        """Velocity [3] of the water at the robots."""
+        return lanes.apply(currents.velocity, self.current, vehicle.p, self.t)
+
+    def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
+        """A function of one body for all lanes."""
+        return lanes.apply(function, *bodies, *shared)
+
+    def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
+        """``body(i, tree)`` a number of times."""
+        return lanes.repeat(times, body, tree)
+
+    def physics_step(
+        self,
+        params: ControlParams,
+        vehicle: VehicleState,
+        thrust_n: Lanes,
+        current: Current,
+        t: jax.Array,
+    ) -> Any:
+        """One physics step of all robots."""
+        step = partial(physics_step, self.spec.physics_dt_s, self.spec.water)
+        return lanes.apply(step, params.vehicle, vehicle, thrust_n, current, t)
+
+    def advance(self, obstacles: ObstacleState) -> Any:
+        """One control step of obstacles."""
+        return advance_obstacles(
+            self.spec, self.shape, self.obstacles, obstacles, self.current, self.cells, self.t
+        )
+
+
+def physics_step(
+    dt_s: float,
+    water: Water,
+    vehicle: VehicleParams,
+    state: VehicleState,
+    settled: jax.Array,
+    current: Current,
+    t: jax.Array,
+) -> VehicleState:
+    """One physics step of one robot in closed form."""
+    engine = ClosedForm(gravity_mps2=water.gravity_mps2)
+    return physics.step(engine, vehicle, vehicle, state, settled, current, t, dt_s, water)
+
+
+def advance_obstacles(
+    spec: SimSpec,
+    shape: Shape,
+    body: Obstacles,
+    state: ObstacleState,
+    current: Current,
+    cells: Cells,
+    t: jax.Array,
+) -> Any:
+    """One control step of obstacles.
+
+    Args:
+        spec: settings.
+        shape: of the grid.
+        body: what they are.
+        state: of them.
+        current: of their worlds.
+        cells: of their worlds.
+        t: [] s.
+    """
+
+    def one(
+        body: Obstacles, now: ObstacleState, current: Current, cells: Cells, t: jax.Array
+    ) -> ObstacleState:
+        return obstacle_motion.advance(
+            body,
+            now,
+            current,
+            t,
+            spec.control_dt_s,
+            cells.lo,
+            cells.hi,
+            partial(_nearest_cell, shape, cells),
+            spec.water.density_kgpm3,
+            spec.water.gravity_mps2,
+        )
+
+    return lanes.apply(one, body, state, current, cells, t)
+
+
+def _nearest_cell(shape: Shape, cells: Cells, p: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Distance [] of a point [3] to the cells of one world and the direction [3] away."""
+    index, lo = clearance.neighbour_window(p, cells.origin_m, cells.cell_m, shape)
+    return clearance.point_neighbours(p, lo, take(cells.neighbours, index), cells.cell_m)

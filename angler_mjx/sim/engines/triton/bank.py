@@ -1,0 +1,61 @@
+"""The fleet's parameters in one flat array, as kernels read them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+from angler_kernels.lanes.planes import is_table, typed
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.sim.fleet import Fleet, Group
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bank:
+    """Where each parameter lies: all elements of a variant together, variants one after another."""
+
+    tree: Any
+    shapes: tuple[tuple[int, ...], ...]
+    dtypes: tuple[Any, ...]
+    firsts: tuple[int, ...]
+
+    @classmethod
+    def of(cls, fleet: Fleet, dtype: Any) -> tuple["Bank", jax.Array]:
+        """The places, and the flat array."""
+        leaves, tree = jax.tree.flatten(fleet.control)
+        sizes = [leaf.size for leaf in leaves]
+        bank = cls(
+            tree=tree,
+            shapes=tuple(leaf.shape[1:] for leaf in leaves),
+            dtypes=tuple(np.dtype(leaf.dtype) for leaf in leaves),
+            firsts=tuple(np.cumsum([0, *sizes[:-1]]).tolist()),
+        )
+        return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
+
+    def read(self, load: Callable[[Any], Any], group: Group, variant: Any) -> ControlParams:
+        """Parameters of lanes of robots of a group, by their variants.
+
+        What all variants of the group share is a number of the program, not read at all.
+        """
+        out = []
+        for shape, dtype, first, letters, shared in zip(
+            self.shapes, self.dtypes, self.firsts, group.sameness, group.shared, strict=True
+        ):
+            size = len(letters)
+            if is_table(shape):
+                base = first + (variant if "v" in letters else group.variant) * np.int32(size)
+                out.append(lanes.Table(load, shape, dtype, base=base))
+                continue
+            row = [
+                typed(load(first + variant * size + k), dtype)
+                if letter == "v"
+                else np.asarray(shared[k], dtype)[()]
+                for k, letter in enumerate(letters)
+            ]
+            out.append(lanes.pack(row, shape))
+        params: ControlParams = jax.tree.unflatten(self.tree, out)
+        return params

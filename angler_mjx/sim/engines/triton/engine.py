@@ -1,0 +1,336 @@
+"""The fused engine as Pallas kernels, lowered by Triton: a control period in registers.
+
+Four kernels make a control step: one for each phase of robots (controllers, physics steps,
+detection with the tally), and the obstacles. A program works on neighbouring worlds of one robot of
+the fleet; its state stays in registers over all physics steps of the control period, and it writes
+the record itself. Other shapes are read from memory, so fleets of any size fit. Robots of one
+vehicle share a program.
+Phases of worlds, where there are any (instruments and filters, policies), are plain JAX between
+the kernels.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.robot.control.stack import Command
+from angler_mjx.sim import nearness
+from angler_mjx.sim.aboard import telling
+from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.approach import last_approaches_s
+from angler_mjx.sim.engines.lanes.engine import FusedEngine
+from angler_mjx.sim.engines.repeated import repeated
+from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.sim.engines.triton.kernels import Kernels, Launch
+from angler_mjx.sim.engines.triton.segment import AHEAD, Arrays, Segment
+from angler_mjx.sim.engines.triton.tile import Tile
+from angler_mjx.sim.fleet import Fleet
+from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+
+UNROLLED = 10
+"""Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
+
+LANES = 32
+"""Lanes of one program: one warp, so that a program skips what none of its lanes needs."""
+
+
+class TritonEngine:
+    """Closed-form rigid bodies in Pallas kernels."""
+
+    def __init__(self, *, lanes: int = LANES, warps: int = 1, interpret: bool = False) -> None:
+        """Choose the shape of a program.
+
+        Args:
+            lanes: robots in one program, a power of two.
+            warps: warps in one program.
+            interpret: run the kernels as ordinary JAX, on any device.
+        """
+        self._program = triton.Program(lanes=lanes, warps=warps, interpret=interpret)
+
+    def reset(
+        self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
+    ) -> WorldState:
+        """See `Engine.reset`."""
+        return FusedEngine().reset(spec, fleet, worlds, policy)
+
+    def lay_out(self, fleet: Fleet, worlds: World) -> Laid:
+        """See `Engine.lay_out`: constants in flat arrays."""
+        return Tile(fleet, worlds).laid
+
+    def control_step(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        command: Command | None,
+        policy: Policy | None = None,
+        rows: jax.Array | None = None,
+        laid: Laid = (),
+        steps: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.control_step`."""
+        if steps > 1 and telling.tells(spec, telling.asked(policy, command)):
+            again = partial(
+                self.control_step,
+                spec,
+                fleet,
+                worlds,
+                command=command,
+                policy=policy,
+                rows=rows,
+                laid=laid,
+            )
+            return repeated(again, state, steps)
+        after, sample = self._segment(
+            spec, fleet, worlds, state, 1, steps, command, policy, rows, laid
+        )
+        return after, jax.tree.map(lambda leaf: leaf[:, 0], sample)
+
+    def segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        *,
+        n_sample: int,
+        steps_per_sample: int,
+        command: Command | None = None,
+        policy: Policy | None = None,
+        begins: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """See `Engine.segment`."""
+        count = {"n_sample": n_sample, "steps_per_sample": steps_per_sample}
+
+        def plain(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
+            command, policy = driven
+            plan: dict[str, Any] = {**count, "command": command, "policy": policy}
+            return FusedEngine().segment(spec, fleet, worlds, state, **plan)
+
+        def fast(fleet: Fleet, worlds: World, state: WorldState, driven: Any) -> Any:
+            command, policy = driven
+            plan: dict[str, Any] = {"command": command, "policy": policy, "begins": begins}
+            return self._segment(spec, fleet, worlds, state, n_sample, steps_per_sample, **plan)
+
+        both = triton.with_gradient_of(plain, fast)
+        after: tuple[WorldState, Sample] = both(fleet, worlds, state, (command, policy))
+        return after
+
+    def _segment(
+        self,
+        spec: SimSpec,
+        fleet: Fleet,
+        worlds: World,
+        state: WorldState,
+        n_sample: int,
+        steps_per_sample: int,
+        command: Command | None,
+        policy: Policy | None,
+        rows: jax.Array | None = None,
+        laid: Laid = (),
+        begins: int = 1,
+    ) -> tuple[WorldState, Sample]:
+        """Whole programs: the last world is repeated until they are full, and cut off again."""
+        count = state.step.shape[0]
+        extra = -count % self._program.lanes
+
+        def fill(leaf: jax.Array) -> jax.Array:
+            return jnp.concatenate([leaf, jnp.repeat(leaf[-1:], extra, axis=0)]) if extra else leaf
+
+        here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
+        state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
+        policy = telling.asked(policy, command)
+        watched = telling.watches(policy)
+        tell, told = partial(telling.tell_tile, spec, policy, flying, fleet=fleet), None
+        if telling.tells(spec, policy):
+            bodies = state.obstacles if watched else None
+            number = state.step[0] if rows is None else state.step
+            ended = state.tally.outcome if spec.by_task else None
+            _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
+        begin_s = None
+        if policy is None:
+            begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
+        tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
+        steps = n_sample * steps_per_sample
+        period = telling.period(spec, policy) if rows is None and steps > 1 else 1
+
+        def laid_out(ahead: int) -> tuple[Segment, tuple[Launch, Launch]]:
+            ahead, also = min(ahead, steps), spec.also
+            part = Segment(
+                tile,
+                state,
+                n_sample,
+                steps_per_sample,
+                command,
+                told,
+                ahead=ahead,
+                also=also,
+                last_approach_s=begin_s,
+            )
+            return part, Kernels(self._program, spec, part).launches()
+
+        usual = laid_out(_ahead(period, watched))
+
+        def fly(period: int, how: tuple[Segment, tuple[Launch, Launch]]) -> Any:
+            """With phases of worlds that act once a period, where the segment begins with one."""
+            part, launches = how
+            if told is None:
+                alone = _fly_looped if self._program.interpret else _fly
+                return part.result(alone(launches, part))
+            asked = partial(tell, every=period)
+            told_now = partial(_tell, asked, part, watched, spec.by_task, hold=period)
+            if period == 1:
+                return part.result(_fly_looped(launches, part, told_now))
+            return part.result(_fly_told(launches, part, told_now, period))
+
+        if begins % period == 0:
+            end = fly(period, usual)
+        else:
+            # Between two of their times; who sees obstacles must not see them ahead.
+            seen = watched and tile.some_obstacle
+            otherwise = partial(fly, 1, laid_out(1) if seen else usual)
+            now = state.step[0] % period == 0
+            end = jax.lax.cond(now, partial(fly, period, usual), otherwise)
+        after, samples = jax.tree.map(lambda leaf: leaf[:count], end)
+        return after, nearness.all_completed(spec, here, samples)
+
+
+def _ahead(period: int, watched: bool) -> int:
+    """Control steps that obstacles are moved ahead of the robots.
+
+    They may be as far ahead as the phases of worlds, which act once a period, are away: those that
+    see them see them now.
+    """
+    if period == 1:
+        return 1 if watched else AHEAD
+    return max(steps for steps in range(1, AHEAD + 1) if period % steps == 0)
+
+
+def _tell(
+    tell: Callable[..., tuple[Minds, Told]],
+    part: Segment,
+    watched: bool,
+    by_task: bool,
+    base: jax.Array,
+    k: jax.Array,
+    x: Arrays,
+    hold: int = 1,
+) -> Arrays:
+    """The phases of worlds in control step ``base + k``, and their record: no kernel.
+
+    Where a policy has obstacles ``watched``, they are not ahead of the robots yet; ``by_task``, a
+    task asks how robots ended. What they give and record holds for ``hold`` steps.
+    """
+    tile, count = part.tile, base[0] + k[0]
+    number = (part.first if tile.some_rows else part.first[0]) + count
+    lead = (tile.worlds, tile.robots)
+    vehicles = part.layouts["vehicle"].unpack(x.slots["vehicle"], lead)
+    ended = part.layouts["tally"].unpack(x.slots["tally"], lead).outcome if by_task else None
+    bodies = part.bodies.unpack(x.bodies, (tile.worlds, tile.obstacles)) if watched else None
+    minds, told = tell(x.minds, number, vehicles, bodies, ended)
+
+    def record(kept: jax.Array, new: jax.Array) -> jax.Array:
+        for later in range(1 + math.ceil((hold - 1) / part.every)):
+            place = count // part.every + later
+            is_sample = (place * part.every >= count) & (place * part.every < count + hold)
+            kept = kept.at[place].set(jnp.where(is_sample, new, kept[place]))
+        return kept
+
+    packed = {
+        name: part.layouts[name].pack(tree, tile.dtype) for name, tree in told.given().items()
+    }
+    return replace(
+        x,
+        minds=minds,
+        slots={**x.slots, **packed},
+        told=jax.tree.map(record, x.told, told.record),
+    )
+
+
+def _fly(launches: tuple[Launch, Launch], part: Segment) -> Arrays:
+    """The arrays after all steps of a segment."""
+    obstacles, robots = launches
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        for k in range(count):
+            at = jnp.array([k], jnp.int32)
+            if k % AHEAD == 0:
+                x = obstacles(base, at, x)
+            x = robots(base, at, x)
+        return x
+
+    return _chunks(steps, UNROLLED, part.steps, jnp.zeros(1, jnp.int32), part.start)
+
+
+def _fly_told(launches: tuple[Launch, Launch], part: Segment, tell: Launch, period: int) -> Arrays:
+    """As `_fly`, with ``tell`` before the robots act, once a period."""
+    now = jnp.zeros(1, jnp.int32)
+    obstacles, robots = launches
+
+    def some(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        x = obstacles(base, now, x)
+        for k in range(count):
+            x = robots(base, jnp.array([k], jnp.int32), x)
+        return x
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        return _chunks(some, part.ahead, count, base, tell(base, now, x))
+
+    return _chunks(steps, period, part.steps, now, part.start)
+
+
+def _fly_looped(
+    launches: tuple[Launch, Launch], part: Segment, tell: Launch | None = None
+) -> Arrays:
+    """As `_fly`, with ``tell`` before the robots act, and the long body once in the program."""
+    obstacles, robots = launches
+    now = jnp.zeros(1, jnp.int32)
+
+    def steps(base: jax.Array, count: int, x: Arrays) -> Arrays:
+        def one(x: Arrays, k: jax.Array) -> tuple[Arrays, None]:
+            told = x if tell is None else tell(base, k[None], x)
+            if part.ahead == 1:  # `tell` sees where they are before they move
+                told = obstacles(base, now, told)
+            return robots(base, k[None], told), None
+
+        if part.ahead > 1:
+            x = obstacles(base, now, x)
+        return jax.lax.scan(one, x, jnp.arange(count, dtype=jnp.int32))[0]
+
+    return _chunks(steps, part.ahead, part.steps, now, part.start)
+
+
+def _chunks(
+    steps: Callable[[jax.Array, int, Arrays], Arrays],
+    size: int,
+    total: int,
+    base: jax.Array,
+    x: Arrays,
+) -> Arrays:
+    """A number of control steps in chunks of ``size``.
+
+    Args:
+        steps: of a base int32 [1], a number of steps from there, and the arrays.
+        size: of a chunk.
+        total: control steps.
+        base: int32 [1] the first of them.
+        x: the arrays before.
+    """
+
+    def some(carry: tuple[jax.Array, Arrays], _: None) -> tuple[Any, None]:
+        base, x = carry
+        x = steps(base, size, x)
+        return (base + size, x), None
+
+    chunks, rest = divmod(total, size)
+    if chunks:
+        (base, x), _ = jax.lax.scan(some, (base, x), length=chunks)
+    return steps(base, rest, x) if rest else x

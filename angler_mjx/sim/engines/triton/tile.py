@@ -1,0 +1,221 @@
+"""What stays the same of a tile of worlds during a segment, laid out for kernels."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import lanes
+from angler_kernels.lanes.planes import Layout, Shelf
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.sim.engines.lanes.layout import grid_shape, packed_cells
+from angler_mjx.sim.engines.lanes.steps import Cells
+from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.sim.engines.triton.bank import Bank
+from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
+from angler_mjx.sim.state import Laid, World
+from angler_mjx.world.currents import Current, fields_of, looked_up
+from angler_mjx.world.environment import region
+from angler_mjx.world.obstacles.types import bounding_radius
+from angler_mjx.world.ocean import Field
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class RobotConstants:
+    """Of one robot."""
+
+    variant: Any
+    path: Plan
+    goal_m: Any
+    cruise_speed_mps: Any
+    laden_cruise_mps: Any
+    """With their load; None where there are none, as with the next."""
+    fails_at_s: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class WorldConstants:
+    """Of one world."""
+
+    current: Any
+    origin_m: Any
+    cell_m: Any
+    floor_z_m: Any
+    lo: Any
+    hi: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class BodyConstants:
+    """Of one obstacle."""
+
+    given: Any
+    reach: Any
+    """Radius of the bounding sphere, m; -inf for padding."""
+
+
+class Tile:
+    """Constants of worlds in flat arrays, and where their parts lie.
+
+    Worlds [W] that fly are those whose constants are given, or some of them: lanes then look up
+    which one they are.
+
+    Attributes:
+        worlds, robots, obstacles: numbers of them; obstacles [in each world] include padding.
+        some_rows: whether lanes look up which world they are.
+        some_obstacle: whether any row of obstacles can be more than padding.
+        grid: cells along x, y and z.
+        groups: of the fleet.
+        dtype: of all numbers.
+        arrays: what kernels are given: see ``read_*`` for what is in them, and at the end what the
+            currents of all worlds look up.
+    """
+
+    def __init__(
+        self, fleet: Fleet, worlds: World, rows: jax.Array | None = None, laid: Laid = ()
+    ) -> None:
+        """Pack a tile.
+
+        Args:
+            fleet: of the worlds.
+            worlds: [B] of which there are constants.
+            rows: int32 [W] which of them fly; all, in order, if left out.
+            laid: of `laid`, of the same fleet and worlds, where it is there.
+        """
+        environment = worlds.environment
+        self.dtype = environment.start_m.dtype
+        self._stored, self.robots = environment.start_yaw_rad.shape
+        self.worlds = self._stored if rows is None else rows.shape[0]
+        self.some_rows = rows is not None
+        self.obstacles = environment.obstacles.kind.shape[1]
+        self.some_obstacle = bool(environment.obstacles.kinds)
+        self.grid = grid_shape(environment)
+        self.groups = fleet.groups
+        self._numbered = fleet.numbered
+        self._bank, bank = Bank.of(fleet, self.dtype)
+        neighbours = packed_cells(worlds)
+        self._cells = neighbours[0].size
+        self._robot, robot = self.pack(
+            RobotConstants(
+                variant=worlds.variant,
+                path=worlds.path,
+                goal_m=environment.goal_m,
+                cruise_speed_mps=worlds.control.cruise_speed_mps,
+                laden_cruise_mps=laden_cruise(fleet, worlds) if fleet.carries else None,
+                fails_at_s=worlds.fails_at_s,
+            ),
+            2,
+        )
+        lo, hi = jax.vmap(region)(environment)
+        self._world, water = self.pack(
+            WorldConstants(
+                current=environment.current,
+                origin_m=environment.grid.origin_m,
+                cell_m=environment.grid.cell_m,
+                floor_z_m=environment.floor_z_m,
+                lo=lo,
+                hi=hi,
+            ),
+            1,
+        )
+        given = environment.obstacles
+        radius = jax.vmap(jax.vmap(bounding_radius))(given.kind, given.size_m)
+        reach = jnp.where(given.exists, radius, -jnp.inf)
+        self._body, body = self.pack(BodyConstants(given=given, reach=reach), 2)
+        which = jnp.zeros(1, jnp.int32) if rows is None else rows
+        self.laid: Laid = laid or (bank, robot, water, body, neighbours.reshape(-1))
+        self._fields = fields_of(environment.current)
+        tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
+        self.arrays = (*self.laid, which, *tables)
+
+    def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
+        """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
+        layout = Layout.of(tree, lead)
+        return layout, layout.pack(tree, self.dtype)
+
+    def shape(self, *tail: int) -> jax.ShapeDtypeStruct:
+        """Shape of numbers of one body."""
+        return jax.ShapeDtypeStruct(tail, self.dtype)
+
+    def layout(self, tree: Any, rows: int) -> Layout:
+        """Layout of arrays [W, rows, ...], from shapes [...] of one body."""
+        shapes = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct((self.worlds, rows, *leaf.shape), leaf.dtype), tree
+        )
+        return Layout.of(shapes, 2)
+
+    def shelf(self, layout: Layout, samples: int) -> Shelf:
+        """Room for samples of a layout."""
+        return Shelf(
+            layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
+        )
+
+    def world(self, refs: Any, at: Any) -> Any:
+        """Whose constants those of worlds number ``at`` are, in a kernel given ``arrays``."""
+        return refs[5][at] if self.some_rows else at
+
+    def body_of(self, row: Any, world: Any) -> Any:
+        """Number of the constants of bodies number ``row`` of ``world``, robots or obstacles."""
+        return row * self._stored + world
+
+    def robot(self, refs: Any, lane: Any) -> RobotConstants:
+        """Constants of robots number ``lane``; see `body_of`."""
+        found: RobotConstants = self._robot.read(triton.loader(refs[1]), lane)
+        return found
+
+    def params(
+        self, refs: Any, group: Group, constants: RobotConstants, loaded: Any = None
+    ) -> ControlParams:
+        """Parameters of robots of a group; ``loaded`` says who carries something, if any can."""
+        variant, cruise = constants.variant[()], constants.cruise_speed_mps
+        if loaded is not None:
+            variant = self._numbered(variant, loaded)
+            cruise = lanes.where(loaded, constants.laden_cruise_mps, cruise)
+        params = self._bank.read(triton.loader(refs[0]), group, variant)
+        return replace(params, cruise_speed_mps=cruise)
+
+    def params_at(self, refs: Any, group: Group, lane: Any) -> ControlParams:
+        """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
+        variant = self._robot.read(triton.loader(refs[1]), lane, lambda x: x.variant)
+        return self._bank.read(triton.loader(refs[0]), group, variant[()])
+
+    def water(self, refs: Any, at: Any) -> WorldConstants:
+        """Constants of worlds number ``at``."""
+        found: WorldConstants = self._world.read(triton.loader(refs[2]), at)
+        return found
+
+    def current(self, refs: Any, water: WorldConstants) -> Current:
+        """The current of worlds, and where it looks up what all of them share."""
+        first, places = 6, {}
+        for field in self._fields:
+            places[field] = refs[first : first + len(field.numbers)]
+            first += len(field.numbers)
+
+        def where(field: Field) -> list[lanes.Table]:
+            both = zip(places[field], field.numbers, strict=True)
+            return [lanes.Table(triton.loader(ref), x.shape, self.dtype) for ref, x in both]
+
+        return looked_up(water.current, where)
+
+    def body(self, refs: Any, place: Any, only: Any) -> Any:
+        """A part of the constants of obstacles number ``place``."""
+        return self._body.read(triton.loader(refs[3]), place, only)
+
+    def ground(self, refs: Any, water: WorldConstants, at: Any) -> Cells:
+        """Cells of worlds number ``at``."""
+        base = at * np.int32(self._cells)
+        load = triton.loader(refs[4])
+        return Cells(
+            neighbours=lanes.Table(load, (self._cells,), np.int32, base=base),
+            origin_m=water.origin_m,
+            cell_m=water.cell_m,
+            floor_z_m=water.floor_z_m,
+            lo=water.lo,
+            hi=water.hi,
+        )

@@ -1,0 +1,39 @@
+"""The rotors of one vehicle: how thrusts follow what their signals settle at."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import thruster
+from angler_mjx.robot.vehicles import rotor
+from angler_mjx.robot.vehicles.params import VehicleParams
+
+
+def at_rest(params: VehicleParams, dtype: Any) -> jax.Array:
+    """States of still rotors: [n_thruster], or [3, n_thruster] where they are of third order."""
+    n = params.B.shape[-1]
+    return jnp.zeros(n if params.rotor is None else (rotor.ORDER, n), dtype)
+
+
+def advance(
+    params: VehicleParams, states: jax.Array, command: jax.Array, dt: jax.Array | float
+) -> tuple[jax.Array, jax.Array]:
+    """One step of all rotors, exact for a command held over it.
+
+    Args:
+        params: of the vehicle.
+        states: as `at_rest` gives them, N.
+        command: [n_thruster] N, what the thrusters settle at.
+        dt: s; a number, not an array, where the rotors are of third order.
+
+    Returns:
+        States at the end of the step, and the mean thrusts [n_thruster] over it.
+    """
+    if params.rotor is None:
+        return thruster.rotor_lag(states, command, params.tau_s, dt)
+    step = rotor.discretise(params.rotor, float(dt))
+    settled, transition, mean = (
+        jnp.asarray(part, states.dtype) for part in (step.settled, step.transition, step.mean)
+    )
+    return thruster.rotor_filter(states, command, settled, transition, mean)

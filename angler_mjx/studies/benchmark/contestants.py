@@ -1,0 +1,160 @@
+"""Those that are compared: planners, flown as they planned or online, and policies."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.errors import ConfigError, shown
+from angler_mjx.files import parse
+from angler_mjx.planning import register
+from angler_mjx.planning.register import PlannerSpec
+from angler_mjx.runs.simulator import scenario_policy
+from angler_mjx.scenario.editing import merged
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.scenario.tables import PlannerConfig
+from angler_mjx.sim.knowledge import Knows
+from angler_mjx.studies.benchmark.config import PlannerEntry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contestant:
+    """One that is compared with others."""
+
+    label: str
+    spec: PlannerSpec | None
+    """That plans before the start; None of a policy, which flies without plans."""
+    knows: Knows | None
+    """What it is told; that of the problems if None."""
+    joints: bool
+    """Whether its paths are trajectories of joints."""
+    on_device: bool
+    """Whether it plans a batch at once."""
+    policy: str | None = None
+    """By its name in a scenario, where it is one."""
+    policy_settings: Mapping[str, Any] = field(default_factory=dict)
+    """That differ from the scenario's."""
+    online: Mapping[str, Any] = field(default_factory=dict)
+    """How its plans are looked after in flight, by the keys of a benchmark file; empty where they
+    are flown as they are."""
+
+    presets: tuple[str, ...] = ()
+    """Whose problems it is asked; all if empty."""
+    teams: tuple[int, ...] = ()
+    """Robots in the problems that it is asked; any if empty."""
+
+    @property
+    def name(self) -> str:
+        """Of its planner, or its policy."""
+        return self.policy or self.planner.reference.name
+
+    @property
+    def planner(self) -> PlannerSpec:
+        """That plans before the start.
+
+        Raises:
+            RuntimeError: it is a policy.
+        """
+        if self.spec is None:
+            raise RuntimeError(f"policy {self.policy} has no planner")
+        return self.spec
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Its own."""
+        return dict(self.policy_settings if self.spec is None else self.spec.settings)
+
+    @property
+    def sha256(self) -> str | None:
+        """Of the file that its class is in."""
+        return None if self.spec is None else self.spec.reference.sha256
+
+    @property
+    def file(self) -> Path | None:
+        """That its class is in."""
+        return None if self.spec is None else self.spec.reference.file
+
+    @property
+    def flies_itself(self) -> bool:
+        """Whether robots are flown otherwise than along the plans of the start alone."""
+        return self.policy is not None or bool(self.online)
+
+    def spec_of(self, scenario: Scenario) -> PlannerSpec:
+        """What a worker makes its planner of, for the problems of a scenario."""
+        return replace(self.planner, most_points=scenario.planner.points)
+
+
+def contestant(entry: PlannerEntry) -> Contestant:
+    """What an entry of a file names.
+
+    Raises:
+        ConfigError: there is no such planner, or it has no such settings.
+        UnsupportedError: its libraries are not installed.
+    """
+    knows = None if entry.knows is None else entry.knows.knows()
+    if entry.policy is not None:
+        return Contestant(
+            label=entry.title,
+            spec=None,
+            knows=knows,
+            joints=False,
+            on_device=False,
+            policy=entry.policy,
+            policy_settings=entry.settings,
+            presets=entry.presets,
+            teams=entry.teams,
+        )
+    table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
+    spec = PlannerConfig(name=entry.name, settings=table).chosen()
+    return Contestant(
+        label=entry.title,
+        spec=spec,
+        knows=knows,
+        joints=register.gives_joints(spec),
+        on_device=spec.reference.on_device
+        or callable(getattr(spec.reference.load(), "plan_batch", None)),
+        online=entry.online,
+        presets=entry.presets,
+        teams=entry.teams,
+    )
+
+
+def flown(scenario: Scenario, knows: Knows, one: Contestant, about: str) -> Scenario:
+    """The scenario by which the robots of a contestant fly.
+
+    Args:
+        scenario: of the problems.
+        knows: what may be known of them.
+        one: whose flight.
+        about: the file and the problems, for messages.
+
+    Raises:
+        ConfigError: it cannot be flown so: what the scenario's own tables refuse is refused here.
+    """
+    if not one.flies_itself:
+        return scenario
+    told = {"obstacles": knows.obstacles, "current": knows.current}
+    table = scenario.model_dump(mode="json", exclude_unset=True)
+    table["fleet"] = [entry.model_dump(mode="json", exclude_unset=True) for entry in scenario.fleet]
+    if one.policy is None:
+        online = dict(one.online)
+        order = online.pop("order", None)
+        named = {"name": one.name, "knows": told, **online}
+        own = {one.name.rpartition(":")[2]: one.settings} if one.settings else {}
+        table = merged(table, {"planner": {**named, "settings": own}})
+        table = merged(table, {"execution": {"order": order}} if order else {})
+    else:
+        own = {one.policy: one.settings} if one.settings else {}
+        table = merged(table, {"policy": {"name": one.policy, "knows": told, **own}})
+    source = f"{about}, planner {shown(one.label)}"
+    made = parse(Scenario, table, source=source)
+    try:
+        scenario_policy.policy_of(made, None)
+    except ConfigError as error:
+        raise ConfigError(f"{source}: {error}") from error
+    if one.joints and made.planner.replan_hz:
+        raise ConfigError(
+            f"{source}: planner.replan_hz = {made.planner.replan_hz:g}: planner {one.name} gives "
+            "trajectories of joints, and plans are made anew as way-points; leave out replan_hz"
+        )
+    return made

@@ -1,0 +1,166 @@
+"""Flying the plans of a setting: all of them in one rollout, and what became of each."""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.planning.answers import Answer
+from angler_mjx.planning.planner import NoPlan
+from angler_mjx.robot.control.plans import Plan
+from angler_mjx.runs import waves
+from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.simulator import hosted
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.runs.storage import harvest, results
+from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.sim.state import World
+from angler_mjx.studies.benchmark import paths as bytes_of
+from angler_mjx.studies.benchmark import scenery
+from angler_mjx.studies.benchmark.measures import of_flight
+from angler_mjx.studies.benchmark.questions import Setting
+from angler_mjx.studies.benchmark.store import Store
+
+TRACK_SAMPLES = 240
+"""Most places of a track that is drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """The plans of one planner for the worlds of a setting."""
+
+    planner: int
+    """Its number in the database."""
+    runs: Mapping[int, int]
+    """Numbers of the runs by world."""
+    plans: Mapping[int, list[Any]]
+    """Paths of each robot by world; None where there is none. Empty where a policy flies."""
+
+
+def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Flight]:
+    """Plans of a setting that were not flown yet.
+
+    Raises:
+        ConfigError: the database is damaged.
+    """
+    made = []
+    for planner in planners:
+        rows = store.rows(
+            "SELECT runs.id, world, paths FROM runs LEFT JOIN plans ON plans.runid = runs.id "
+            "WHERE experimentid = ? AND plannerid = ? AND flown IS NULL ORDER BY world",
+            (experiment, planner),
+        )
+        if rows:
+            with reading(store.path):
+                plans = {
+                    row["world"]: [] if row["paths"] is None else bytes_of.unpacked(row["paths"])
+                    for row in rows
+                }
+            runs = {row["world"]: row["id"] for row in rows}
+            made.append(Flight(planner=planner, runs=runs, plans=plans))
+    return made
+
+
+def fly(
+    setting: Setting,
+    simulator: Simulator,
+    flights: Sequence[Flight],
+    examples: int,
+    store: Store,
+) -> None:
+    """Fly plans, and keep what became of them; of each tile at once, or not at all.
+
+    Args:
+        setting: whose worlds.
+        simulator: of its scenario.
+        flights: of it.
+        examples: how many first worlds' tracks are kept.
+        store: where to keep it.
+    """
+    tile = simulator.tile
+    orders = [
+        (flight, first)
+        for flight in flights
+        for first in range(0, setting.scenario.worlds, tile)
+        if any(first <= world < first + tile for world in flight.plans)
+    ]
+    landing = iter(orders)
+    waves_of = waves.simulate(
+        simulator,
+        [first for _, first in orders],
+        recorded=setting.scenario.time.record_hz > 0,
+        progress=Silent(),
+        plans=_Plans(orders),
+        seed=setting.seed,
+        strict=False,
+    )
+    for wave in waves_of:
+        for finished in wave:
+            flight, _ = next(landing)
+            _keep(flight, finished, simulator, setting, examples, store)
+
+
+class _Plans:
+    """Plans for tiles of worlds: which planner's, and which worlds, as they come."""
+
+    def __init__(self, orders: Sequence[tuple[Flight, int]]) -> None:
+        self._coming = iter(orders)
+
+    def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, None]:
+        """See `waves.Given`; worlds without a plan hold their starts."""
+        answers: dict[int, Answer] = {}
+        for t in range(len(firsts)):
+            flight, first = next(self._coming)
+            for world, paths in flight.plans.items():
+                if paths and first <= world < first + simulator.tile:
+                    answers[t * simulator.tile + world - first] = _answer(paths)
+        held = jax.device_get(worlds.path)
+        return hosted.gather(answers, held)[0], None
+
+
+def _answer(paths: Sequence[Any]) -> Answer:
+    given = [NoPlan("no plan") if path is None else path for path in paths]
+    return Answer(paths=given, status="planned", reason="", planning_s=0.0)
+
+
+def _keep(
+    flight: Flight,
+    tile: FinishedTile,
+    simulator: Simulator,
+    setting: Setting,
+    examples: int,
+    store: Store,
+) -> None:
+    table = results.episode_table(harvest.tile_result(tile), simulator.labels(), setting.seed)
+    of_world = defaultdict(list)
+    for row in table.to_pylist():
+        of_world[row["world"]].append(row)
+    hz = setting.scenario.time.record_hz
+    runs = {world: run for world, run in flight.runs.items() if world in of_world}
+    store.add_flights(
+        [
+            (
+                run,
+                of_flight(of_world[world], all(path is not None for path in flight.plans[world])),
+                of_world[world],
+            )
+            for world, run in runs.items()
+        ],
+        {
+            run: scenery.packed(p_m=_track(tile, world - tile.first, hz))
+            for world, run in runs.items()
+            if world < examples and tile.parts
+        },
+    )
+
+
+def _track(tile: FinishedTile, world: int, record_hz: float) -> np.ndarray:
+    """[T, R, 3] where the robots of a world were, until the last of them had ended, m, W."""
+    end = float(np.max(np.asarray(tile.end.tally.end_time_s)[world]))
+    p = np.concatenate([np.asarray(part.p)[world] for part in tile.parts])
+    whole = p[: 1 + int(end * record_hz)]
+    return whole[:: -(-len(whole) // TRACK_SAMPLES) or 1]

@@ -1,0 +1,56 @@
+"""The figures of a benchmark, drawn from its results alone into ``figures/``."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from angler_mjx.report.viewing.style import save
+from angler_mjx.studies.benchmark.report import curves, pictures, scenes
+from angler_mjx.studies.benchmark.report.reading import Results
+
+FOLDER = "figures"
+_EXAMPLES = 4
+
+ALL: dict[str, Callable[[Results], Figure | None]] = {
+    "success_by_team": curves.success_by_team,
+    "success_by_density": curves.success_by_density,
+    "profiles_of_time": curves.profiles_of_time,
+    "profiles_of_cost": curves.profiles_of_cost,
+    "planning_time": curves.planning_time,
+    "failures": pictures.failures,
+}
+"""Figures by name; one gives None where the results hold nothing to draw."""
+
+
+def _spread(paths: Sequence[Path], most: int) -> list[Path]:
+    """Some of them, from the beginning to the end."""
+    if len(paths) <= most:
+        return list(paths)
+    return [paths[round((i + 0.5) * len(paths) / most - 0.5)] for i in range(most)]
+
+
+def make(results: Results) -> list[Path]:
+    """Draw all figures that the results have something for; older ones are replaced.
+
+    Args:
+        results: of a benchmark.
+
+    Returns:
+        The files.
+
+    Raises:
+        ConfigError: an example cannot be read.
+        RunError: a file cannot be written.
+    """
+    folder = results.folder / FOLDER
+    written = []
+    for name, draw in ALL.items():
+        figure = draw(results)
+        if figure is not None:
+            written.append(save(figure, folder / f"{name}.png"))
+    for path in _spread(results.examples, _EXAMPLES):
+        figure = pictures.example(scenes.read(path))
+        if figure is not None:
+            written.append(save(figure, folder / f"example_{path.stem}.png"))
+    return written

@@ -1,0 +1,201 @@
+"""Two planners on the same problems: who succeeds more often, and at what cost.
+
+The difference of two success rates has Newcombe's interval for paired data (Statistics in Medicine
+17, 1998, 2635-2650, method 10: Wilson's intervals of both rates, joined with the correlation of
+the pairs), and the exact p of McNemar's test: two-sided binomial on the problems that one of the
+two alone solved. Ratios of costs are medians over problems that both solved, with percentiles of
+a bootstrap that resamples whole worlds (Efron and Tibshirani 1993), always with the same seed.
+
+The report's page computes the same ratios for any selection of its reader. Both sides resample by
+one generator, so that the page and ``comparisons.csv`` show one interval.
+"""
+
+import csv
+import io
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from angler_mjx.runs.storage.intervals import wilson
+from angler_mjx.studies.benchmark.report.rates import FEW
+from angler_mjx.studies.benchmark.report.reading import Results
+
+RATIOS = {"planning_s": "planned", "makespan_s": "success", "energy_j": "success"}
+"""Costs whose ratios are taken, and what both must have done."""
+RESAMPLES = 1000
+_SEED = 1
+_STEP, _MASK = 0x6D2B79F5, 0xFFFFFFFF
+"""Increment and word of the generator mulberry32, which JavaScript computes alike."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratio:
+    """Median ratio of a cost, first planner over second."""
+
+    median: float
+    low: float
+    high: float
+    pairs: int
+
+    @property
+    def few(self) -> bool:
+        """Whether it rests on few problems."""
+        return self.pairs < FEW
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two planners over the problems that both were asked.
+
+    Success is having planned for every robot while nothing has been flown.
+    """
+
+    first: str
+    second: str
+    both: int
+    only_first: int
+    only_second: int
+    neither: int
+    difference: float
+    """Success rate of the first minus that of the second; NaN without a common problem."""
+    low: float
+    high: float
+    p: float
+    ratios: dict[str, Ratio]
+
+    @property
+    def pairs(self) -> int:
+        """Common problems."""
+        return self.both + self.only_first + self.only_second + self.neither
+
+    @property
+    def few(self) -> bool:
+        """Whether it rests on few problems."""
+        return self.pairs < FEW
+
+
+def compare(results: Results, first: str, second: str) -> Comparison:
+    """Compare two planners.
+
+    Args:
+        results: of a benchmark.
+        first: label.
+        second: label.
+    """
+    runs = results.runs
+    rows = [np.flatnonzero((runs["planner"] == name) & runs.counted) for name in (first, second)]
+    here, there = (results.problem[at] for at in rows)
+    _, i, j = np.intersect1d(here, there, return_indices=True)
+    a, b = rows[0][i], rows[1][j]
+    won = runs[results.judged]
+    counts = (
+        int(np.sum(won[a] & won[b])),
+        int(np.sum(won[a] & ~won[b])),
+        int(np.sum(~won[a] & won[b])),
+        int(np.sum(~won[a] & ~won[b])),
+    )
+    low, high = newcombe(*counts)
+    ratios = {}
+    for cost, needs in RATIOS.items():
+        x, y = runs[cost][a], runs[cost][b]
+        with np.errstate(invalid="ignore"):
+            used = runs[needs][a] & runs[needs][b] & (x > 0) & (y > 0)
+        ratios[cost] = ratio(np.log(x[used] / y[used]), results.world[a][used])
+    return Comparison(
+        first=first,
+        second=second,
+        both=counts[0],
+        only_first=counts[1],
+        only_second=counts[2],
+        neither=counts[3],
+        difference=(counts[1] - counts[2]) / len(a) if len(a) else math.nan,
+        low=low,
+        high=high,
+        p=mcnemar(counts[1], counts[2]),
+        ratios=ratios,
+    )
+
+
+def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tuple[float, float]:
+    """95 % interval of the difference of two paired rates; (-1, 1) without a pair."""
+    n = both + only_first + only_second + neither
+    if n == 0:
+        return -1.0, 1.0
+    p1, p2 = (both + only_first) / n, (both + only_second) / n
+    (l1, u1), (l2, u2) = wilson(both + only_first, n), wilson(both + only_second, n)
+    sides = (
+        (both + only_first)
+        * (only_second + neither)
+        * (both + only_second)
+        * (only_first + neither)
+    )
+    cross = float(both * neither - only_first * only_second)
+    if cross > 0:
+        cross = max(cross - n / 2, 0.0)
+    phi = cross / math.sqrt(sides) if sides else 0.0
+    down, up = (p1 - l1, u2 - p2), (u1 - p1, p2 - l2)
+    below, above = (math.sqrt(max(x * x - 2 * phi * x * y + y * y, 0.0)) for x, y in (down, up))
+    return p1 - p2 - below, p1 - p2 + above
+
+
+def mcnemar(only_first: int, only_second: int) -> float:
+    """Exact two-sided p that the two are equally likely to solve a problem alone."""
+    n = only_first + only_second
+    tail = sum(math.comb(n, i) for i in range(min(only_first, only_second) + 1))
+    return min(1.0, float(2 * tail / 2**n))
+
+
+def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:
+    """Return the median ratio with its 95 % percentile bootstrap interval.
+
+    Args:
+        logs: [n] logarithms of ratios.
+        world: int [n] the world of each; whole worlds are resampled.
+    """
+    if len(logs) == 0:
+        return Ratio(median=math.nan, low=math.nan, high=math.nan, pairs=0)
+    order = np.argsort(logs, kind="stable")
+    ordered, of = logs[order], np.unique(world, return_inverse=True)[1][order]
+    counts = _resample(int(of.max()) + 1, RESAMPLES)[:, of]
+    ends = np.cumsum(counts, axis=1)
+    total = ends[:, -1:]
+    lower = ordered[np.sum(ends <= (total - 1) // 2, axis=1)]
+    upper = ordered[np.sum(ends <= total // 2, axis=1)]
+    low, high = np.exp(np.quantile((lower + upper) / 2, [0.025, 0.975]))
+    median = float(np.exp(np.median(logs)))
+    return Ratio(median=median, low=float(low), high=float(high), pairs=len(logs))
+
+
+def _resample(worlds: int, times: int) -> np.ndarray:
+    """Return how often each world is chosen in each resample, int [times, worlds].
+
+    mulberry32 (T. Ettinger, public domain): its state is a counter, so all numbers come at once.
+    """
+    state = (_SEED + np.arange(1, times * worlds + 1, dtype=np.uint64) * _STEP) & _MASK
+    mixed = ((state ^ (state >> 15)) * (state | 1)) & _MASK
+    mixed = ((mixed + ((mixed ^ (mixed >> 7)) * (mixed | 61) & _MASK)) & _MASK) ^ mixed
+    chosen = (((mixed ^ (mixed >> 14)) / 2**32) * worlds).astype(np.int64)
+    row = np.repeat(np.arange(times), worlds)
+    return np.bincount(row * worlds + chosen, minlength=times * worlds).reshape(times, worlds)
+
+
+def table(results: Results) -> str:
+    """All pairs of planners over all of their common problems, as CSV."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    head = ["first", "second", "problems", "both", "only_first", "only_second", "neither"]
+    head += ["difference", "low", "high", "mcnemar_p"]
+    for cost in RATIOS:
+        head += [f"{cost}_ratio", f"{cost}_ratio_low", f"{cost}_ratio_high", f"{cost}_pairs"]
+    writer.writerow([*head, "few"])
+    for first, second in itertools.combinations(results.planners, 2):
+        one = compare(results, first, second)
+        row: list[object] = [first, second, one.pairs, one.both, one.only_first, one.only_second]
+        row += [one.neither, *(f"{x:.4f}" for x in (one.difference, one.low, one.high))]
+        row += [f"{one.p:.3g}"]
+        for found in one.ratios.values():
+            row += [*(f"{x:.4g}" for x in (found.median, found.low, found.high)), found.pairs]
+        writer.writerow([*row, "yes" if one.few else "no"])
+    return out.getvalue()

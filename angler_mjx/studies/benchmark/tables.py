@@ -1,0 +1,78 @@
+"""Tables of a benchmark out of its database: Parquet, for whoever asks their own questions."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from angler_mjx.runs.storage import atomic
+from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
+from angler_mjx.studies.benchmark.columns import NUMBERS, RUN_SCHEMA, WORDS
+from angler_mjx.studies.benchmark.store import STATUS, Store
+
+RUNS, ROBOTS, PROGRESS = "runs.parquet", "robots.parquet", "progress.parquet"
+
+_WHICH = """plannerConfigs.name AS planner, json_extract(settings, '$.name') AS planner_name,
+    experiments.name AS scene, preset, robots, knows_obstacles, knows_current, problem_seed"""
+_JOINED = """JOIN experiments ON experiments.id = experimentid
+    JOIN plannerConfigs ON plannerConfigs.id = plannerid"""
+_ORDER = "ORDER BY experimentid, plannerid, world"
+
+
+def runs(store: Store) -> pa.Table:
+    """One row a run, and one for each problem that a planner was not asked."""
+    words = ", ".join(f"words.{name}" for name in WORDS)
+    numbers = ", ".join(f"runs.{name} AS {one.name}" for one, name in NUMBERS)
+    rows = [
+        {**dict(row), "plan_status": STATUS[row["plan_status"]]}
+        for row in store.rows(
+            f"SELECT runs.id AS run, {_WHICH}, world, status AS plan_status, {words}, {numbers} "
+            f"FROM runs JOIN words ON words.runid = runs.id {_JOINED} {_ORDER}"
+        )
+    ]
+    rows += [
+        dict(row)
+        for row in store.rows(
+            f"SELECT {_WHICH}, world, status AS plan_status, reason AS plan_reason "
+            f"FROM closed {_JOINED} {_ORDER}"
+        )
+    ]
+    columns = {field.name: [_cell(field, row) for row in rows] for field in RUN_SCHEMA}
+    return pa.table(columns, schema=RUN_SCHEMA)
+
+
+def _cell(field: pa.Field, row: dict[str, Any]) -> Any:
+    value = row.get(field.name)
+    return bool(value) if pa.types.is_boolean(field.type) else value
+
+
+def robots(store: Store) -> pa.Table:
+    """One row a robot of each run that was flown, as in ``episodes.parquet``."""
+    found = store.rows("SELECT runid, episode FROM robots ORDER BY runid, robot")
+    rows = [{"run": row["runid"], **json.loads(row["episode"])} for row in found]
+    schema = pa.schema([pa.field("run", pa.int64()), *EPISODE_SCHEMA])
+    columns = {field.name: [row.get(field.name) for row in rows] for field in schema}
+    return pa.table(columns, schema=schema)
+
+
+def progress(store: Store) -> pa.Table:
+    """How the best cost of planners that go on improving fell."""
+    found = store.rows("SELECT runid, time, best_cost FROM progress ORDER BY runid, time")
+    schema = pa.schema(
+        [
+            pa.field("run", pa.int64()),
+            pa.field("time_s", pa.float64()),
+            pa.field("cost", pa.float64()),
+        ]
+    )
+    columns = [[row[i] for row in found] for i in range(3)]
+    return pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema)
+
+
+def write(store: Store, folder: Path) -> None:
+    """Write all of them into a folder."""
+    for name, make in ((RUNS, runs), (ROBOTS, robots), (PROGRESS, progress)):
+        with atomic.whole(folder / name) as writing:
+            pq.write_table(make(store), writing, compression="zstd")

@@ -1,0 +1,72 @@
+"""Flights of many robots in one device call."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.robot.control.stack import Command, ControlParams
+from angler_mjx.robot.vehicles.params import VehicleParams
+from angler_mjx.robot.vehicles.thrusters import FloatArray
+from angler_mjx.sim.engines import free_flight
+from angler_mjx.sim.engines.free_flight import Flight
+from angler_mjx.sim.state import SimSpec
+from angler_mjx.studies.flights.courses import START_M
+from angler_mjx.world.currents import Current
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Orders:
+    """What each of n robots is and is told; [n] leads everywhere."""
+
+    params: ControlParams
+    plant: VehicleParams
+    """The robots as they are; ``params.vehicle`` where the controllers know them well."""
+    start_m: Any
+    """[3] in W."""
+    yaw_rad: Any
+    """Heading at the start."""
+    command: Command
+    current: Current
+
+
+def fly(spec: SimSpec, orders: Orders, control_steps: int) -> Flight:
+    """The flight of one robot."""
+    return free_flight.fly(
+        spec,
+        orders.params,
+        orders.start_m,
+        orders.yaw_rad,
+        orders.command,
+        orders.current,
+        control_steps=control_steps,
+        plant=orders.plant,
+    )
+
+
+def program(spec: SimSpec, control_steps: int) -> Callable[[Orders, tuple[Any, ...]], Flight]:
+    """The compiled flight of any number of robots, each with gains of its own.
+
+    It compiles once for each number.
+    """
+
+    def one(orders: Orders, gains: tuple[Any, ...]) -> Flight:
+        return fly(replace(spec, gains=gains), orders, control_steps)
+
+    flown: Callable[[Orders, tuple[Any, ...]], Flight] = jax.jit(jax.vmap(one))
+    return flown
+
+
+def starts(n: int) -> FloatArray:
+    """[n, 3] where courses begin, for n robots."""
+    return np.tile(START_M, (n, 1))
+
+
+def same_gains(spec: SimSpec, n: int) -> tuple[Any, ...]:
+    """The gains of a stack for n robots."""
+    like: tuple[Any, ...] = jax.tree.map(lambda x: jnp.full(n, x, float), spec.gains)
+    return like

@@ -1,0 +1,250 @@
+"""What a file of rows looks like: a chart of throughput over worlds, and a table in Markdown."""
+
+import math
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.report.viewing import style, tables
+from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.studies.speed import rows as speed
+from angler_mjx.studies.speed.ceilings import with_bounds
+from angler_mjx.studies.speed.compare import host, latest
+
+BEGIN, END = "<!-- rows: begin -->", "<!-- rows: end -->"
+"""What stands between them in a document is replaced by the table."""
+COMPILED = ("<!-- compiled: begin -->", "<!-- compiled: end -->")
+"""The same of the seconds of compiling."""
+_UNIT = "vehicle-steps/s"
+_MARKS = "osD^vPX*"
+
+
+def draw(path: Path) -> Figure:
+    """Throughput of simulations over the number of worlds, both axes logarithmic.
+
+    Args:
+        path: file of rows; the last of each workload, size, engine and device is taken.
+
+    Raises:
+        ConfigError: it holds no simulation.
+    """
+    rows = [row for row in latest(with_bounds(speed.read(path))) if row["unit"] == _UNIT]
+    if not rows:
+        raise ConfigError(f"--chart {path}: holds no row in {_UNIT}")
+    lines: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
+    for row in sorted(rows, key=lambda row: row["worlds"]):
+        lines[_series(row)].append(row)
+    best = max(rows, key=lambda row: row["median"])
+    with style.styled():
+        figure = style.new_figure(9.6, 5.6 + 0.12 * len(lines), headline_in=0.65)
+        style.headline(
+            figure,
+            f"Up to {short(best['median'])} vehicle-steps/s",
+            f"{best['workload']}, {_engine(best)}, {best['worlds']:,} worlds x {best['robots']} on "
+            f"{device_name(best)}; medians, bars from least to greatest",
+        )
+        axes = figure.subplots()
+        for place, (name, held) in enumerate(sorted(lines.items())):
+            _line(axes, place, name, held)
+        _rooflines(axes, rows)
+        _finish(axes)
+        figure.legend(loc="outside lower left", ncols=2, handlelength=2.4)
+    return figure
+
+
+def table(path: Path) -> str:
+    """The rows of a file as a table in Markdown: the last of each workload, size and device.
+
+    Args:
+        path: file of rows.
+    """
+    head = (
+        "| workload | engine | device | worlds x robots | median | spread | of the roofline "
+        "| flops; bytes | compile | commit |\n"
+        "| --- | --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | --- |"
+    )
+    rows = sorted(
+        (row for row in latest(with_bounds(speed.read(path))) if row["unit"] != speed.DURATION),
+        key=lambda row: (*_series(row), row["worlds"]),
+    )
+    return "\n".join([head, *map(_table_row, rows)])
+
+
+def compile_table(path: Path) -> str:
+    """Seconds of compiling in a file of rows, as a table in Markdown; empty without any.
+
+    Args:
+        path: file of rows; the last of each scenario, size, engine and host is taken.
+
+    Returns:
+        A line for each scenario, size, engine, device and host, with a column for each program:
+        seconds with an empty cache folder, then from a full one.
+    """
+    lines: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
+    for row in latest(speed.read(path)):
+        if row["unit"] == speed.DURATION:
+            _, scenario, *rest = row["workload"].split("/")
+            size = f"{row['worlds']:,} x {row['robots']}"
+            of = lines[scenario, _engine(row), device_name(row), host(row), size]
+            of["/".join(rest)] = f"{row['median']:.1f}"
+            jax = (row.get("versions") or {}).get("jax", "-")
+            of["at"] = f"{jax} | {str(row['at_utc'])[:10]} | {_commit(row)}"
+    if not lines:
+        return ""
+    programs = tuple(CompileTime().by_program())
+    head = ["scenario", "engine", "device", "host", "worlds x robots", *programs]
+    head += ["all, side by side", "jax", "date", "commit"]
+    body = [[*name, *_seconds(of, programs), of["at"]] for name, of in sorted(lines.items())]
+    return tables.table(head, body)
+
+
+def _seconds(of: dict[str, str], programs: tuple[str, ...]) -> list[str]:
+    """Cold and cached seconds of each program and of all."""
+    cached = [(name, f"{name}/cached".removeprefix("/")) for name in (*programs, "")]
+    return [f"{of.get(cold, '-')}; {of.get(warm, '-')}" for cold, warm in cached]
+
+
+def write_table(path: Path, document: Path) -> None:
+    """Put the tables of a file between the marks of a document.
+
+    Raises:
+        ConfigError: the document cannot be read or written, or has no marks.
+    """
+    begin, end = COMPILED
+    seconds = compile_table(path)
+    if seconds:
+        tables.require_place(document, begin, end)
+    tables.put(document, BEGIN, table(path), END)
+    if seconds:
+        tables.put(document, begin, seconds, end)
+
+
+def _series(row: dict[str, Any]) -> tuple[str, ...]:
+    return (row["workload"], _engine(row), device_name(row), f"{row['robots']:4d}")
+
+
+def _line(axes: Axes, place: int, name: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    workload, engine, device, robots = name
+    color, again = style.robot_color(place), place // len(style.ROBOTS) % 2 == 1
+    worlds = [row["worlds"] for row in rows]
+    median = [row["median"] for row in rows]
+    below = [row["median"] - row["low"] for row in rows]
+    above = [row["high"] - row["median"] for row in rows]
+    axes.errorbar(
+        worlds,
+        median,
+        yerr=[below, above],
+        color=color,
+        marker=_MARKS[place % len(_MARKS)],
+        markersize=5.5,
+        # Where colours repeat: single points have no line that could tell them apart.
+        markerfacecolor=style.PAPER if again else color,
+        linestyle="--" if again else "-",
+        linewidth=1.8,
+        capsize=2.5,
+        label=f"{workload}, {_robots(int(robots))}, {engine}, {device}",
+    )
+
+
+def _rooflines(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    """What memory and arithmetic allow, by workload and device; of several engines the highest.
+
+    Only of those measured at several sizes: lines for single points would hide one another.
+    """
+    of: dict[tuple[str, str], float] = {}
+    sizes: dict[tuple[str, str], set[int]] = {}
+    for row in rows:
+        name = (row["workload"], device_name(row))
+        of[name] = max(of.get(name, 0.0), row.get("bound") or 0.0)
+        sizes.setdefault(name, set()).add(row["worlds"])
+    above, left = math.inf, True
+    for (workload, device), bound in sorted(of.items(), key=lambda item: -item[1]):
+        if not bound or len(sizes[workload, device]) < 2:
+            continue
+        axes.axhline(bound, color=style.QUIET, linestyle=":", linewidth=1.2)
+        # Where lines lie close together: below the lower one, in turn on the right and on the left.
+        close = above <= 1.8 * bound
+        left = not (close and left)
+        axes.text(
+            0.01 if left else 0.27,
+            bound * (0.94 if close else 1.06),
+            f"roofline: {workload}, {device}",
+            transform=axes.get_yaxis_transform(),
+            va="top" if close else "bottom",
+            fontsize=8.0,
+            color=style.QUIET,
+        )
+        above = bound
+
+
+def _finish(axes: Axes) -> None:
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low / 1.5, high * 1.5)
+    ticks = [4**k for k in range(11)]
+    left, right = axes.get_xlim()
+    shown = [tick for tick in ticks if left <= tick <= right]
+    axes.set_xticks(shown, [f"{tick:,}" for tick in shown])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("worlds in one device call")
+    axes.set_ylabel("physics steps of vehicles in a second")
+    axes.grid()
+
+
+def _table_row(row: dict[str, Any]) -> str:
+    spread = (row["high"] - row["low"]) / row["median"]
+    share = _percent(100 * row["median"] / row["bound"]) if row.get("bound") else "-"
+    counted = f"{row['flops']:,.0f}" if row["flops"] else "-"
+    moved = f"{row['least_bytes']:.3g}" if row["least_bytes"] else "-"
+    compiled = f"{row['compile_s']:.1f} s" if row["compile_s"] is not None else "-"
+    compiled += " (cached)" if row["cached_programs"] else ""
+    cells = [
+        row["workload"],
+        _engine(row),
+        device_name(row),
+        f"{row['worlds']:,} x {row['robots']}",
+        f"{short(row['median'])} {row['unit']}",
+        f"{100 * spread:.0f} %",
+        share,
+        f"{counted}; {moved}",
+        compiled,
+        _commit(row),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _engine(row: dict[str, Any]) -> str:
+    if row["engine"] is None:
+        return "-"
+    return f"{row['engine']}/{row['kernels']}" if row["engine"] == "fused" else str(row["engine"])
+
+
+def _commit(row: dict[str, Any]) -> str:
+    commit = str(row["commit"] or "-")
+    return commit[:7] + (" (changed)" if commit.endswith("-changed") else "")
+
+
+def device_name(row: dict[str, Any]) -> str:
+    """Devices of a row as a person names them: CPU, H200, 4 H200."""
+    name = "CPU" if row["device"] == "cpu" else str(row["device"]).removeprefix("NVIDIA ")
+    return name if row["devices"] == 1 else f"{row['devices']} {name}"
+
+
+def _robots(number: int) -> str:
+    return "1 robot" if number == 1 else f"{number} robots"
+
+
+def _percent(share: float) -> str:
+    """Two digits, or as many as a whole number has."""
+    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
+
+
+def short(rate: float) -> str:
+    """As 1.2e8, without the zero and sign that Python puts into an exponent."""
+    mantissa, exponent = f"{rate:.1e}".split("e")
+    return f"{mantissa}e{int(exponent)}" if abs(int(exponent)) > 3 else f"{rate:.0f}"

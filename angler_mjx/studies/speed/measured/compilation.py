@@ -1,0 +1,84 @@
+"""Seconds from Python to machine code of each program of a scenario, without and with a cache.
+
+Cold: with an empty cache folder. Cached: a second time, from that folder, with nothing of the first
+left in memory; programs are still traced and lowered then. Each is measured once, since a cold
+start takes minutes.
+"""
+
+from collections import Counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import jax
+
+from angler_mjx.errors import RunError
+from angler_mjx.runs.simulator import cache, programs
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.studies.speed.rows import DURATION, HITS, REQUESTS, Row, cache_events
+
+CACHED = "cached"
+INSIDE = (
+    "tracing, lowering and compiling with an empty cache folder, and once more with the programs "
+    "of that folder; programs side by side, all together by the clock on the wall"
+)
+
+
+def measure(scenario: Scenario, *, label: str, worlds: int) -> list[Row]:
+    """Compile the programs of a scenario twice into one temporary cache folder.
+
+    Args:
+        scenario: whose programs.
+        label: beginning of the workload's name; ``/PROGRAM`` and ``/cached`` follow.
+        worlds: in one device call.
+
+    Returns:
+        Rows in seconds: of all programs and of each, cold and then cached.
+
+    Raises:
+        RunError: a program was compiled a second time though the folder was full.
+    """
+    rows = []
+    with TemporaryDirectory(prefix="angler-compile-") as folder, cache.kept_in(Path(folder)):
+        for is_cached in (False, True):
+            jax.clear_caches()
+            programs.forget()
+            rows += _rows(scenario, label, worlds, is_cached)
+    return rows
+
+
+def _rows(scenario: Scenario, label: str, worlds: int, is_cached: bool) -> list[Row]:
+    simulator = Simulator(scenario, tile=worlds)
+    try:
+        before = Counter(cache_events())
+        took = simulator.compile()
+        events = cache_events() - before
+    finally:
+        simulator.close()
+    if is_cached and events[HITS] < events[REQUESTS]:
+        raise RunError(
+            f"{events[REQUESTS] - events[HITS]} of {events[REQUESTS]} programs were compiled a "
+            "second time though a full cache folder was there: no number is given"
+        )
+    return [
+        Row(
+            workload="/".join([label, *program, *([CACHED] if is_cached else [])]),
+            inside=INSIDE,
+            worlds=worlds,
+            robots=len(scenario.members()),
+            unit=DURATION,
+            median=seconds,
+            low=seconds,
+            high=seconds,
+            repeats=1,
+            compile_s=None,
+            cached_programs=events[HITS] if not program else int(is_cached),
+            engine=scenario.engine,
+            kernels=simulator.kernels,
+            controller=scenario.controller.title,
+        )
+        for program, seconds in [
+            ((), took.total_s),
+            *(((name,), seconds) for name, seconds in took.by_program().items()),
+        ]
+    ]

@@ -1,0 +1,257 @@
+"""How fast a run is recorded, beside what the disk can do and what the device makes.
+
+Disk and recorder are timed in the same folder and in turns, because a disk shared with others
+changes from second to second. Both are timed to the end of ``fsync``, both let the disk begin while
+they go on, and both write the same number of bytes. The samples are real ones: a tile of a scenario
+is simulated to its horizon once, and written again and again as new tiles of a run.
+"""
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import ConfigError, RunError
+from angler_mjx.runs import sizes
+from angler_mjx.runs.storage import atomic, harvest
+from angler_mjx.runs.storage.chunks import shards
+from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage.recorder import Recorder, Shape
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.record import Sample
+from angler_mjx.studies.speed.measured import simulation
+from angler_mjx.studies.speed.measured.simulation import Timed
+from angler_mjx.studies.speed.rows import Row, check_repeats, spread
+
+BLOCK_BYTES = 16 * 2**20
+"""Of one plain write: large enough that the call does not matter."""
+LEAST_BYTES = 256 * 10**6
+"""On disk in one turn, in as many tiles as that takes: opening files should not matter either."""
+
+
+def measure(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    folder: Path,
+    least_bytes: int = LEAST_BYTES,
+) -> Row:
+    """Measure simulation, recorder and disk.
+
+    Args:
+        scenario: with ``record_hz`` above 0.
+        label: name of the workload.
+        worlds: of a tile.
+        repeats: turns, after one that does not count.
+        folder: on the disk in question; what is written there is taken away again.
+        least_bytes: written in one turn at least.
+
+    Returns:
+        Rates in MB/s of bytes that reached the disk. ``extra`` holds the disk's own rate
+        (``disk_mbps``) and how much it varied (``disk_spread``), the ratio of both
+        (``disk_ratio``), the rate in samples before compression (``samples_mbps``),
+        ``bytes_per_robot_sample`` on disk, ``vehicle_steps_per_s`` of the simulation in tiles of
+        the same size, and ``break_even_hz``.
+
+    Raises:
+        ConfigError: too few repeats, nothing is recorded, or the folder cannot be written.
+        RunError: as in `simulation.measure`.
+    """
+    check_repeats(repeats)
+    if scenario.time.record_hz == 0:
+        raise ConfigError("record_hz = 0: there is nothing to record; give a scenario that does")
+    with _place_in(folder) as place:
+        timed = simulation.time_it(scenario, label=label, worlds=worlds, repeats=repeats)
+        written = _in_turns(timed, _to_the_horizon(timed), place, repeats, least_bytes)
+    speed = timed.row.median or 0.0
+    recorder = float(np.median(written.recorder_mbps))
+    disk = float(np.median(written.disk_mbps))
+    return replace(
+        timed.row,
+        inside=f"{written.tiles} tiles of {worlds:,} worlds, {scenario.time.record_hz:g} Hz, from "
+        "samples on the host to the end of fsync: joining, compression, files",
+        unit="MB/s",
+        **spread(written.recorder_mbps),
+        flops=None,
+        flops_from="not counted: nothing is computed",
+        least_bytes=None,
+        active_share=None,
+        extra={
+            "disk_mbps": disk,
+            "disk_spread": (max(written.disk_mbps) - min(written.disk_mbps)) / disk,
+            "disk_ratio": recorder / disk,
+            "samples_mbps": recorder * written.compression,
+            "bytes_per_robot_sample": written.bytes_per_robot_sample,
+            "vehicle_steps_per_s": speed,
+            "break_even_hz": break_even_hz(
+                recorder, written.bytes_per_robot_sample, speed, scenario.time.physics_dt_s
+            ),
+        },
+    )
+
+
+def break_even_hz(
+    recorder_mbps: float, bytes_per_robot_sample: float, vehicle_steps_per_s: float, dt_s: float
+) -> float:
+    """Record rate above which the device would wait for the disk, Hz of simulated time.
+
+    Robots together live ``vehicle_steps_per_s * dt_s`` seconds in a second; each writes its bytes
+    at the record rate.
+
+    Args:
+        recorder_mbps: bytes on disk, MB/s.
+        bytes_per_robot_sample: on disk.
+        vehicle_steps_per_s: of the device, physics steps of all robots.
+        dt_s: simulated time of one.
+    """
+    return recorder_mbps * 1e6 / (vehicle_steps_per_s * dt_s * bytes_per_robot_sample)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Written:
+    """What was measured of the disk."""
+
+    tiles: int
+    disk_mbps: list[float]
+    recorder_mbps: list[float]
+    compression: float
+    """Bytes of samples for each byte on disk."""
+    bytes_per_robot_sample: float
+    """On disk, with its share of the obstacles' samples."""
+
+
+@contextmanager
+def _place_in(folder: Path) -> Iterator[Path]:
+    """A folder of its own, which is taken away again."""
+    place = folder / f".recording-{os.getpid()}"
+    try:
+        place.mkdir(parents=True)
+        yield place
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _to_the_horizon(timed: Timed) -> FinishedTile:
+    """Simulate the tile until its robots have ended."""
+    simulator, worlds = timed.simulator, timed.worlds
+    state, parts = simulator.reset(worlds), list[Sample]()
+    for _ in range(simulator.segments):
+        state, sample, running = timed.program(simulator.fleet, worlds, state)
+        parts.append(_on_host(sample))
+        if not np.asarray(running).any():
+            break
+    return FinishedTile(
+        first=0,
+        kept=simulator.tile,
+        constants=_on_host(harvest.constants(worlds, recorded=True)),
+        end=_on_host(harvest.end(state, recorded=True)),
+        parts=parts,
+    )
+
+
+def _on_host(tree: Any) -> Any:
+    return jax.tree.map(np.asarray, tree)
+
+
+def _in_turns(
+    timed: Timed, tile: FinishedTile, place: Path, repeats: int, least_bytes: int
+) -> _Written:
+    simulator = timed.simulator
+    shape = replace(sizes.shape_of(simulator), worlds=simulator.tile)
+    dt_s = 1.0 / simulator.scenario.time.record_hz
+    begin = partial(_Run, place / "run.zarr", tile, shape, dt_s)
+    one = begin(1)
+    one.write()
+    one_bytes = _bytes_in(place)
+    _remove_all(place)
+    tiles = -(-least_bytes // one_bytes)
+    disk, recorder = [], []
+    for turn in range(repeats + 1):
+        run = begin(tiles)
+        taken = _timed(run.write, place)
+        size = _bytes_in(place)
+        _remove_all(place)
+        plain = _timed(partial(_plain, place / "plain", size), place)
+        _remove_all(place)
+        if turn > 0:
+            recorder.append(size / taken / 1e6)
+            disk.append(size / plain / 1e6)
+    return _Written(
+        tiles=tiles,
+        disk_mbps=disk,
+        recorder_mbps=recorder,
+        compression=tiles * tile.kept * shape.bytes_per_world() / size,
+        bytes_per_robot_sample=size / (tiles * tile.kept * shape.samples * shape.robots),
+    )
+
+
+class _Run:
+    """A run whose tiles are all the same one."""
+
+    def __init__(
+        self, path: Path, tile: FinishedTile, shape: Shape, dt_s: float, tiles: int
+    ) -> None:
+        if tile.constants.environment is None:
+            raise RunError("the tile was simulated without its environment: there is none to write")
+        self._tile, self._tiles, self._samples = tile, tiles, shape.samples
+        self._environment = tile.constants.environment
+        whole = replace(shape, worlds=tiles * tile.kept)
+        self._recorder = Recorder.create(
+            path, whole, self._environment, tile=tile.kept, sample_dt_s=dt_s
+        )
+
+    def write(self) -> None:
+        """Write all tiles, one after another, as a run does."""
+        for number in range(self._tiles):
+            arrays = harvest.arrays(self._tile, self._samples)
+            self._recorder.write(number * self._tile.kept, arrays, self._environment)
+
+
+@cache
+def _noise() -> bytes:
+    return np.random.default_rng(0).bytes(BLOCK_BYTES)
+
+
+def _plain(path: Path, size: int) -> None:
+    """Write a file of a size in large blocks of bytes that no disk can make smaller."""
+    block = memoryview(_noise())
+    with path.open("wb", buffering=0) as file:
+        for begin in range(0, size, BLOCK_BYTES):
+            written = file.write(block[: min(BLOCK_BYTES, size - begin)])
+            shards.start_disk(file.fileno(), begin, written)
+
+
+def _timed(write: Callable[[], None], place: Path) -> float:
+    """Seconds until what was written is on the disk."""
+    begun = time.perf_counter()
+    write()
+    files = [path for path in place.rglob("*") if path.is_file()]
+    # Together: one after another, many small files would wait for the disk once each.
+    with ThreadPoolExecutor(16) as pool:
+        list(pool.map(atomic.sync, files))
+    return time.perf_counter() - begun
+
+
+def _bytes_in(path: Path) -> int:
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+
+
+def _remove_all(place: Path) -> None:
+    for path in place.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()

@@ -1,0 +1,307 @@
+"""Speed of a scenario on this device: drawing and planning its worlds, and simulating them.
+
+The simulation is timed in its first seconds, from rest, while the robots move. Counted are the
+physics steps that robots lived: one that has ended is not simulated for a living.
+"""
+
+from collections import deque
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.errors import RunError
+from angler_mjx.runs import waves
+from angler_mjx.runs.simulator import devices as on_devices
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.scenario import Scenario
+from angler_mjx.sim.record import Sample
+from angler_mjx.sim.state import Outcome, World, WorldState
+from angler_mjx.studies.speed import flops
+from angler_mjx.studies.speed.measured import worlds_once
+from angler_mjx.studies.speed.rows import (
+    Row,
+    account,
+    all_finite,
+    check_repeats,
+    moved_bytes,
+    peak_device_bytes,
+    seconds_of,
+    spread,
+    turns,
+)
+
+MOVED_M = 1e-3
+"""Way of a robot in the timed region below which it counts as standing."""
+ACTIVE = 0.9
+"""Least share of the steps that robots must have lived: else it is another workload."""
+CALLS = 4
+"""Device calls in a timed turn, one behind another as in a run; one on a CPU, where the time that a
+call takes to begin is nothing beside it."""
+PLAIN_WORLDS = 8
+"""In which operations are counted: for one step they do not depend on it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """A scenario compiled for one size, with its worlds and its row."""
+
+    simulator: Simulator
+    worlds: World
+    program: Any
+    """Its segment: of fleet, worlds and state, whose memory is used up."""
+    row: Row
+
+
+def measure(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    devices: int = 1,
+    prepared: int | None = None,
+    counted: bool = True,
+) -> Row:
+    """Time the simulation of a scenario, one tile on each device.
+
+    Args:
+        scenario: what to simulate.
+        label: name of the workload.
+        worlds: of each device in one call.
+        repeats: timed turns, after some that are not; all from the same state.
+        devices: number of them.
+        prepared: different worlds to draw, of which the first are taken; as many as are needed
+            if left out, ``worlds_once.DIFFERENT`` at most in both cases.
+        counted: whether the operations of a step are counted, which traces the program once more.
+
+    Returns:
+        Rates in vehicle-steps/s: physics steps of all robots on their way.
+
+    Raises:
+        ConfigError: too few repeats.
+        RunError: a result is not finite, robots stand still, or memory does not suffice.
+    """
+    sized: dict[str, Any] = {"worlds": worlds, "repeats": repeats, "devices": devices}
+    return time_it(scenario, label=label, **sized, prepared=prepared, counted=counted).row
+
+
+def time_it(
+    scenario: Scenario,
+    *,
+    label: str,
+    worlds: int,
+    repeats: int,
+    devices: int = 1,
+    prepared: int | None = None,
+    counted: bool = True,
+) -> Timed:
+    """As `measure`, with what was compiled for it."""
+    check_repeats(repeats)
+    simulator = Simulator(scenario, tile=worlds, devices=devices)
+    drawn = worlds_once.draw(scenario, prepared or devices * worlds)
+    compile_s, program = _compiled(simulator, drawn)
+    filled = worlds_once.fill(drawn, worlds, devices)
+    rates, active = _repeat(simulator, program, filled, repeats)
+    row = Row(
+        workload=label,
+        inside=f"{_inside(simulator)}; {worlds_once.said(drawn, devices * worlds)}",
+        worlds=worlds,
+        robots=len(scenario.members()),
+        unit="vehicle-steps/s",
+        **spread(rates),
+        compile_s=compile_s,
+        devices=devices,
+        engine=scenario.engine,
+        kernels=simulator.kernels,
+        controller=scenario.controller.title,
+        **(_needs(simulator, program) if counted else {"flops_from": "not asked for"}),
+        **account(program),
+        device_peak_bytes=peak_device_bytes(),
+        active_share=active,
+    )
+    return Timed(simulator=simulator, worlds=filled, program=program, row=row)
+
+
+def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> Row:
+    """Time the drawing and planning of worlds; every repeat makes other worlds.
+
+    Args:
+        scenario: whose worlds.
+        label: name of the workload.
+        worlds: in one device call.
+        repeats: timed calls, after one that is not timed.
+
+    Raises:
+        ConfigError: too few repeats.
+        RunError: a path is not finite, or memory does not suffice.
+    """
+    check_repeats(repeats)
+    simulator = Simulator(scenario, tile=worlds)
+    compiled = simulator.compile()
+    taken = []
+    for i in range(repeats + 1):
+        try:
+            seconds, made = seconds_of(simulator.worlds, i * worlds)
+        except jax.errors.JaxRuntimeError as error:
+            simulator.explain(error)
+            raise
+        if not all_finite(made.path):
+            raise RunError("a path in the timed worlds is not finite: no number is given")
+        taken.append(seconds)
+    return Row(
+        workload=label,
+        inside="drawing cells, obstacles, currents, starts and goals; planning all robots",
+        worlds=worlds,
+        robots=len(scenario.members()),
+        unit="worlds/s",
+        **spread([worlds / seconds for seconds in taken[1:]]),
+        compile_s=compiled.prepare_s,
+        flops_from="not counted: the planner searches until it has found",
+        device_peak_bytes=peak_device_bytes(),
+    )
+
+
+def require_moving(after: WorldState, sample: Sample, most_s: float) -> float:
+    """Refuse a timed region whose rate would say nothing.
+
+    Args:
+        after: state at its end, [W] leading.
+        sample: taken in it.
+        most_s: simulated time of the region.
+
+    Returns:
+        Share of all robot time that robots were on their way.
+
+    Raises:
+        RunError: a number is not finite, robots stood still, or too many had ended.
+    """
+    if not all_finite((after.vehicles, sample.p, sample.q, sample.nu)):
+        raise RunError("the timed run holds NaN: no number is given")
+    running = np.asarray(after.tally.outcome) == Outcome.RUNNING
+    standing = running & (np.asarray(after.tally.path_length_m) < MOVED_M)
+    if standing.any():
+        raise RunError(
+            f"{standing.sum()} of {standing.size} robots stood still in the timed region: "
+            "no number is given"
+        )
+    active = float(np.mean(np.asarray(after.tally.end_time_s, np.float64))) / most_s
+    if active < ACTIVE:
+        raise RunError(
+            f"robots were on their way for only {active:.0%} of the timed region: "
+            "no number is given"
+        )
+    return min(active, 1.0)
+
+
+def _repeat(
+    simulator: Simulator, program: Any, worlds: World, repeats: int
+) -> tuple[list[float], float]:
+    """Rates of the timed turns, and the least share of robot time in them."""
+    calls = _calls(simulator)
+    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
+    rates, actives = [], []
+    for counts in turns(repeats):
+        state = jax.block_until_ready(simulator.reset(worlds))
+        taken, (after, sample) = seconds_of(_fly, simulator, program, worlds, state, calls)
+        active = require_moving(after, sample, seconds)
+        # What is measured is freed before the next state is made: it counts in peak memory.
+        del state, after, sample
+        if counts:
+            rates.append(active * calls * _most_steps(simulator) / taken)
+            actives.append(active)
+    return rates, min(actives)
+
+
+def _calls(simulator: Simulator) -> int:
+    """Device calls in one timed turn."""
+    return min(1 if jax.default_backend() == "cpu" else CALLS, simulator.segments)
+
+
+def _fly(
+    simulator: Simulator, program: Any, worlds: World, state: WorldState, calls: int
+) -> tuple[WorldState, Sample]:
+    """Calls one behind another as in a run: the next is given while one is still computed."""
+    in_flight: deque[jax.Array] = deque()
+    for _ in range(calls):
+        state, sample, running = program(simulator.fleet, worlds, state, *simulator._driver)
+        in_flight.append(running)
+        if len(in_flight) == waves.AHEAD:
+            in_flight.popleft().block_until_ready()
+    return state, sample
+
+
+def _compiled(simulator: Simulator, drawn: World) -> tuple[float, Any]:
+    """Seconds it took to compile a segment of repeated worlds, and the program.
+
+    Raises:
+        RunError: its memory is more than a device has; nothing was allocated yet.
+    """
+    shapes = worlds_once.shape(drawn, simulator.tile, simulator.devices)
+    mesh = on_devices.mesh(simulator.devices)
+    driver = on_devices.placed(simulator._driver, mesh, on_devices.SAME)
+    state = simulator.programs.reset.shape(simulator.fleet, shapes, *driver)
+    state = on_devices.placed(state, mesh, on_devices.EACH)
+    lowered = simulator.programs.segment.lower(simulator.fleet, shapes, state, *driver)
+    compile_s, program = seconds_of(lowered.compile)
+    _require_room(simulator.tile, program)
+    return compile_s, program
+
+
+def _require_room(tile: int, program: Any) -> None:
+    """Refuse a program that by XLA's account needs more memory than a device has."""
+    needed = account(program).get("program_bytes")
+    limit = on_devices.limit_bytes(jax.local_devices()[0])
+    if needed is not None and needed > limit:
+        raise on_devices.too_large(tile, needed, limit, "before the first step")
+
+
+def _needs(simulator: Simulator, program: Any) -> dict[str, Any]:
+    """What one physics step of one robot needs at least: operations and bytes."""
+    counted, how = _flops_per_step(simulator)
+    moved = moved_bytes(program)
+    bytes_each = simulator.devices * moved / _most_steps(simulator) if moved else None
+    return {"flops": counted, "flops_from": how, "least_bytes": bytes_each}
+
+
+def _most_steps(simulator: Simulator) -> int:
+    """Physics steps of all robots in one call, if none of them ends."""
+    robots = len(simulator.scenario.members())
+    worlds = simulator.devices * simulator.tile
+    return worlds * robots * simulator.segment_steps * simulator.spec.physics_steps
+
+
+def _flops_per_step(simulator: Simulator) -> tuple[float | None, str]:
+    """Operations for one physics step of one robot, and how they were counted."""
+    counted = _count(simulator.scenario.model_dump_json())
+    if simulator.kernels == "xla" or counted.flops is None:
+        return counted.flops, counted.how
+    return counted.flops, f"{counted.how}; of the same engine with kernels = xla"
+
+
+@cache
+def _count(scenario: str) -> flops.Count:
+    """Operations for one physics step of one robot of a scenario, on the plain engine."""
+    plain = Simulator(
+        Scenario.model_validate_json(scenario).model_copy(update={"kernels": "xla"}),
+        tile=PLAIN_WORLDS,
+    )
+    worlds = plain.world_shape()
+    counted = flops.count(plain.advance, worlds, jax.eval_shape(plain.reset, worlds))
+    if counted.flops is None:
+        return counted
+    return replace(counted, flops=counted.flops / _most_steps(plain))
+
+
+def _inside(simulator: Simulator) -> str:
+    calls = _calls(simulator)
+    seconds = calls * simulator.segment_steps * simulator.spec.control_dt_s
+    times = "one device call" if calls == 1 else f"{calls} device calls"
+    every = simulator.steps_per_sample * simulator.spec.physics_steps
+    return (
+        f"{seconds:g} s of simulated time from rest, in {times}: current, water, rigid "
+        f"body, rotors, control, allocation, obstacles, detection; samples every {every} physics "
+        "steps, left on the device"
+    )

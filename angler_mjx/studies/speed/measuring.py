@@ -1,0 +1,125 @@
+"""One workload after the other, each made a row: with its number, or with the reason for none."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import jax
+
+from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.runs.simulator import devices
+from angler_mjx.studies.speed.measured import (
+    compilation,
+    environments,
+    free_motion,
+    hull_clearance,
+    recording,
+    simulation,
+)
+from angler_mjx.studies.speed.rows import HITS, Row, cache_events, peak_device_bytes
+from angler_mjx.studies.speed.workloads import Case
+
+
+def run(chosen: list[Case], begin: Callable[[Case], None]) -> Iterator[Row]:
+    """Measure one case after the other.
+
+    A case gives a row, or several where it compiles. A case that is refused gives a row without a
+    number. After one that lacks memory, larger ones of the same kind are left out.
+
+    Args:
+        chosen: from `cases`.
+        begin: told of each case before it is measured.
+    """
+    full: set[tuple[str, int]] = set()
+    for case in chosen:
+        if (case.label, case.robots) in full:
+            continue
+        begin(case)
+        before = cache_events()[HITS]
+        rows = _measured(case)
+        if case.workload.kind != "compilation":
+            hits = cache_events()[HITS] - before
+            rows = [replace(row, cached_programs=hits) for row in rows]
+        if any(row.out_of_memory for row in rows):
+            full.add((case.label, case.robots))
+        yield from rows
+        # Programs of the case before hold device memory that the next one may need.
+        jax.clear_caches()
+
+
+def _measured(case: Case) -> list[Row]:
+    try:
+        return _measure(case)
+    except AnglerError as error:
+        return [_refused(case, str(error), devices.is_out_of_memory(error.__cause__ or error))]
+    except jax.errors.JaxRuntimeError as error:
+        if not devices.is_out_of_memory(error):
+            raise
+        fits = _largest_that_fits(case)
+        return [_refused(case, f"out of device memory; {fits} worlds in one call fit", True)]
+
+
+def _measure(case: Case) -> list[Row]:
+    if case.workload.kind == "compilation" and case.scenario is not None:
+        return compilation.measure(case.scenario, label=case.label, worlds=case.worlds)
+    return [_rate(case)]
+
+
+def _rate(case: Case) -> Row:
+    workload, worlds, robots, repeats = case.workload, case.worlds, case.robots, case.repeats
+    match workload.kind:
+        case "generation":
+            row = environments.measure(
+                workload.source, robots=robots, worlds=worlds, repeats=repeats
+            )
+            return replace(row, device_peak_bytes=peak_device_bytes())
+        case "clearance":
+            return hull_clearance.measure(worlds=worlds, robots=robots, repeats=repeats)
+        case "dynamics":
+            return free_motion.measure(vehicles=worlds, repeats=repeats, kernels=case.kernels)
+    if case.scenario is None:
+        raise ConfigError(f"workload {case.label}: needs a scenario")
+    sized: Any = {"label": case.label, "worlds": worlds, "repeats": repeats}
+    if workload.kind == "preparation":
+        return simulation.measure_preparation(case.scenario, **sized)
+    if workload.kind == "recording":
+        return recording.measure(case.scenario, **sized, folder=case.folder)
+    return simulation.measure(case.scenario, **sized, devices=case.devices, prepared=case.prepared)
+
+
+def _largest_that_fits(case: Case) -> int:
+    """Largest half, quarter, eighth ... of the worlds that can be measured; 0 if not even one."""
+    worlds = case.worlds // 2
+    while worlds >= 1:
+        try:
+            _measure(replace(case, worlds=worlds))
+        except jax.errors.JaxRuntimeError as error:
+            if not devices.is_out_of_memory(error):
+                raise
+            worlds //= 2
+        else:
+            break
+    return worlds
+
+
+def _refused(case: Case, why: str, out_of_memory: bool) -> Row:
+    scenario = case.scenario
+    return Row(
+        workload=case.label,
+        inside="",
+        worlds=case.worlds,
+        robots=case.robots,
+        unit="",
+        median=None,
+        low=None,
+        high=None,
+        repeats=0,
+        compile_s=None,
+        devices=case.devices,
+        engine=scenario.engine if scenario else case.workload.engine,
+        kernels=scenario.kernels if scenario else case.kernels,
+        controller=case.controller,
+        device_peak_bytes=peak_device_bytes(),
+        refused=why,
+        out_of_memory=out_of_memory or "out of device memory" in why,
+    )

@@ -1,0 +1,138 @@
+"""What the device itself can do, measured, and how far from it a rate is.
+
+Memory: a large array is read and written once, element by element. Arithmetic: chains of fused
+multiply-adds of float32 in registers, eight of them side by side so that none waits for itself; on
+a GPU in a Triton kernel that names the instruction, because XLA keeps multiplication and addition
+apart there. A rate cannot be above either of ``copy / bytes`` and ``fma / flops``, with the bytes
+and operations that one step needs: the lower of the two is its roofline (Williams, Waterman and
+Patterson, 2009).
+"""
+
+import subprocess
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.sim.engines.triton import launch as triton
+from angler_mjx.studies.speed.rows import Row, seconds_of, turns
+
+CHAINS = 8
+"""Side by side in each element."""
+_PROGRAM = triton.Program(lanes=256, warps=8)
+_IN_A_TURN = 16
+"""Links of each chain in a turn of the kernel's loop: its own instructions are few beside them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Load:
+    """What is timed."""
+
+    copied: int
+    """Elements."""
+    chained: int
+    """Elements with chains."""
+    links: int
+    """Multiply-adds of a chain."""
+
+
+_LOADS = {"cpu": _Load(copied=2**26, chained=2**20, links=64)}
+"""About 20 ms each on two cores."""
+_LOAD_ELSEWHERE = _Load(copied=2**30, chained=2**25, links=1024)
+"""Some ms each on a device of some TB/s and some 10 TFLOP/s: a launch, and reading what the chains
+begin with, are little beside it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceSpeed:
+    """Measured limits of one device."""
+
+    copy_bytes_per_s: float
+    """Bytes read plus bytes written."""
+    fma_flops_per_s: float
+    """A multiply-add counts two."""
+    driver: str | None
+    """Of an NVIDIA device, as ``nvidia-smi`` says."""
+
+
+def measure(repeats: int = 10) -> DeviceSpeed:
+    """Measure the default device; medians of the repeats."""
+    backend = jax.default_backend()
+    load = _LOADS.get(backend, _LOAD_ELSEWHERE)
+    copy = _median_s(load.copied, jax.jit(lambda x, a, b: x + b), repeats)
+    chains = partial(_chains_in_kernel if backend == "gpu" else _chains, load.links)
+    chain = _median_s(load.chained, jax.jit(chains), repeats)
+    return DeviceSpeed(
+        copy_bytes_per_s=2 * 4 * load.copied / copy,
+        fma_flops_per_s=2 * CHAINS * load.links * load.chained / chain,
+        driver=None if backend == "cpu" else driver(),
+    )
+
+
+def bound(row: Row, device: DeviceSpeed) -> float | None:
+    """Highest rate that the row's devices allow; None if neither of its needs is known."""
+    limits = []
+    if row.flops:
+        limits.append(device.fma_flops_per_s / row.flops)
+    if row.least_bytes:
+        limits.append(device.copy_bytes_per_s / row.least_bytes)
+    return row.devices * min(limits) if limits else None
+
+
+def driver() -> str | None:
+    """Version of the NVIDIA driver; None where there is none."""
+    try:
+        said = subprocess.run(
+            ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=20,
+        ).stdout.split()
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return said[0] if said else None
+
+
+def _chains(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+    """The sum of ``CHAINS`` chains; nothing in them is known before the call."""
+    links = [x + k for k in range(CHAINS)]
+    for _ in range(n_link):
+        links = [link * a + b for link in links]
+    total = links[0]
+    for link in links[1:]:
+        total = total + link
+    return total
+
+
+def _chains_in_kernel(n_link: int, x: jax.Array, a: jax.Array, b: jax.Array) -> jax.Array:
+    """The same in one kernel; in a loop, for straight code would wait for its instructions."""
+
+    def kernel(a: jax.Array, b: jax.Array, turns: jax.Array, _: jax.Array, out: jax.Array) -> None:
+        at, _row = triton.place(_PROGRAM.lanes)
+        x = triton.loader(out)(at)
+        factor, term = (jnp.broadcast_to(number[0], x.shape) for number in (a, b))
+
+        def turn(_: jax.Array, links: list[jax.Array]) -> list[jax.Array]:
+            for _link in range(_IN_A_TURN):
+                links = [triton.multiply_add(link, factor, term) for link in links]
+            return links
+
+        links = [x + k for k in range(CHAINS)]
+        links = jax.lax.fori_loop(0, turns[0], turn, links)
+        triton.storer(out, at)(at, sum(links))
+
+    # Read, not known: else the compiler writes the loop out.
+    given = [a.reshape(1), b.reshape(1), jnp.array([n_link // _IN_A_TURN], jnp.int32)]
+    (after,) = triton.call(kernel, _PROGRAM, x.size, 1, given, [x])
+    return after
+
+
+def _median_s(elements: int, function: jax.stages.Wrapped, repeats: int) -> float:
+    x = jnp.ones(elements, jnp.float32)
+    a, b = jnp.float32(0.999), jnp.float32(0.001)
+    program = function.lower(x, a, b).compile()
+    taken = [(seconds_of(program, x, a, b)[0], counts) for counts in turns(repeats)]
+    return float(np.median([seconds for seconds, counts in taken if counts]))

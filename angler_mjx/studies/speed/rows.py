@@ -1,0 +1,248 @@
+"""What a measurement of speed is: a row, how its calls are timed, and the file that keeps it.
+
+A row is one JSON line. It holds what was timed, where, and what the device itself can do, so that a
+number can be judged without asking who measured it. A row without a number says why it has none.
+"""
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import monitoring
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.files import json_of, named, parse, read_text
+from angler_mjx.runs.provenance import peak_memory_bytes
+from angler_mjx.studies.speed.stored import StoredRow
+
+MOST_BYTES = 1 << 26
+"""Of a file of rows."""
+MIN_REPEATS = 10
+"""Fewer tell little about the spread."""
+DURATION = "s"
+"""Unit of rows that hold seconds: less is faster. In all other units more is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One measurement."""
+
+    workload: str
+    inside: str
+    """What the timed region holds."""
+    worlds: int
+    robots: int
+    unit: str
+    median: float | None
+    low: float | None
+    high: float | None
+    """Median, least and greatest rate over the repeats, in ``unit``; None if it was refused.
+
+    Seconds in rows of `DURATION`.
+    """
+    repeats: int
+    compile_s: float | None
+    cached_programs: int = 0
+    """How many programs came out of the compile cache: above 0, ``compile_s`` is not the whole."""
+    devices: int = 1
+    """Each of them has ``worlds``; the rate is that of all together."""
+    engine: str | None = None
+    kernels: str | None = None
+    controller: str | None = None
+    """The stack of controllers, in simulations."""
+    flops: float | None = None
+    """Floating-point operations for one of ``unit``; None where they cannot be counted."""
+    flops_from: str | None = None
+    """Which program they were counted in, or why they were not."""
+    least_bytes: float | None = None
+    """Device memory for one of ``unit`` that has to move whatever the program does between: its
+    arguments read once, its results written once."""
+    program_bytes: int | None = None
+    """Device memory of the program by XLA's account: arguments, results and temporaries."""
+    xla_flops: float | None = None
+    """Operations of the whole timed program on one device by XLA's own cost analysis, which counts
+    the body of a loop once however often it runs, and nothing inside Pallas kernels."""
+    xla_bytes: float | None = None
+    """Bytes that its operations touch, by the same account."""
+    device_peak_bytes: int | None = None
+    """Most device memory in use in this process so far."""
+    host_peak_bytes: int = field(default_factory=peak_memory_bytes)
+    """Most host memory in use in this process so far."""
+    active_share: float | None = None
+    """Share of the counted steps in all that the robots could have lived in the timed region."""
+    extra: dict[str, float] = field(default_factory=dict)
+    """What only this workload has to say."""
+    refused: str | None = None
+    """Why there is no number."""
+    out_of_memory: bool = False
+    """Whether that was for want of memory."""
+    at_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+
+
+WARM_S = 1.0
+"""Work before the first turn that counts."""
+
+
+def check_repeats(repeats: int) -> None:
+    """Refuse to measure without a spread.
+
+    Raises:
+        ConfigError: there would be too few repeats.
+    """
+    if repeats < MIN_REPEATS:
+        raise ConfigError(
+            f"--repeats {repeats}: must be at least {MIN_REPEATS}, for a median and a spread"
+        )
+
+
+def seconds_of(call: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    """Wall time until the result of a call is complete on the device, and the result."""
+    begun = time.perf_counter()
+    result = jax.block_until_ready(call(*arguments))
+    return time.perf_counter() - begun, result
+
+
+def turns(repeats: int) -> Iterator[bool]:
+    """Turns of a measurement, each with whether it counts: the first never, nor any in a second.
+
+    A processor that was idle first has to raise its clock.
+    """
+    begun, counted = time.perf_counter(), 0
+    yield False
+    while counted < repeats:
+        warm = time.perf_counter() - begun >= WARM_S
+        yield warm
+        counted += warm
+
+
+def spread(rates: list[float]) -> dict[str, Any]:
+    """The fields of a row that come from the rates of its repeats."""
+    return {
+        "median": float(np.median(rates)),
+        "low": min(rates),
+        "high": max(rates),
+        "repeats": len(rates),
+    }
+
+
+def account(program: Any) -> dict[str, Any]:
+    """The fields of a row that XLA says of a compiled program; none where it says nothing.
+
+    Args:
+        program: compiled; one device's part of it is told of.
+    """
+    fields: dict[str, Any] = {}
+    if cost := program.cost_analysis():
+        fields |= {"xla_flops": cost.get("flops"), "xla_bytes": cost.get("bytes accessed")}
+    if memory := program.memory_analysis():
+        whole = memory.argument_size_in_bytes + memory.output_size_in_bytes
+        whole += memory.temp_size_in_bytes - memory.alias_size_in_bytes
+        fields["program_bytes"] = whole
+    return fields
+
+
+def moved_bytes(program: Any) -> int | None:
+    """Arguments and results of a compiled program on one device; None where XLA does not say."""
+    memory = program.memory_analysis()
+    return memory.argument_size_in_bytes + memory.output_size_in_bytes if memory else None
+
+
+@jax.jit
+def _finite(tree: Any) -> jax.Array:
+    leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
+
+
+def all_finite(tree: Any) -> bool:
+    """Whether every float of a tree of device arrays is finite."""
+    return bool(_finite(tree))
+
+
+HITS, REQUESTS = "cache_hits", "compile_requests_use_cache"
+
+
+@cache
+def cache_events() -> Counter[str]:
+    """Return counts of JAX's events of the compile cache since this was first called.
+
+    `HITS` counts programs that came out of it, `REQUESTS` all that it was searched for.
+    """
+    counts: Counter[str] = Counter()
+
+    def count(event: str, **ignored: Any) -> None:
+        folder, _, name = event.rpartition("/")
+        if folder == "/jax/compilation_cache":
+            counts[name] += 1
+
+    monitoring.register_event_listener(count)
+    return counts
+
+
+def peak_device_bytes() -> int | None:
+    """Most memory of the first device in use so far; None where the backend does not say."""
+    stats = jax.local_devices()[0].memory_stats() or {}
+    peak = stats.get("peak_bytes_in_use")
+    return None if peak is None else int(peak)
+
+
+def record(row: Row, around: dict[str, Any], out: Path) -> None:
+    """Append a row to a JSON-lines file.
+
+    Args:
+        row: what was measured.
+        around: device, versions and commit.
+        out: file; made if there is none.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({**asdict(row), **around}, allow_nan=False) + "\n")
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot be written ({error.strerror})") from error
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """All rows of a file, oldest first, each with all fields of `Row` and where it was measured.
+
+    Raises:
+        ConfigError: the file cannot be read, or a line of it is no row.
+    """
+    return list(_rows(read_text(path, MOST_BYTES), path))
+
+
+def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
+    absent = {name: None for name in Row.__dataclass_fields__} | {
+        "out_of_memory": False,
+        "devices": 1,
+        "extra": {},
+    }
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        where = f"{named(path)}, line {number}"
+        found = json_of(line, where)
+        parse(StoredRow, found, source=f"{where}: is no row of a benchmark")
+        yield absent | {"device": None, "commit": None} | found | _renamed(found["workload"])
+
+
+def _renamed(workload: str) -> dict[str, Any]:
+    """Rows of the first version named the engine in the workload, and no kernels."""
+    engine, _, rest = workload.partition("/")
+    name, _, part = rest.partition("/")
+    if engine != "mjx" or part not in ("simulation", "worlds"):
+        return {}
+    if part == "worlds":
+        return {"workload": f"preparation/{name}"}
+    return {"workload": name, "engine": engine, "kernels": "xla"}

@@ -1,0 +1,358 @@
+"""The workloads of `angler bench` as data, and the rows that a request asks for."""
+
+import math
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from angler_mjx.errors import ConfigError
+from angler_mjx.robot.control.stages import CONTROLLERS
+from angler_mjx.runs.simulator import devices
+from angler_mjx.runs.simulator.simulator import default_tile
+from angler_mjx.scenario.fleet_entry import FleetEntry
+from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
+from angler_mjx.studies.speed.rows import check_repeats
+
+type Kind = Literal[
+    "dynamics",
+    "simulation",
+    "recording",
+    "preparation",
+    "generation",
+    "clearance",
+    "compilation",
+]
+type Engine = Literal["mjx", "fused"]
+type Kernels = Literal["xla", "triton"]
+type Profile = Literal["quick", "full", "paper"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workload:
+    """Something to measure."""
+
+    about: str
+    kind: Kind
+    source: str = ""
+    """Scenario, by name or path, or preset."""
+    engine: Engine | None = None
+    """Where none is asked for."""
+    robots: int
+    """In each world where no number is asked for; 0 for the scenario's own."""
+    label: str
+    """Name in the rows; ``{robots}`` stands for their number."""
+    record_hz: float | None = None
+    """The scenario's own where None."""
+
+
+WORKLOADS: dict[str, Workload] = {
+    "dynamics": Workload(
+        about="the equations of motion alone, one BlueROV2 Heavy in each world, whatever is asked",
+        kind="dynamics",
+        engine="fused",
+        robots=1,
+        label="dynamics",
+    ),
+    "closed_loop_8": Workload(
+        about="eight BlueROV2 Heavy, one parameter set, four vortices, 24 cells of rock",
+        kind="simulation",
+        source="closed_loop_8",
+        engine="fused",
+        robots=8,
+        label="closed_loop_{robots}",
+    ),
+    "reef_fleet": Workload(
+        about="the demo: two kinds, drawn parameters, twelve drifting obstacles",
+        kind="simulation",
+        source="reef_fleet",
+        engine="fused",
+        robots=4,
+        label="reef_fleet",
+    ),
+    "mjx": Workload(
+        about="the demo on MuJoCo MJX",
+        kind="simulation",
+        source="reef_fleet",
+        engine="mjx",
+        robots=4,
+        label="reef_fleet",
+    ),
+    "recording": Workload(
+        about="the demo's trajectories at 10 Hz, written to the disk that holds the rows",
+        kind="recording",
+        source="reef_fleet",
+        engine="fused",
+        robots=4,
+        label="recording/reef_fleet",
+        record_hz=10.0,
+    ),
+    "preparation": Workload(
+        about="drawing and planning the worlds of the demo",
+        kind="preparation",
+        source="reef_fleet",
+        robots=4,
+        label="preparation/reef_fleet",
+    ),
+    "env_generation": Workload(
+        about="drawing worlds of the paper, 12^3 cells, with starts and goals",
+        kind="generation",
+        source="angler2024",
+        robots=4,
+        label="env_generation",
+    ),
+    "clearance": Workload(
+        about="exact distances of hulls to cells",
+        kind="clearance",
+        robots=8,
+        label="clearance",
+    ),
+    "compile": Workload(
+        about="seconds that the programs of the shipped scenarios take to compile",
+        kind="compilation",
+        robots=0,
+        label="compile",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """Sizes of a profile; an empty tuple stands for a workload's own number of robots."""
+
+    workloads: tuple[str, ...]
+    worlds: tuple[int, ...]
+    robots: tuple[int, ...] = ()
+
+
+_ALL = tuple(name for name in WORKLOADS if name not in ("recording", "compile"))
+"""But the disk's, which takes as much of the disk as a run, and the compiler's: neither is the
+speed of the device."""
+
+PROFILES: dict[Profile, Grid] = {
+    "quick": Grid(
+        workloads=("dynamics", "closed_loop_8", "reef_fleet", "mjx", "clearance"), worlds=(64,)
+    ),
+    "full": Grid(workloads=_ALL, worlds=(1, 64, 1024, 16384)),
+    "paper": Grid(
+        workloads=_ALL,
+        worlds=(1, 64, 1024, 16384, 262144),
+        robots=(1, 4, 16, 64),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is asked for; empty tuples stand for the profile's."""
+
+    profile: Profile = "quick"
+    workloads: tuple[str, ...] = ()
+    scenarios: tuple[str, ...] = ()
+    """Compiled by the workload ``compile``, by name or path; all shipped ones if empty."""
+    worlds: tuple[int, ...] = ()
+    robots: tuple[int, ...] = ()
+    engine: Engine | None = None
+    kernels: Kernels | None = None
+    controllers: tuple[str, ...] = ()
+    """Of simulations; a scenario's own if empty."""
+    repeats: int = 10
+    devices: int = 1
+    """Of simulations; other workloads use one."""
+    folder: Path = Path()
+    """On the disk that `recording` measures."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One row to be measured."""
+
+    workload: Workload
+    worlds: int
+    robots: int
+    scenario: Scenario | None
+    """Of the workloads that have one."""
+    repeats: int
+    devices: int
+    prepared: int
+    """Different worlds that the largest row of the same fleet needs, so that all rows can share."""
+    kernels: Kernels | None
+    folder: Path
+    controller: str | None = None
+    """Where one was asked for."""
+
+    @property
+    def label(self) -> str:
+        """Name in the row."""
+        name = self.workload.label.format(robots=self.robots)
+        return f"{name}/{self.controller}" if self.controller else name
+
+
+def cases(request: Request) -> list[Case]:
+    """All rows of a request; worlds grow fastest.
+
+    Raises:
+        ConfigError: an unknown workload, a number below 1, or what cannot go together.
+    """
+    check_repeats(request.repeats)
+    grid = PROFILES[request.profile]
+    devices.mesh(request.devices)
+    for flag, numbers in (("worlds", request.worlds), ("robots", request.robots)):
+        if any(n < 1 for n in numbers):
+            raise ConfigError(f"--{flag} {min(numbers)}: must be at least 1")
+    found = []
+    for workload in _chosen(request, grid):
+        name = workload.label
+        if workload.kind == "dynamics" and request.engine == "mjx":
+            raise ConfigError(f"--engine mjx: workload {name} is for the fused engine alone")
+        # Programs are compiled for the tile of a run, whatever worlds a profile simulates.
+        own = () if workload.kind == "compilation" else grid.worlds
+        sizes = request.worlds or own
+        for robots in _fleets(workload, request.robots or grid.robots):
+            for controller in _controllers(workload, request):
+                found += _of_fleet(workload, robots, request, sizes, controller)
+    return found
+
+
+def _chosen(request: Request, grid: Grid) -> list[Workload]:
+    """Workloads of a request; of ``compile`` one for each scenario.
+
+    Raises:
+        ConfigError: an unknown workload or scenario, or scenarios that nothing compiles.
+    """
+    found, is_compiled = [], False
+    for workload in map(find, request.workloads or grid.workloads):
+        if workload.kind != "compilation":
+            found.append(workload)
+            continue
+        is_compiled = True
+        for name in request.scenarios or tuple(shipped()):
+            of = _simulation(name)
+            label = f"{workload.label}/{of.label}"
+            found.append(replace(workload, source=name, robots=of.robots, label=label))
+    if request.scenarios and not is_compiled:
+        raise ConfigError(
+            f"--scenario {request.scenarios[0]}: is for --workload compile; to simulate it, give "
+            f"--workload {request.scenarios[0]}"
+        )
+    return found
+
+
+def _fleets(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
+    """Numbers of robots in a world that a workload is measured for."""
+    return robots if robots and workload.kind != "dynamics" else (workload.robots,)
+
+
+def _controllers(workload: Workload, request: Request) -> tuple[str | None, ...]:
+    """Controllers that a workload is measured with; None for its own."""
+    if unknown := [name for name in request.controllers if name not in CONTROLLERS]:
+        raise ConfigError(f"--controller {unknown[0]}: there is {', '.join(CONTROLLERS)}")
+    return (workload.kind == "simulation" and request.controllers) or (None,)
+
+
+def _of_fleet(
+    workload: Workload,
+    robots: int,
+    request: Request,
+    worlds: tuple[int, ...],
+    controller: str | None,
+) -> list[Case]:
+    """The rows of one workload, number of robots and controller."""
+    scenario = _scenario(workload, robots, request, controller)
+    if not worlds and scenario is not None:
+        worlds = (scenario.tile or default_tile(scenario.worlds),)
+    devices = request.devices if workload.kind == "simulation" else 1
+    return [
+        Case(
+            workload=workload,
+            worlds=size,
+            robots=robots,
+            scenario=scenario,
+            repeats=request.repeats,
+            devices=devices,
+            prepared=devices * max(worlds),
+            kernels=request.kernels,
+            folder=request.folder,
+            controller=controller,
+        )
+        for size in sorted(worlds)
+    ]
+
+
+def find(name: str) -> Workload:
+    """A workload by its name, or the simulation of a scenario by its name or path.
+
+    Raises:
+        ConfigError: there is neither.
+    """
+    if name in WORKLOADS:
+        return WORKLOADS[name]
+    if name not in shipped() and not name.endswith(".toml"):
+        raise ConfigError(
+            f"--workload {name}: there is {', '.join(WORKLOADS)}; also the scenarios "
+            f"{', '.join(shipped())}, and any path of a .toml file"
+        )
+    return _simulation(name)
+
+
+def _simulation(name: str) -> Workload:
+    """The simulation of a scenario by its name or path.
+
+    Raises:
+        ConfigError: there is no such scenario, or its file has faults.
+    """
+    scenario = load_scenario(name)
+    return Workload(
+        about=scenario.description,
+        kind="simulation",
+        source=name,
+        robots=len(scenario.members()),
+        label=scenario.name,
+    )
+
+
+def _scenario(
+    workload: Workload, robots: int, request: Request, controller: str | None
+) -> Scenario | None:
+    """The scenario of a workload with this many robots; None for workloads without one."""
+    if workload.kind not in ("simulation", "recording", "preparation", "compilation"):
+        return None
+    changes: dict[str, Any] = {}
+    if engine := request.engine or workload.engine:
+        changes["engine"] = engine
+    if request.kernels is not None and engine != "mjx":
+        changes["kernels"] = request.kernels
+    if controller is not None:
+        changes["controller"] = {"name": controller}
+    if workload.record_hz is not None:
+        changes["time"] = {"record_hz": workload.record_hz}
+    name = workload.source
+    if name in shipped() or name.endswith(".toml"):
+        return _resized(name, robots, changes)
+    file = resources.files("angler_mjx.studies.speed") / "data" / f"{name}.toml"
+    with resources.as_file(file) as path:
+        return _resized(path, robots, changes)
+
+
+def _resized(name: str | Path, robots: int, changes: dict[str, Any]) -> Scenario:
+    scenario = load_scenario(name, **changes)
+    if len(scenario.members()) == robots:
+        return scenario
+    # Teams of all sizes are measured with one planner, or rates would compare two.
+    planner = {"name": scenario.planner.name}
+    fleet = _fleet(scenario.fleet, robots)
+    return load_scenario(name, **changes, fleet=fleet, planner=planner)
+
+
+def _fleet(entries: tuple[FleetEntry, ...], robots: int) -> list[dict[str, Any]]:
+    """The entries of a fleet with ``robots`` in all, in about the same proportions."""
+    before = sum(entry.count for entry in entries)
+    # Whole numbers by cumulative rounding: they add up, and the first entry is served first.
+    ends, placed, fleet = 0, 0, []
+    for entry in entries:
+        ends += entry.count
+        count = math.ceil(robots * ends / before) - placed
+        placed += count
+        if count > 0:
+            fleet.append({**entry.model_dump(exclude_unset=True), "count": count})
+    return fleet

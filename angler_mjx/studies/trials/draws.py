@@ -1,0 +1,219 @@
+"""Robustness: random vehicles, batteries, currents and gains; each draw is known by its seed.
+
+A draw is a parameter set, a battery from 12 to 18 V, a steady level current of up to 0.8 m/s from
+anywhere, every gain 20 % up or down, and a step of up to 2 m and half a turn. Seeds are the numbers
+from 0 on, so any draw can be flown again alone.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
+from angler_mjx.robot.control.stack import ControlParams
+from angler_mjx.robot.vehicles.thrusters import FloatArray
+from angler_mjx.sim.state import SimSpec
+from angler_mjx.studies.flights import courses, draws, flying, kinds, tracks
+from angler_mjx.studies.flights.draws import CURRENT_MPS, STEP_M
+from angler_mjx.studies.flights.flying import Orders
+from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.measures import RATE_RADPS, TILT_RAD
+from angler_mjx.studies.flights.tracks import Track
+from angler_mjx.world.currents import Uniform
+
+BATTERY_V = (12.0, 18.0)
+BATTERY_STEP_V = 0.1
+"""Batteries are drawn in steps: each is a thrust table, interpolated once."""
+GAIN_SHARE = 0.2
+"""Gains are multiplied by 1 - this to 1 + this, each by its own number."""
+FLIGHT_S = 40.0
+LAST_S = 10.0
+CHUNK = 250
+"""Draws in one device call: few enough to stay in a processor's cache."""
+QUIET_RADPS = 0.5
+"""At the end, over ``LAST_S``, the vehicle turns no faster than this."""
+STATION_M = 0.5
+"""Nearer than this over ``LAST_S`` a vehicle keeps station."""
+OUTRUN_SHARE = 0.8
+"""A vehicle that does not keep station is outrun if the current has more than this share of its
+slowest level terminal speed: little thrust is left for anything else."""
+_GAINS = 64
+"""Numbers drawn for gains; more than any stack has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """One draw."""
+
+    seed: int
+    kind: Kind
+    battery_v: float
+    current_mps: FloatArray
+    """[3] in W."""
+    step_m: FloatArray
+    """[3] from the start, in W."""
+    yaw_rad: float
+    """Heading wanted; the vehicle begins with 0."""
+    gain_shares: FloatArray
+    """[64] factors of the gains of whatever stack, in their order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What came of one draw."""
+
+    draw: Draw
+    tilt_rad: float
+    """Greatest of the flight."""
+    rate_radps: float
+    """Greatest of the flight."""
+    end_rate_radps: float
+    """Greatest over ``LAST_S``."""
+    distance_m: float
+    """Greatest distance from the target over ``LAST_S``."""
+    able_mps: float
+    """Slowest level terminal speed of the vehicle, with its battery."""
+
+    @property
+    def fault(self) -> str:
+        """Why attitude or rates are not bounded; empty if they are."""
+        if not math.isfinite(self.tilt_rad + self.rate_radps + self.distance_m):
+            return "diverges"
+        if self.tilt_rad > TILT_RAD:
+            return f"leans {math.degrees(self.tilt_rad):.0f} degrees"
+        if self.rate_radps > RATE_RADPS:
+            return f"turns at {self.rate_radps:.1f} rad/s"
+        if self.end_rate_radps > QUIET_RADPS:
+            return f"still turns at {self.end_rate_radps:.1f} rad/s"
+        return ""
+
+    @property
+    def outcome(self) -> str:
+        """``failed``, ``station``, ``outrun`` by the current, or ``away`` from its target."""
+        if self.fault:
+            return "failed"
+        if self.distance_m <= STATION_M:
+            return "station"
+        speed = float(np.linalg.norm(self.draw.current_mps))
+        return "outrun" if speed > OUTRUN_SHARE * self.able_mps else "away"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Kept:
+    """Vehicles with their batteries, built once."""
+
+    params: ControlParams
+    """[n] leads; on the host."""
+    row: dict[tuple[Kind, float], int]
+    """Of each vehicle with each battery."""
+
+
+def draw(seed: int) -> Draw:
+    """The draw of a seed (host side)."""
+    rng = np.random.default_rng(seed)
+    vehicles = kinds.shipped()
+    kind = vehicles[int(rng.integers(len(vehicles)))]
+    steps = round((BATTERY_V[1] - BATTERY_V[0]) / BATTERY_STEP_V)
+    volts = BATTERY_V[0] + BATTERY_STEP_V * int(rng.integers(steps + 1))
+    speed, course = rng.uniform(0.0, CURRENT_MPS), rng.uniform(-math.pi, math.pi)
+    direction = rng.normal(size=3)
+    step = rng.uniform(0.0, STEP_M) * draws.unit(direction)
+    return Draw(
+        seed=seed,
+        kind=kind,
+        battery_v=round(volts, 6),
+        current_mps=draws.level(speed, course),
+        step_m=step,
+        yaw_rad=rng.uniform(-math.pi, math.pi),
+        gain_shares=rng.uniform(1.0 - GAIN_SHARE, 1.0 + GAIN_SHARE, _GAINS),
+    )
+
+
+def gains_of(spec: SimSpec, shares: FloatArray) -> tuple[Any, ...]:
+    """The gains of a stack for n robots, each scaled by its own share [n, 64].
+
+    Settings that say what the vehicle is, not how hard to steer it, stay as they are: of ArduSub's
+    parameters only P, I and D change.
+    """
+    at, out = 0, []
+    for gains in spec.gains:
+        scaled = {}
+        for entry in fields(gains):
+            value = getattr(gains, entry.name)
+            changes = not isinstance(gains, ArduSubGains) or entry.name[-2:] in ("_P", "_I", "_D")
+            share = shares[:, at] if changes else np.ones(len(shares))
+            scaled[entry.name] = jnp.asarray(value * share, float)
+            at += changes
+        out.append(type(gains)(**scaled))
+    return tuple(out)
+
+
+def fly(
+    controller: str, seeds: Sequence[int], done: Callable[[int], None] = lambda _: None
+) -> Iterator[Verdict]:
+    """Fly draws with a controller, chunk by chunk.
+
+    Args:
+        controller: name of the stack.
+        seeds: of the draws.
+        done: told the number of draws after each chunk.
+    """
+    spec = kinds.spec_of(controller)
+    n_step = round(FLIGHT_S / spec.control_dt_s)
+    program = flying.program(spec, n_step)
+    if not seeds:
+        return
+    every = [draw(seed) for seed in seeds]
+    kept = _build(every)
+    for first in range(0, len(every), CHUNK):
+        chunk = every[first : first + CHUNK]
+        # The last chunk is filled up, so that the program is compiled once.
+        full = chunk + chunk[:1] * (min(CHUNK, len(seeds)) - len(chunk))
+        orders = _orders(spec, kept, full)
+        gains = gains_of(spec, np.array([one.gain_shares for one in full]))
+        able = draws.able_mps(orders.plant)
+        track = tracks.track(spec, program(orders, gains))
+        last = round(LAST_S / spec.control_dt_s)
+        for i, one in enumerate(chunk):
+            yield _verdict(one, track, i, last, float(able[i]))
+        done(len(chunk))
+
+
+def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[Draw]) -> Orders:
+    params = kinds.chosen(kept.params, [kept.row[one.kind, one.battery_v] for one in chunk])
+    steps, yaws = np.array([one.step_m for one in chunk]), np.array([one.yaw_rad for one in chunk])
+    flows = jnp.asarray(np.array([one.current_mps for one in chunk]), float)
+    return Orders(
+        params=params,
+        plant=params.vehicle,
+        start_m=flying.starts(len(chunk)),
+        yaw_rad=jnp.zeros(len(chunk)),
+        command=kinds.command(spec, steps, yaws),
+        current=(Uniform(velocity_mps=flows),),
+    )
+
+
+def _build(every: Sequence[Draw]) -> _Kept:
+    """What all draws need; each vehicle with each battery once."""
+    rows = list(dict.fromkeys((one.kind, one.battery_v) for one in every))
+    built = kinds.build([kind for kind, _ in rows], [volt for _, volt in rows])
+    on_host: ControlParams = jax.tree.map(np.asarray, built)
+    return _Kept(params=on_host, row={row: i for i, row in enumerate(rows)})
+
+
+def _verdict(one: Draw, track: Track, i: int, last: int, able_mps: float) -> Verdict:
+    end = track.position_m[i, -last:]
+    off = np.linalg.norm(end - courses.START_M - one.step_m, axis=1)
+    return Verdict(
+        draw=one,
+        tilt_rad=float(track.tilt_rad[i].max()),
+        rate_radps=float(track.rate_radps[i].max()),
+        end_rate_radps=float(track.rate_radps[i, -last:].max()),
+        distance_m=float(off.max()),
+        able_mps=able_mps,
+    )

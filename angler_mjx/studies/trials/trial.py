@@ -1,0 +1,71 @@
+"""All trials of one controller, and the targets that they are held against."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.trials import draws, eight, steps
+from angler_mjx.studies.trials.draws import Verdict
+from angler_mjx.studies.trials.eight import Eight
+from angler_mjx.studies.trials.steps import Flown, Step
+
+STILL_M, STILL_RAD, CURRENT_M = 0.02, math.radians(1.0), 0.05
+"""Steady errors after a step: in still water, and in the current."""
+EIGHT_STILL_M, EIGHT_VORTICES_M = 0.05, 0.15
+"""RMS errors of the figure of eight."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """What came of all trials of one controller."""
+
+    controller: str
+    flown: Flown
+    eights: tuple[Eight, ...]
+    verdicts: tuple[Verdict, ...]
+    """Of the draws; empty if none were asked for."""
+
+
+def fly(
+    controller: str, vehicles: Sequence[Kind], n_draw: int, done: Callable[[int], None]
+) -> Trial:
+    """Fly every trial of a controller.
+
+    Args:
+        controller: name of the stack.
+        vehicles: what flies steps and figures of eight.
+        n_draw: number of random draws, seeds 0 to n_draw - 1.
+        done: told the number of draws after each chunk.
+    """
+    return Trial(
+        controller=controller,
+        flown=steps.fly(controller, vehicles),
+        eights=eight.fly(controller, vehicles),
+        verdicts=tuple(draws.fly(controller, range(n_draw), done)),
+    )
+
+
+def misses_of_step(step: Step) -> list[str]:
+    """Targets that a step missed, in words."""
+    most = STILL_M if step.current_mps == 0.0 else CURRENT_M
+    out = []
+    if step.swings:
+        out.append("oscillates")
+    if not step.error_m <= most:
+        out.append(f"{100 * step.error_m:.3g} cm")
+    if step.current_mps == 0.0 and step.error_rad > STILL_RAD:
+        out.append(f"{math.degrees(step.error_rad):.2g} degrees")
+    return out
+
+
+def misses_of_eight(one: Eight) -> list[str]:
+    """Targets that a figure of eight missed, in words."""
+    most = EIGHT_STILL_M if one.condition == eight.CONDITIONS[0][0] else EIGHT_VORTICES_M
+    return [] if one.error_m <= most else [f"{100 * one.error_m:.3g} cm"]
+
+
+def counts(verdicts: Sequence[Verdict]) -> Counter[str]:
+    """How many draws had each outcome."""
+    return Counter(verdict.outcome for verdict in verdicts)

@@ -1,0 +1,154 @@
+"""Figures of a tuning: how the search went, and errors before and after."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from angler_mjx.report.viewing import style
+from angler_mjx.robot.vehicles.thrusters import FloatArray
+from angler_mjx.studies.flights.measures import KEPT_S, Measures
+from angler_mjx.studies.tuning.draws import COURSES
+from angler_mjx.studies.tuning.knobs import SPAN
+from angler_mjx.studies.tuning.outcome import Outcome, Part
+
+BEFORE, AFTER = style.QUIET, style.ROBOTS[0]
+_LEAST_M = 1e-3
+"""Errors below this are drawn as this."""
+
+
+def search(found: Outcome) -> Figure:
+    """Costs of all candidates, and where each gain ended within its bounds."""
+    settings = found.problem.settings
+    with style.styled():
+        figure = style.new_figure(11.0, 4.4, headline_in=0.75)
+        style.headline(
+            figure,
+            f"{settings.controller}: search for {settings.objective}",
+            f"{settings.method}, {settings.rollouts} flights a candidate; the gains it began with "
+            f"cost 1; held-out flights cost {found.held_out.cost:.3f} in the end",
+        )
+        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
+        _costs(left, found)
+        _gains(right, found)
+    return figure
+
+
+def _costs(panel: Axes, found: Outcome) -> None:
+    costs = [generation.costs for generation in found.history.generations]
+    number = np.arange(1, len(costs) + 1)
+    best = np.minimum.accumulate([min(1.0, *some) for some in costs])
+    for i, some in zip(number, costs, strict=True):
+        panel.plot(np.full(len(some), i), some, ".", color=style.FAINT, markersize=4.0)
+    panel.plot(number, best, color=AFTER, linewidth=1.8)
+    panel.axhline(1.0, color=BEFORE, linewidth=1.0, linestyle=(0, (3, 1.5)))
+    panel.set_yscale("log")
+    panel.set_ylim(0.9 * best[-1], max(1.5, min(10.0, 1.1 * np.max(np.concatenate(costs)))))
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("{x:g}")
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.set_title("cost of candidates, and the best so far")
+    panel.set_xlabel("generation")
+    panel.grid(which="both")
+
+
+def _gains(panel: Axes, found: Outcome) -> None:
+    for i, (knob, turn) in enumerate(zip(found.problem.knobs, found.turns, strict=True)):
+        low, high, at = np.exp([knob.low, knob.high, turn])
+        panel.plot([low, high], [i, i], color=style.FAINT, linewidth=5.0, solid_capstyle="butt")
+        panel.plot([1.0, at], [i, i], color=AFTER, linewidth=2.0)
+        panel.plot(at, i, "o", color=AFTER, markersize=5.0)
+    panel.axvline(1.0, color=BEFORE, linewidth=1.0)
+    panel.set_xscale("log", base=2)
+    panel.set_xlim(1 / (1.1 * SPAN), 1.1 * SPAN)
+    ticks = [0.25, 0.5, 1.0, 2.0, 4.0]
+    panel.set_xticks(ticks, [f"{x:g}" for x in ticks])
+    panel.set_yticks(
+        range(len(found.problem.knobs)),
+        [" and ".join(name for name in knob.gains) for knob in found.problem.knobs],
+        fontsize=7.5,
+    )
+    panel.invert_yaxis()
+    panel.set_title("gains, times what they began with")
+    panel.set_xlabel("factor; grey: searched in")
+
+
+def errors(found: Outcome) -> Figure:
+    """Errors of position over time on the held-out flights, by robot and course."""
+    part, labels = found.held_out, found.problem.robots.labels
+    with style.styled():
+        figure = style.new_figure(3.4 * len(labels) + 0.6, 7.2, headline_in=0.75)
+        style.headline(
+            figure,
+            f"{found.problem.settings.controller}: error of position, before and after",
+            "held-out flights: median, and the band from the 10th to the 90th of 100",
+        )
+        grid = figure.subplots(len(COURSES), len(labels), sharex=True, sharey=True, squeeze=False)
+        for i, label in enumerate(labels):
+            grid[0, i].set_title(label, fontsize=9.0)
+            grid[-1, i].set_xlabel("time, s")
+            for j, course in enumerate(COURSES):
+                _errors(grid[j, i], part, part.flights.group == i * len(COURSES) + j)
+                if i == 0:
+                    grid[j, i].set_ylabel(f"{course}: error, m")
+        lines = grid[0, 0].lines[:2]
+        figure.legend(lines, ["before", "after"], loc="outside lower left", ncols=2)
+    return figure
+
+
+def _errors(panel: Axes, part: Part, chosen: FloatArray) -> None:
+    for found, color in ((part.before, BEFORE), (part.after, AFTER)):
+        off = _off(part, found)[chosen]
+        time = KEPT_S * np.arange(off.shape[1])
+        low, middle, high = np.nanpercentile(np.maximum(off, _LEAST_M), [10, 50, 90], axis=0)
+        panel.plot(time, middle, color=color, linewidth=1.6)
+        panel.fill_between(time, low, high, color=color, alpha=0.2, linewidth=0)
+    panel.set_yscale("log")
+    panel.grid()
+
+
+def _off(part: Part, found: Measures) -> FloatArray:
+    """[n, k] distance from where each vehicle should be, m; nan where it failed."""
+    pose = np.asarray(part.flights.reference.pose)
+    every = round(pose.shape[1] / found.position_m.shape[1])
+    off = np.linalg.norm(found.position_m - pose[:, ::every, :3], axis=-1)
+    return np.where(np.asarray(found.failed)[:, None], np.nan, off)
+
+
+def tracks(found: Outcome) -> Figure:
+    """The figure of eight from above: the held-out flight of each robot that erred most before."""
+    part, labels = found.held_out, found.problem.robots.labels
+    with style.styled():
+        figure = style.new_figure(3.4 * len(labels) + 0.6, 3.4, headline_in=0.75)
+        style.headline(
+            figure,
+            f"{found.problem.settings.controller}: the figure of eight, before and after",
+            "of each robot the held-out flight with the worst error before",
+        )
+        grid = figure.subplots(1, len(labels), sharex=True, sharey=True, squeeze=False)[0]
+        for i, (panel, label) in enumerate(zip(grid, labels, strict=True)):
+            rows = np.flatnonzero(part.flights.group == i * len(COURSES) + COURSES.index("eight"))
+            row = rows[np.argmax(np.nan_to_num(part.before.rms_m[rows]))]
+            wanted = np.asarray(part.flights.reference.pose)[row]
+            panel.plot(*wanted[:, :2].T, color=style.FAINT, linewidth=4.0)
+            panel.plot(*part.before.position_m[row, :, :2].T, color=BEFORE, linewidth=1.2)
+            panel.plot(*part.after.position_m[row, :, :2].T, color=AFTER, linewidth=1.2)
+            panel.set_title(label, fontsize=9.0)
+            panel.set_xlim(-2.8, 2.8)
+            panel.set_ylim(-1.8, 1.8)
+            panel.set_aspect("equal")
+            panel.set_xlabel("x, m")
+            panel.grid()
+        grid[0].set_ylabel("y, m")
+        figure.legend(grid[0].lines[1:3], ["before", "after"], loc="outside lower left", ncols=2)
+    return figure
+
+
+ALL: Mapping[str, Callable[[Outcome], Figure]] = {
+    "search": search,
+    "errors": errors,
+    "tracks": tracks,
+}
+"""By the name of their file."""

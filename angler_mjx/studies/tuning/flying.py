@@ -1,0 +1,106 @@
+"""Flying candidates: thousands of flights in device calls of a fixed size."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+
+from angler_mjx.robot.vehicles.thrusters import FloatArray
+from angler_mjx.sim.state import SimSpec
+from angler_mjx.studies.flights import flying, kinds, measures
+from angler_mjx.studies.flights.flying import Orders
+from angler_mjx.studies.flights.measures import Measures, Reference
+from angler_mjx.studies.tuning import knobs as turning
+from angler_mjx.studies.tuning.draws import FLIGHT_S, Flights
+from angler_mjx.studies.tuning.knobs import Knob
+
+CHUNK = {"cpu": 256}
+"""Flights in a device call: few enough to stay in a processor's cache ..."""
+CHUNK_GPU = 8192
+"""... and enough to fill a GPU."""
+SLOPED = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us")
+"""Measures whose derivatives objectives ask for."""
+
+type Done = Callable[[int], None]
+
+
+class Flyer:
+    """Flies gains of one stack; each program is compiled when it is first asked for."""
+
+    def __init__(self, spec: SimSpec, knobs: Sequence[Knob], chunk: int | None = None) -> None:
+        """A flyer.
+
+        Args:
+            spec: settings of the flights.
+            knobs: that candidates turn.
+            chunk: flights in a device call; chosen for the device if left out.
+        """
+        self._chunk = chunk or CHUNK.get(jax.default_backend(), CHUNK_GPU)
+        one = partial(_measure, spec, tuple(knobs))
+        self._program: Any = jax.jit(jax.vmap(one))
+        # Forward: there are few knobs and thousands of steps, of which nothing need be kept.
+        self._sloped: Any = jax.jit(jax.vmap(jax.jacfwd(_with_aux(one), has_aux=True)))
+
+    def fly(self, settings: FloatArray, flights: Flights, done: Done = lambda _: None) -> Measures:
+        """Measures [c, n] of n flights of each of c candidates.
+
+        Args:
+            settings: [c, n_knob].
+            flights: n of them.
+            done: told the number of flights after each device call.
+        """
+        found: Measures = self._chunks(self._program, settings, flights, done)
+        return found
+
+    def slopes(
+        self, settings: FloatArray, flights: Flights, done: Done = lambda _: None
+    ) -> tuple[dict[str, FloatArray], Measures]:
+        """Derivatives [c, n, n_knob] of the measures `SLOPED`, by name, and the measures [c, n]."""
+        slopes, found = self._chunks(self._sloped, settings, flights, done)
+        return dict(zip(SLOPED, slopes, strict=True)), found
+
+    def _chunks(self, program: Any, settings: FloatArray, flights: Flights, done: Done) -> Any:
+        n_candidate, n = len(settings), len(flights.group)
+        total = n_candidate * n
+        size = min(self._chunk, total)
+        parts = []
+        for first in range(0, total, size):
+            # The last chunk is filled up, so that the program is compiled once.
+            rows = np.minimum(np.arange(first, first + size), total - 1)
+            flown = kinds.chosen((flights.orders, flights.reference), (rows % n).tolist())
+            part = jax.tree.map(np.asarray, program(settings[rows // n], *flown))
+            kept = min(size, total - first)
+            parts.append(jax.tree.map(lambda leaf, kept=kept: leaf[:kept], part))
+            done(kept)
+        return jax.tree.map(
+            lambda *leaves: np.concatenate(leaves).reshape(n_candidate, n, *leaves[0].shape[1:]),
+            *parts,
+        )
+
+
+def _measure(
+    spec: SimSpec,
+    knobs: tuple[Knob, ...],
+    settings: jax.Array,
+    orders: Orders,
+    reference: Reference,
+) -> Measures:
+    """One flight of one candidate."""
+    turned = replace(spec, gains=turning.turned(spec, knobs, settings))
+    flight = flying.fly(turned, orders, round(FLIGHT_S / spec.control_dt_s))
+    return measures.of_flight(flight, reference, orders.plant, spec.control_dt_s)
+
+
+def _with_aux(one: Callable[..., Measures]) -> Callable[..., Any]:
+    """The measures that have derivatives, and all of them beside."""
+
+    def both(
+        settings: jax.Array, orders: Orders, reference: Reference
+    ) -> tuple[tuple[jax.Array, ...], Measures]:
+        found = one(settings, orders, reference)
+        return tuple(getattr(found, name) for name in SLOPED), found
+
+    return both

@@ -1,0 +1,94 @@
+"""What came of a tuning: the gains as they are written, flown again before and after."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from angler_mjx.studies.flights.measures import Measures
+from angler_mjx.studies.tuning import draws, knobs
+from angler_mjx.studies.tuning.draws import Flights
+from angler_mjx.studies.tuning.problem import Problem
+from angler_mjx.studies.tuning.search import History
+
+STIFFER = 1.5
+"""What came out is also flown with every tuned gain times this: how far from trouble it is."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A set of flights with the gains before and after."""
+
+    flights: Flights
+    before: Measures
+    """[n] leads."""
+    after: Measures
+    cost: float
+    """After; before is 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What came of a tuning."""
+
+    problem: Problem
+    history: History
+    turns: list[float]
+    """[n_knob] the best settings, as they are written."""
+    train: Part
+    held_out: Part
+    stiffer: Part
+    """The held-out flights with every tuned gain times ``STIFFER``, as ``after``."""
+    provenance: dict[str, Any]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all generations were flown."""
+        return len(self.history.generations) >= self.problem.settings.generations
+
+    @property
+    def gains(self) -> tuple[Any, ...]:
+        """Of each stage, as they are written."""
+        spec, changed = self.problem.spec, dict[str, dict[str, float]]()
+        for knob, turn in zip(self.problem.knobs, self.turns, strict=True):
+            values = zip(knob.gains, knob.values(turn), strict=True)
+            changed.setdefault(knob.stage, {}).update(values)
+        return tuple(
+            replace(gains, **changed.get(stage.name, {}))
+            for stage, gains in zip(spec.stages, spec.gains, strict=True)
+        )
+
+
+def measure(problem: Problem, history: History, provenance: dict[str, Any]) -> Outcome:
+    """Fly the best candidate, and what the search began with, on both sets of flights.
+
+    Args:
+        problem: that was searched.
+        history: of the search.
+        provenance: of the tuning.
+    """
+    best = history.best()[1] or [0.0] * len(problem.knobs)
+    turns = knobs.rounded(problem.knobs, best)
+    train = _part(problem, problem.train, turns)
+    held_out = _part(problem, problem.flights(draws.HELD_OUT), turns)
+    stiff = problem.fly(np.array(turns) + math.log(STIFFER), held_out.flights)
+    return Outcome(
+        problem=problem,
+        history=history,
+        turns=turns,
+        train=train,
+        held_out=held_out,
+        stiffer=_judged(problem, held_out.flights, held_out.before, stiff),
+        provenance=provenance,
+    )
+
+
+def _part(problem: Problem, flown: Flights, turns: list[float]) -> Part:
+    before = problem.fly(np.zeros(len(turns)), flown)
+    return _judged(problem, flown, before, problem.fly(np.array(turns), flown))
+
+
+def _judged(problem: Problem, flown: Flights, before: Measures, after: Measures) -> Part:
+    cost = problem.judge(flown, before).cost(after)
+    return Part(flights=flown, before=before, after=after, cost=cost)

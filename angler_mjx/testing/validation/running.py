@@ -1,0 +1,117 @@
+"""Tests and studies as processes of their own, with what they wrote."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from angler_mjx.errors import RunError
+from angler_mjx.testing.validation import found
+from angler_mjx.testing.validation.found import Measured, Result
+from angler_mjx.testing.validation.terms import Study
+
+TEST_XLA_FLAGS = (
+    "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
+    "--xla_backend_optimization_level=1"
+)
+"""Those of ``make test``: most of the tests' time is XLA's."""
+
+EVERY_S = 20.0
+"""Between two lines that say that something goes on."""
+
+type Say = Callable[[str], None]
+
+
+def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, list[str]]:
+    """Run the named tests and read what they measured.
+
+    Args:
+        root: of the checkout.
+        tests: as pytest takes them.
+        say: takes a line of progress.
+
+    Returns:
+        What was measured, and the tests that failed.
+
+    Raises:
+        RunError: pytest could not run them.
+    """
+    files = len({test.partition("::")[0] for test in tests})
+    say(f"tests: {len(tests)} of {files} files")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "deviations.json"
+        command = [sys.executable, "-m", "pytest", "-q", "-rfE", "--no-header", "--tb=short"]
+        command += ["--deviations", str(out), "-m", "nightly or not nightly"]
+        command += [*_spread(), *tests]
+        said, code = _run(command, root, {"XLA_FLAGS": TEST_XLA_FLAGS}, say, "tests")
+        if code not in (0, 1) or not out.is_file():
+            raise RunError(f"pytest ended with {code}; its last words:\n{_tail(said)}")
+        failed = [line.split(" - ")[0] for line in said if line.startswith(("FAILED ", "ERROR "))]
+        return found.read(Measured, out), failed
+
+
+def run_study(root: Path, study: Study, arguments: Sequence[str], say: Say) -> Result:
+    """Run a program and read its result.
+
+    Raises:
+        RunError: it failed.
+    """
+    say(f"{study.name}: python -m {' '.join([study.module, *arguments])}")
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "result.json"
+        command = [sys.executable, "-m", study.module, *arguments, "--json", str(out)]
+        said, code = _run(command, root, {}, say, study.name)
+        if code != 0 or not out.is_file():
+            raise RunError(f"{study.module} ended with {code}; its last words:\n{_tail(said)}")
+        return found.read(Result, out)
+
+
+def _spread() -> list[str]:
+    """Two processes where there are two cores."""
+    return ["-n", "2", "--dist", "loadfile"] if (os.cpu_count() or 1) > 1 else []
+
+
+def _run(
+    command: Sequence[str], root: Path, defaults: dict[str, str], say: Say, name: str
+) -> tuple[list[str], int]:
+    """Lines and exit status of a process; says every ``EVERY_S`` that it goes on.
+
+    Also where the process is silent: a study compiles for minutes before its first line.
+    """
+    # Without a terminal pytest-xdist prints in blocks; what it printed last is read at the end.
+    environment = {**defaults, **os.environ, "PYTHONUNBUFFERED": "1"}
+    begun, done = time.monotonic(), threading.Event()
+    lines = list[str]()
+
+    def tell() -> None:
+        while not done.wait(EVERY_S):
+            said = f", {lines[-1][-60:]}" if lines else ""
+            say(f"{name}: {time.monotonic() - begun:.0f} s{said}")
+
+    with subprocess.Popen(
+        command,
+        cwd=root,
+        env=environment,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as process:
+        assert process.stdout is not None
+        teller = threading.Thread(target=tell, daemon=True)
+        teller.start()
+        try:
+            lines.extend(line.rstrip("\n") for line in process.stdout)
+        finally:
+            done.set()
+            teller.join()
+    say(f"{name}: done after {time.monotonic() - begun:.0f} s")
+    return lines, process.returncode
+
+
+def _tail(lines: Sequence[str]) -> str:
+    return "\n".join(lines[-15:])

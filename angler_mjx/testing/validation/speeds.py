@@ -1,0 +1,53 @@
+"""The table of speeds: the latest rows of benchmarks/results.jsonl, each with its commit."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+from angler_mjx.studies.speed import rows as speed
+from angler_mjx.studies.speed.chart import device_name, short
+from angler_mjx.studies.speed.compare import latest
+
+RESULTS = Path("benchmarks/results.jsonl")
+SCENARIO = "reef_fleet"
+
+
+def traceable(row: dict[str, Any]) -> bool:
+    """Whether a row says which commit was measured, and nothing in it had been changed."""
+    return bool(row["commit"]) and not str(row["commit"]).endswith("-changed")
+
+
+def table(results: Path) -> str:
+    """Simulation and preparation of the demo's scenario by device and size.
+
+    Args:
+        results: file of rows; rows without a commit or from a changed tree are left out.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    rows = latest([row for row in speed.read(results) if traceable(row)])
+    of: dict[tuple[str, int, int], dict[str, dict[str, Any]]] = defaultdict(dict)
+    for row in rows:
+        if row["workload"] == SCENARIO:
+            name = str(row["engine"])
+        elif row["workload"] == f"preparation/{SCENARIO}":
+            name = "preparation"
+        else:
+            continue
+        of[device_name(row), row["worlds"], row["robots"]][name] = row
+    head = (
+        "| device | worlds x robots | mjx, vehicle-steps/s | fused, vehicle-steps/s "
+        "| drawing and planning, worlds/s |\n| --- | ---: | ---: | ---: | ---: |"
+    )
+    lines = [
+        f"| {device} | {worlds:,} x {robots} | "
+        + " | ".join(_cell(held.get(name)) for name in ("mjx", "fused", "preparation"))
+        + " |"
+        for (device, worlds, robots), held in sorted(of.items())
+    ]
+    return "\n".join([head, *lines])
+
+
+def _cell(row: dict[str, Any] | None) -> str:
+    return "-" if row is None else f"{short(row['median'])} ({row['commit'][:7]})"

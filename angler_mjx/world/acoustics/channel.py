@@ -1,0 +1,360 @@
+"""The channel that the robots of a world share: packets on their way, and what each has heard.
+
+A packet is what its sender knew when it began. It reaches each receiver after the way of sound and
+is understood when its last bit is in, if the link lets it through, no other packet comes in at the
+same time, and the receiver does not send. Times are continuous; robots begin packets, and are told
+what they understood, in control steps.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.counting import once_in
+from angler_mjx.draws import children
+from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
+from angler_mjx.world.acoustics.link import Budget, Link
+from angler_mjx.world.acoustics.shadow import Rock
+from angler_mjx.world.grid import Grid
+
+NEVER_S = -1e6
+"""When packets began that were never sent."""
+OF_CHANCE = 0x53454E44
+"""What a key of a world and step is folded with for who sends; the key itself is of the losses."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """A shared channel; hashable, static under jit."""
+
+    access: Access
+    link: Link
+    rock: Rock | None
+    """None: sound goes through it as through water."""
+    sound_mps: float
+    packet_s: float
+    """Duration of a packet."""
+    dt_s: float
+    """Control period."""
+    lost_after_s: float = 60.0
+    """Who was not heard for so long is taken to be out."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Said:
+    """The last packet of each robot; [R] leads."""
+
+    p_m: Any
+    """[R, 3] where it believed itself to be when the packet began, in W."""
+    v_mps: Any
+    """[R, 3] its velocity over ground as it believed it, in W."""
+    time_s: Any
+    """[R] when that was."""
+    words: Any = None
+    """What else it said: of any shape, [R] leading."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Others:
+    """What robots have heard of each other; [receiver, sender] leads.
+
+    Of itself none has heard anything. Who was not heard yet is where it started, at rest, and has
+    said what it would have said then.
+    """
+
+    p_m: jax.Array
+    """[R, R, 3] where the sender believed itself to be, in W."""
+    v_mps: jax.Array
+    """[R, R, 3] its velocity over ground as it believed it, in W."""
+    time_s: jax.Array
+    """[R, R] since the start, when that was."""
+    known: jax.Array
+    """bool [R, R] whether it was heard at all."""
+    words: Any = None
+    """What else the sender said, [R, R] leading."""
+
+    def place_m(self, time_s: jax.Array) -> jax.Array:
+        """[R, R, 3] where they are at a time [] if they went straight on."""
+        return self.p_m + self.v_mps * (time_s - self.time_s)[..., None]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Air:
+    """Packets on their way; [receiver, sender] leads where there are two."""
+
+    said: Said
+    arrive_s: jax.Array
+    """[R, R] when the first bit of the last packet comes in; its beginning on the diagonal."""
+    passes: jax.Array
+    """bool [R, R] whether it is on its way and will be understood, as far as can be told yet."""
+    loud: jax.Array | None
+    """bool [R, R] whether it drowns others; None where they take turns."""
+    sent: jax.Array
+    """int32 [R] packets that each began."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, kw_only=True)
+class Radio:
+    """Memory of the channel of one world."""
+
+    air: Air
+    heard: Others
+    caught: jax.Array
+    """int32 [R] packets that each understood."""
+
+
+def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> Radio:
+    """Nothing said yet.
+
+    Args:
+        channel: that is shared.
+        p_m: [R, 3] where the robots start, in W.
+        words: what each would say beside, [R] leading.
+    """
+    n, zero = p_m.shape[0], jnp.zeros_like(p_m)
+    nobody, none = jnp.zeros((n, n), bool), jnp.zeros(n, jnp.int32)
+    air = Air(
+        said=Said(p_m=p_m, v_mps=zero, time_s=zero[:, 0], words=words),
+        arrive_s=jnp.full((n, n), NEVER_S, p_m.dtype),
+        passes=nobody,
+        loud=None if isinstance(channel.access, Tdma) else nobody,
+        sent=none,
+    )
+    return Radio(air=air, heard=unheard(p_m, words), caught=none)
+
+
+def unheard(p_m: jax.Array, words: Any = None) -> Others:
+    """What robots that start at p_m [R, 3] know of each other before anything is said."""
+    n = p_m.shape[0]
+
+    def to_all(leaf: jax.Array) -> jax.Array:
+        return jnp.broadcast_to(leaf, (n, *leaf.shape))
+
+    return Others(
+        p_m=to_all(p_m),
+        v_mps=to_all(jnp.zeros_like(p_m)),
+        time_s=jnp.zeros((n, n), p_m.dtype),
+        known=jnp.zeros((n, n), bool),
+        words=jax.tree.map(to_all, words),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Now:
+    """A control step of one world."""
+
+    key: jax.Array
+    """Of this world and step."""
+    number: jax.Array
+    """int32 [] control steps taken; as one number for all worlds of a batch, what is done now and
+    then alone costs nothing in the other steps."""
+    p_m: jax.Array
+    """[R, 3] where the robots are, in W."""
+    grid: Grid
+    """Rock."""
+    says: Callable[[], Said]
+    """What robots say now, worked out where packets begin."""
+    silent: jax.Array | None = None
+    """bool [R] who cannot send."""
+    every: int = 1
+    """What the number is known to be a multiple of."""
+
+    def once_in[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """See `counting.once_in`."""
+        return once_in(period, self.number, do, otherwise, self.every)
+
+    def time_s(self, channel: Channel) -> jax.Array:
+        """[] at the beginning of the step."""
+        return self.number.astype(self.p_m.dtype) * channel.dt_s
+
+
+def step(channel: Channel, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+    """One control step of one world: packets come in, and others begin.
+
+    Args:
+        channel: that is shared.
+        memory: of the channel.
+        now: the step.
+
+    Returns:
+        The memory, and who understood a packet of whom by now, bool [receiver, sender].
+    """
+    if isinstance(channel.access, Tdma):
+        return _in_turn(channel, channel.access, memory, now)
+    return _by_chance(channel, channel.access, memory, now)
+
+
+def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+    """One packet is on its way at a time: all that is looked at is of its sender."""
+    robots = now.p_m.shape[0]
+    last = _Columns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
+    turn = _Columns(first=now.number // access.slot % robots, count=1)
+    # By the next slot all have it, however times are rounded.
+    memory, came = _delivered(channel, memory, now, last, now.number % access.slot == 0)
+    one = jnp.ones(1, bool)
+
+    def send(air: Air) -> Air:
+        return _sent(channel, air, now, turn, one, jnp.full(1, now.time_s(channel)))
+
+    air = now.once_in(access.slot, lambda: send(memory.air), lambda: memory.air)
+    everybody = last.put(jnp.zeros((robots, robots), bool), came, 1)
+    return replace(memory, air=air), everybody
+
+
+def _by_chance(channel: Channel, access: Aloha, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+    """Anybody may send, now and then."""
+    robots, dtype = now.p_m.shape[0], now.p_m.dtype
+    everybody = _Columns(first=None, count=robots)
+    chance_s = access.chance * channel.dt_s
+
+    def send(air: Air) -> Air:
+        of_who, of_when = children(jax.random.fold_in(now.key, OF_CHANCE), 2)
+        begun_s, at_s = jnp.diagonal(air.arrive_s), jnp.full(robots, now.time_s(channel))
+        rested = begun_s < at_s - (access.rests - 1) * chance_s
+        if not access.slotted:
+            at_s = at_s + chance_s * jax.random.uniform(of_when, (robots,), dtype)
+        drawn = jax.random.uniform(of_who, (robots,), dtype) < access.probability
+        return _sent(channel, air, now, everybody, drawn & rested, at_s)
+
+    def look(memory: Radio) -> tuple[Radio, jax.Array]:
+        memory, came = _delivered(channel, memory, now, everybody)
+        air = now.once_in(access.chance, lambda: send(memory.air), lambda: memory.air)
+        return replace(memory, air=air), came
+
+    def wait() -> tuple[Radio, jax.Array]:
+        return memory, jnp.zeros((robots, robots), bool)
+
+    return now.once_in(access.look, lambda: look(memory), wait)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Columns:
+    """Neighbouring senders: one of them, or all."""
+
+    first: jax.Array | None
+    """int32 []; None for all."""
+    count: int
+
+    @property
+    def rows(self) -> jax.Array:
+        """int32 [count]."""
+        return jnp.arange(self.count) + (0 if self.first is None else self.first)
+
+    def of(self, tree: Any, axis: int) -> Any:
+        """Their part of arrays with senders along an axis."""
+        first = self.first
+        if first is None:
+            return tree
+        cut = partial(jax.lax.dynamic_slice_in_dim, slice_size=1, axis=axis)
+        return jax.tree.map(lambda leaf: cut(leaf, first), tree)
+
+    def put(self, tree: Any, part: Any, axis: int) -> Any:
+        """The arrays with another such part."""
+        first = self.first
+        if first is None:
+            return part
+        put = partial(jax.lax.dynamic_update_slice_in_dim, axis=axis)
+        return jax.tree.map(lambda leaf, new: put(leaf, new, first), tree, part)
+
+
+def _delivered(
+    channel: Channel, memory: Radio, now: Now, senders: _Columns, over: jax.Array | bool = False
+) -> tuple[Radio, jax.Array]:
+    """Packets whose last bit has come in by now are understood, bool [receiver, count].
+
+    Args:
+        channel: that is shared.
+        memory: before.
+        now: the step.
+        senders: whose packets may be on their way.
+        over: bool [] whether their time is over, so that all are in.
+    """
+    air, robots = memory.air, memory.caught.shape[0]
+    arrive, passes = senders.of((air.arrive_s, air.passes), 1)
+    came = passes & ((arrive + channel.packet_s <= now.time_s(channel)) | over)
+    said: Said = senders.of(air.said, 0)
+    old = senders.of(memory.heard, 1)
+    new = Others(p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words)
+
+    def put(new: jax.Array, old: jax.Array) -> jax.Array:
+        took = came.reshape(robots, senders.count, *(1,) * (old.ndim - 2))
+        return jnp.where(took, new, old)
+
+    heard = replace(jax.tree.map(put, new, old), known=old.known | came)
+    after = Radio(
+        air=replace(air, passes=senders.put(air.passes, passes & ~came, 1)),
+        heard=senders.put(memory.heard, heard, 1),
+        caught=memory.caught + jnp.sum(came, axis=1, dtype=jnp.int32),
+    )
+    return after, came
+
+
+def _sent(
+    channel: Channel, air: Air, now: Now, senders: _Columns, begins: jax.Array, at_s: jax.Array
+) -> Air:
+    """Packets that begin in this step.
+
+    Args:
+        channel: that is shared.
+        air: before.
+        now: the step.
+        senders: who may begin one.
+        begins: bool [count] who does.
+        at_s: [count] when.
+    """
+    if now.silent is not None:
+        begins = begins & ~senders.of(now.silent, 0)
+    from_m = senders.of(now.p_m, 0)
+    own = jnp.arange(now.p_m.shape[0])[:, None] == senders.rows
+    distance = jnp.sqrt(jnp.sum((now.p_m[:, None] - from_m) ** 2, axis=-1))
+    rock_db = jnp.zeros_like(distance)
+    if channel.rock is not None:
+        loss = partial(channel.rock.loss_db, now.grid)
+        rock_db = jax.vmap(jax.vmap(loss, (0, None)), (None, 0))(from_m, now.p_m)
+    chance = channel.link.success(distance, rock_db)
+    if isinstance(channel.link, Budget):
+        luck = jax.random.uniform(now.key, chance.shape, chance.dtype)
+    else:
+        luck = jnp.full_like(chance, 0.5)
+
+    def put(new: Any, old: Any, axis: int) -> Any:
+        """What is new of those who begin one."""
+
+        def choose(new: jax.Array, old: jax.Array) -> jax.Array:
+            who = begins.reshape(-1, *(1,) * (old.ndim - 1 - axis))
+            return jnp.where(who, new, old)
+
+        return senders.put(old, jax.tree.map(choose, new, senders.of(old, axis)), axis)
+
+    arrive = put(at_s + distance / channel.sound_mps, air.arrive_s, 1)
+    passes = put((luck < chance) & ~own, air.passes, 1)
+    loud = air.loud
+    if loud is not None:
+        loud = put(channel.link.loud(distance, rock_db) | own, loud, 1)
+        passes &= ~_drowned(arrive, loud, channel.packet_s)
+    return Air(
+        said=put(senders.of(now.says(), 0), air.said, 0),
+        arrive_s=arrive,
+        passes=passes,
+        loud=loud,
+        sent=put(senders.of(air.sent, 0) + 1, air.sent, 0),
+    )
+
+
+def _drowned(arrive_s: jax.Array, loud: jax.Array, packet_s: float) -> jax.Array:
+    """Whether another packet comes in beside each at its receiver, or this sends; bool [R, R].
+
+    No packet takes the place of another before that has passed all receivers, so packets are
+    compared with all that can come in beside them when the later one of two begins.
+    """
+    apart = jnp.abs(arrive_s[:, :, None] - arrive_s[:, None, :])
+    other = ~jnp.eye(arrive_s.shape[0], dtype=bool)
+    return jnp.any((apart < packet_s) & loud[:, None, :] & other, axis=-1)

@@ -1,0 +1,171 @@
+"""Who takes which job: nearest first, auction, or a sweep cut into equal shares.
+
+An allocator is a function of what one robot knows of a world (`View`), which may be the truth; it
+gives the next job of every robot. Where all know the same, all come to the same; where each knows
+something else, each works all of it out for itself and takes its own part.
+"""
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.errors import ConfigError, raised_by, shown
+from angler_mjx.world.tasks import pairs
+from angler_mjx.world.tasks.travel import Travel
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """What is known of a world when jobs are shared out."""
+
+    open: jax.Array
+    """bool [M] jobs that somebody has to begin."""
+    able: jax.Array
+    """bool [R] robots that can take one."""
+    active: jax.Array
+    """bool [R] robots that have not ended; those that carry something take no other job."""
+    p: jax.Array
+    """[R, 3] where robots are, m in W."""
+    travel: Travel
+    """Ways; the first M places are where jobs begin."""
+    length_m: jax.Array
+    """[M] way from the beginning of each job to its end."""
+    between_m: Callable[[jax.Array], jax.Array]
+    """Way [M] from the end of a job, int32 [], to the beginnings of all."""
+    rank: jax.Array
+    """int32 [M] place of each job in boustrophedon order."""
+    share: jax.Array
+    """int32 [R] which part of that order is each robot's."""
+    exists: jax.Array
+    """bool [M] jobs of this world, open or not."""
+
+    @property
+    def reach_m(self) -> jax.Array:
+        """[R, M] way of each robot to the beginning of each job."""
+        return self.travel.ways(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
+
+
+type Allocator = Callable[[View], jax.Array]
+"""Next job of each robot, int32 [R]; -1 for none. No job is given to two."""
+
+
+def nearest(view: View) -> jax.Array:
+    """Each robot takes the open job that is nearest to it, unless that is nearer to another.
+
+    The shortest way of all is taken, again and again.
+    """
+    return pairs.shortest_first(view.travel, view.p, view.able, view.open)
+
+
+def auction(view: View) -> jax.Array:
+    """Sequential single-item auction: the lowest bid of all for any job wins, again and again.
+
+    A bid is the way that the robot would have gone when the job is done, all that it has won before
+    included, so loads come out even (M. G. Lagoudakis et al., "Auction-Based Multi-Robot Routing",
+    Robotics: Science and Systems 2005, rule MINIMAX). Each goes to the first job that it won; the
+    auction ends when every robot has one.
+    """
+    robots = jnp.arange(view.able.shape[0])
+
+    def going(state: tuple[jax.Array, jax.Array]) -> jax.Array:
+        bids, first = state
+        return jnp.any(jnp.isfinite(bids)) & jnp.any((first < 0) & view.able)
+
+    def sell(state: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        bids, first = state
+        flat = jnp.argmin(bids)
+        robot, job = flat // bids.shape[1], flat % bids.shape[1]
+        won = (robots == robot) & jnp.isfinite(bids[robot, job])
+        first = jnp.where(won & (first < 0), job, first).astype(jnp.int32)
+        sold = jnp.isinf(bids).all(axis=0).at[job].set(True)
+        after = bids[robot, job] + view.between_m(job) + view.length_m
+        bids = jnp.where(won[:, None], after, bids)
+        return jnp.where(sold, jnp.inf, bids), first
+
+    bids = jnp.where(view.open & view.able[:, None], view.reach_m + view.length_m, jnp.inf)
+    none = jnp.full(view.able.shape, -1, jnp.int32)
+    return jax.lax.while_loop(going, sell, (bids, none))[1]
+
+
+def sweep(view: View) -> jax.Array:
+    """Jobs in boustrophedon order, cut into contiguous parts that are equal within one.
+
+    Each robot does its part in order. Parts of robots that are lost are cut again among those that
+    have nothing left to do.
+    """
+    robots = view.able.shape[0]
+    count = jnp.sum(view.exists, dtype=jnp.int32)
+    part = part_of(view.rank, count, robots)
+    mine = view.open & view.exists & (part == view.share[:, None])
+    own = _first(mine, view.rank)
+    idle = view.able & (own < 0)
+    orphan = view.open & ~jnp.any(mine & view.active[:, None], axis=0)
+    # Places of the orphans among themselves, cut among the idle.
+    earlier = (view.rank[:, None] > view.rank) & orphan
+    place = jnp.sum(earlier, axis=1, dtype=jnp.int32)
+    among = jnp.maximum(jnp.sum(idle, dtype=jnp.int32), 1)
+    left = jnp.sum(orphan, dtype=jnp.int32)
+    number = jnp.cumsum(idle, dtype=jnp.int32) - 1
+    theirs = orphan & (part_of(place, left, among) == number[:, None])
+    return jnp.where(idle, _first(theirs, view.rank), jnp.where(view.able, own, -1))
+
+
+def part_of(rank: jax.Array, count: jax.Array, parts: jax.Array | int) -> jax.Array:
+    """Which of so many contiguous parts, equal within one, each place in an order is in."""
+    return rank * parts // jnp.maximum(count, 1)
+
+
+def _first(may: jax.Array, rank: jax.Array) -> jax.Array:
+    """The first in order of what may be chosen, bool [..., M]; -1 where nothing may."""
+    least = jnp.argmin(jnp.where(may, rank, rank.shape[-1]), axis=-1)
+    return jnp.where(jnp.any(may, axis=-1), least, -1).astype(jnp.int32)
+
+
+def in_order(view: View) -> jax.Array:
+    """Each robot takes the open job of the lowest number; for tours in order."""
+    jobs = jnp.arange(view.open.shape[0], dtype=jnp.int32)
+    return jnp.where(view.able, _first(view.open, jobs), -1)
+
+
+BUILT_IN: Mapping[str, Allocator] = {"nearest": nearest, "auction": auction, "sweep": sweep}
+"""By their names in scenario files."""
+
+
+def by_name(name: str) -> Allocator:
+    """An allocator.
+
+    Args:
+        name: one of `BUILT_IN`, or MODULE:FUNCTION of an installed package.
+
+    Raises:
+        ConfigError: there is none of that name.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    module, colon, function = name.partition(":")
+    known = ", ".join(BUILT_IN)
+    if not colon:
+        raise ConfigError(f"{shown(name)} shares out no jobs; there are {known}, MODULE:FUNCTION")
+    try:
+        with raised_by(f"{shown(name)}: the module"):
+            found = getattr(importlib.import_module(module), function)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; there are {known}, MODULE:FUNCTION") from error
+    if not callable(found):
+        raise ConfigError(f"{shown(name)} is no function")
+    allocator: Allocator = found
+    return allocator
+
+
+def named_in_errors(name: str) -> Allocator:
+    """Return an allocator as `by_name` does; what it raises names its file and line."""
+    allocator = by_name(name)
+
+    def allocate(view: View) -> jax.Array:
+        with raised_by(f"task.allocation = {shown(name)}: the function"):
+            return allocator(view)
+
+    return allocate

@@ -1,0 +1,45 @@
+"""Goods that are brought from place to place: each robot carries one at a time."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_mjx.world.tasks.spec import TaskSpec, TaskState
+
+
+def carried(spec: TaskSpec, state: TaskState) -> jax.Array:
+    """Goods that some robot carries, bool [M]."""
+    holds = state.carrying[:, None] == jnp.arange(spec.jobs)
+    return jnp.any(holds, axis=0)
+
+
+def advance(
+    spec: TaskSpec, state: TaskState, running: jax.Array, near: jax.Array
+) -> tuple[TaskState, jax.Array]:
+    """Goods are put down where they go, and taken up where robots were sent for them.
+
+    Args:
+        spec: settings.
+        state: before.
+        running: bool [R] robots whose episode goes on.
+        near: bool [R, P] running robots at places.
+
+    Returns:
+        The state, and bool [R, M] who brought which goods.
+    """
+    jobs, robots = spec.jobs, jnp.arange(spec.robots)
+    holds = state.carrying[:, None] == jnp.arange(jobs)
+    dropped = jnp.any(holds & ~running[:, None], axis=0)
+    brought = holds & near[:, jobs : 2 * jobs]
+    keeps = running & ~jnp.any(brought, axis=1)
+    carrying = jnp.where(keeps, state.carrying, -1)
+    lost = state.lost | dropped if spec.dropped == "lost" else state.lost
+    # One takes it, though two that know little of each other may come for it.
+    there = near[:, :jobs] & (state.target[:, None] == jnp.arange(jobs))
+    there &= (carrying < 0)[:, None] & ~(
+        state.done | lost | jnp.any(holds & running[:, None], axis=0)
+    )
+    takes = there & (jnp.argmax(there, axis=0) == robots[:, None])
+    carrying = jnp.where(jnp.any(takes, axis=1), jnp.argmax(takes, axis=1), carrying)
+    return replace(state, carrying=carrying.astype(jnp.int32), lost=lost), brought

@@ -1,0 +1,173 @@
+"""How far the task of a world was at each time of a record, for pictures and files; host arrays."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+
+from angler_mjx.world.tasks.spec import TaskSpec
+
+
+class Doing(IntEnum):
+    """What a robot does of its task."""
+
+    GOES = 0
+    """To a place where a job begins."""
+    BRINGS = 1
+    """Goods to where they go."""
+    RETURNS = 2
+    """To its start."""
+    WAITS = 3
+    """For a job that it might have to take over."""
+    ENDED = 4
+    """Nothing more: it has finished, or is lost to the task."""
+
+
+class Goods(IntEnum):
+    """Where goods are."""
+
+    WAIT = 0
+    """Where they are taken from."""
+    TRAVEL = 1
+    """With a robot."""
+    BROUGHT = 2
+    """Where they go."""
+    LOST = 3
+    """With a robot that ended."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class History:
+    """The task of one world over time: T samples, R robots, M jobs, P places."""
+
+    spec: TaskSpec
+    time_s: np.ndarray
+    """[T] of the samples."""
+    place_m: np.ndarray
+    """[P, 3] in W; jobs first, then where goods go, then homes."""
+    exists: np.ndarray
+    """bool [M]."""
+    by: np.ndarray
+    """int [M] robot that did each job; -1: not done."""
+    done_at_s: np.ndarray
+    """[M] when; NaN: not done."""
+    share: np.ndarray
+    """[T] of the task that is done; of a survey, of its cells that were seen."""
+    did: np.ndarray
+    """int [T, R] jobs that each robot did; where a tour is not shared, places that it visited."""
+    target: np.ndarray
+    """int [T, R] place that each robot goes to; -1: it stays."""
+    carrying: np.ndarray
+    """int [T, R] job whose goods each robot carries; -1 for none."""
+    ended_s: np.ndarray
+    """[R] when the episode of each robot was over."""
+    completed_s: float
+    """When the task was complete; NaN: never."""
+    cells: np.ndarray | None = None
+    """bool [nx, ny, nz] cells that a survey is to see."""
+    seen_at_s: np.ndarray | None = None
+    """[nx, ny, nz] when each was seen first; NaN: never."""
+
+    def _since(self, at_s: np.ndarray) -> np.ndarray:
+        """Whether times [n] have come at the samples, bool [T, n]; they are float32's."""
+        now = self.time_s * (1.0 + 1e-6) + 1e-6
+        since: np.ndarray = at_s <= now[:, None]
+        return since
+
+    @cached_property
+    def done(self) -> np.ndarray:
+        """Jobs that were done by then, bool [T, M]."""
+        return self._since(self.done_at_s)
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Which cells of a survey were seen by then, bool [T, n], in the order of ``cells``."""
+        if self.cells is None or self.seen_at_s is None:
+            return np.zeros((len(self.time_s), 0), bool)
+        return self._since(self.seen_at_s[self.cells])
+
+    @cached_property
+    def doing(self) -> np.ndarray:
+        """What each robot does, `Doing` [T, R]."""
+        found = np.full(self.target.shape, Doing.GOES)
+        found[self.target >= self.spec.jobs] = Doing.BRINGS
+        found[self.target >= self.spec.homes] = Doing.RETURNS
+        found[self.target < 0] = Doing.WAITS
+        found[self._since(self.ended_s)] = Doing.ENDED
+        return found
+
+    @cached_property
+    def goes(self) -> np.ndarray:
+        """Which robots are on their way to a place, bool [T, R]."""
+        found: np.ndarray = self.doing <= Doing.RETURNS
+        return found
+
+    @cached_property
+    def carrier(self) -> np.ndarray:
+        """Robot that carries the goods of each job, int [T, M]; -1: none."""
+        holds = self.carrying[..., None] == np.arange(self.spec.jobs)
+        holds &= ~self._since(self.ended_s)[..., None]
+        found: np.ndarray = np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
+        return found
+
+    @cached_property
+    def goods(self) -> np.ndarray:
+        """Where the goods of each job are, `Goods` [T, M]."""
+        travels = self.carrier >= 0
+        dropped = np.maximum.accumulate(travels, axis=0) & ~travels
+        found = np.full(travels.shape, Goods.WAIT)
+        if self.spec.dropped == "lost":
+            found[dropped] = Goods.LOST
+        found[travels] = Goods.TRAVEL
+        found[self.done] = Goods.BROUGHT
+        return found
+
+    def goods_m(self, p_m: np.ndarray) -> np.ndarray:
+        """Where goods are, [T, M, 3] in W; NaN of those that are lost, or that do not exist.
+
+        Args:
+            p_m: [T, R, 3] where the robots are, in W.
+        """
+        jobs = self.spec.jobs
+        at = np.broadcast_to(self.place_m[:jobs], (*self.goods.shape, 3)).copy()
+        taken, brought = self.goods == Goods.TRAVEL, self.goods == Goods.BROUGHT
+        when = np.nonzero(taken)[0]
+        at[taken] = p_m[when, self.carrier[taken]]
+        at[brought] = self.place_m[jobs + np.nonzero(brought)[1]]
+        at[(self.goods == Goods.LOST) | ~self.exists] = np.nan
+        return at
+
+    def does(self, sample: int, robot: int) -> str:
+        """What a robot does at a sample, in words; empty when its episode is over."""
+        target = int(self.target[sample, robot])
+        what = {"tour": "place", "survey": "viewpoint", "deliver": "goods"}[self.spec.kind]
+        return {
+            Doing.GOES: f"goes to {what} {target}",
+            Doing.BRINGS: f"brings goods {target - self.spec.jobs}",
+            Doing.RETURNS: "returns",
+            Doing.WAITS: "waits",
+            Doing.ENDED: "",
+        }[Doing(self.doing[sample, robot])]
+
+    def words(self, sample: int) -> str:
+        """How far the task was at a sample, in a line."""
+        jobs = int(self.exists.sum())
+        done = int(self.done[sample][self.exists].sum())
+        if self.cells is not None and self.spec.survey is not None:
+            count, seen = int(self.cells.sum()), int(self.seen[sample].sum())
+            wanted = 100 * self.spec.survey.coverage
+            text = f"{seen} of {count} cells seen ({100 * seen // count} %, {wanted:g} % wanted)"
+        elif self.spec.kind == "deliver":
+            goods = self.goods[sample][self.exists].tolist()
+            text = f"{done} of {jobs} goods brought, {goods.count(Goods.TRAVEL)} on the way"
+            if lost := goods.count(Goods.LOST):
+                text += f", {lost} lost"
+        elif self.spec.shared:
+            text = f"{done} of {jobs} places visited"
+        else:
+            visits = int(self.did[sample].sum())
+            text = f"{visits} of {jobs * self.spec.robots} visits made"
+        if self._since(np.array([self.completed_s]))[sample, 0]:
+            text += f"; complete after {self.completed_s:.0f} s"
+        return text

@@ -1,0 +1,148 @@
+"""What a survey is to see, and from where: surface cells, and viewpoints that cover them.
+
+Viewpoints are taken greedily, each time the one from which most cells are seen that none before it
+sees: no other rule of polynomial cost covers a set with much fewer (U. Feige, "A Threshold of ln n
+for Approximating Set Cover", Journal of the ACM 45(4), 1998).
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from angler_kernels import bit_grid
+from angler_mjx.world.grid import Grid
+from angler_mjx.world.tasks import sight
+from angler_mjx.world.tasks.spec import SurveySpec, SurveyWorld
+
+MOST_CANDIDATES = 512
+"""Viewpoints that a world's are chosen from."""
+_DOWN = (0.0, 0.0, -1.0)
+
+
+def ground_cells(grid: Grid, floor_z_m: jax.Array) -> jax.Array:
+    """Lowest free cell int32 [nx, ny] of each column above the floor; nz where there is none."""
+    nz = grid.occupied.shape[2]
+    middle = grid.origin_m[2] + (jnp.arange(nz) + 0.5) * grid.cell_m
+    free = ~grid.occupied & (middle > floor_z_m)
+    return jnp.where(jnp.any(free, axis=2), jnp.argmax(free, axis=2), nz).astype(jnp.int32)
+
+
+def surface_cells(spec: SurveySpec, grid: Grid, ground: jax.Array) -> jax.Array:
+    """Free cells bool [nx, ny, nz] that border on what is surveyed.
+
+    Of the floor, the lowest free cell of each column: it lies on the sea floor, or on the rock that
+    stands there. Of rock, all that share a face with a cell of rock.
+    """
+    rock, nz = grid.occupied, grid.occupied.shape[2]
+    found = jnp.zeros_like(rock)
+    if spec.of in ("floor", "both"):
+        found |= jnp.arange(nz) == ground[..., None]
+    if spec.of in ("rock", "both"):
+        wide = jnp.pad(rock, 1)
+        for axis in range(3):
+            for begin in (0, 2):
+                at = [1, 1, 1]
+                at[axis] = begin
+                end = [i + n for i, n in zip(at, rock.shape, strict=True)]
+                found |= jax.lax.slice(wide, at, end)
+    return found & ~rock
+
+
+def candidates(
+    spec: SurveySpec, reachable: jax.Array, ground: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Cells that viewpoints are chosen from.
+
+    Over each column of the floor the reachable cell whose height above it is nearest to the
+    altitude; around rock a lattice. Both are thinned out evenly to `MOST_CANDIDATES`.
+
+    Returns:
+        Cells int32 [n, 3], and bool [n] which of them robots can reach.
+    """
+    shape, cells, may = reachable.shape, [], []
+    share = 2 if spec.of == "both" else 1
+    if spec.of in ("floor", "both"):
+        stride = math.ceil(math.sqrt(shape[0] * shape[1] * share / MOST_CANDIDATES))
+        column = _lattice(shape[:2], max(1, stride))
+        height = jnp.arange(shape[2]) - ground[column[:, 0], column[:, 1], None]
+        free = reachable[column[:, 0], column[:, 1]] & (height >= 0)
+        off = jnp.where(free, jnp.abs(height - spec.altitude_cells), shape[2] + 1)
+        best = jnp.argmin(off, axis=1).astype(jnp.int32)
+        cells.append(jnp.concatenate([column, best[:, None]], axis=1))
+        may.append(jnp.any(free, axis=1))
+    if spec.of in ("rock", "both"):
+        stride = math.ceil((math.prod(shape) * share / MOST_CANDIDATES) ** (1 / 3))
+        points = _lattice(shape, max(1, stride))
+        cells.append(points)
+        may.append(reachable[points[:, 0], points[:, 1], points[:, 2]])
+    return jnp.concatenate(cells), jnp.concatenate(may)
+
+
+def _lattice(shape: tuple[int, ...], stride: int) -> jax.Array:
+    axes = [np.arange((stride - 1) // 2, n, stride) for n in shape]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(shape))
+    return jnp.array(points, jnp.int32)
+
+
+def cover(
+    spec: SurveySpec,
+    jobs: int,
+    spare_m: float,
+    grid: Grid,
+    floor_z_m: jax.Array,
+    reachable: jax.Array,
+) -> tuple[jax.Array, jax.Array, jax.Array, SurveyWorld]:
+    """Viewpoints of one world.
+
+    They see half of what the coverage may leave out, as well: what a robot sees from a little
+    beside a viewpoint differs. No more are taken than that needs.
+
+    Args:
+        spec: settings.
+        jobs: most viewpoints, M.
+        spare_m: what is seen from a viewpoint must be seen from so far beside it too.
+        grid: rock.
+        floor_z_m: [] height of the floor.
+        reachable: bool [nx, ny, nz] cells that robots can reach.
+
+    Returns:
+        Viewpoints [M, 3] in W, bool [M] which exist, bool [] whether they see enough, and what is
+        to be seen.
+    """
+    ground = ground_cells(grid, floor_z_m)
+    surface = surface_cells(spec, grid, ground)
+    cell, may = candidates(spec, reachable, ground)
+    point, down, packed = sight.centre_m(grid, cell), jnp.array(_DOWN), bit_grid.pack(surface)
+
+    def from_one(p: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return sight.seen_cells(spec, grid, packed, ground, p, down, spare_m)
+
+    cells, sees = jax.vmap(from_one)(point)
+    sees &= may[:, None]
+    _, ny, nz = surface.shape
+    flat = (cells[..., 0] * ny + cells[..., 1]) * nz + cells[..., 2]
+    wanted = jnp.zeros(surface.size, bool).at[flat].max(sees)
+    count = jnp.sum(wanted, dtype=jnp.int32)
+    enough = jnp.ceil(0.5 * (1.0 + spec.coverage) * count).astype(jnp.int32)
+
+    def choose(left: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+        new = sees & left[flat]
+        gain = jnp.sum(new, axis=1, dtype=jnp.int32)
+        best = jnp.argmax(gain)
+        exists = (gain[best] > 0) & (count - jnp.sum(left, dtype=jnp.int32) < enough)
+        mine = new[best] & exists
+        return left.at[flat[best]].min(~mine), (best, exists, mine)
+
+    left, (chosen, exists, mine) = jax.lax.scan(choose, wanted, length=jobs)
+    fits = count - jnp.sum(left, dtype=jnp.int32) >= spec.required(count)
+    wanted = wanted.reshape(surface.shape)
+    world = SurveyWorld(
+        cells=wanted,
+        words=bit_grid.pack(wanted),
+        ground=ground,
+        of_job=sight.packed(spec, nz, cells[chosen, :, 2], mine),
+        count=count,
+    )
+    return point[chosen], exists, fits & (count > 0), world

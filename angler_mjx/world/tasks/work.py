@@ -1,0 +1,292 @@
+"""A look at the task of a world: what was done, who knows it, and what each robot does next.
+
+In truth a job is done when a robot was there; robots decide by what they know. Whoever knows
+everything at once decides as all others do; the rest go by their own knowledge alone.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from angler_kernels import bit_grid
+from angler_kernels.quaternion import rotate
+from angler_mjx.world.tasks import allocation, bits, deliver, knowing, sight
+from angler_mjx.world.tasks.allocation import View
+from angler_mjx.world.tasks.knowing import Scene
+from angler_mjx.world.tasks.spec import (
+    Found,
+    SurveySpec,
+    SurveyWorld,
+    TaskSpec,
+    TaskState,
+    TaskWorld,
+)
+from angler_mjx.world.tasks.travel import Travel
+
+
+def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array, *, heard: bool = False) -> TaskState:
+    """Nothing done, nobody sent anywhere.
+
+    Args:
+        spec: settings.
+        task: of the world.
+        start_m: [R, 3] in W.
+        heard: whether robots know of each other what they have heard.
+    """
+    jobs, robots, kind = spec.jobs, spec.robots, start_m.dtype
+    nothing = jnp.zeros((robots, spec.words), jnp.uint32)
+    found = Found(missing=nothing, at_s=jnp.zeros(robots, kind), in_hand=nothing)
+    return TaskState(
+        done=jnp.zeros(jobs, bool),
+        lost=jnp.zeros(jobs, bool),
+        by=jnp.full(jobs, -1, jnp.int32),
+        done_at_s=jnp.full(jobs, jnp.nan, kind),
+        knows=nothing,
+        target=jnp.full(robots, -1, jnp.int32),
+        goal_m=start_m,
+        carrying=jnp.full(robots, -1, jnp.int32),
+        did=jnp.zeros(robots, jnp.int32),
+        finished=jnp.zeros(robots, bool),
+        complete=jnp.zeros((), bool),
+        completed_s=jnp.full((), jnp.nan, kind),
+        progress=jnp.zeros((), kind),
+        seen=None if task.survey is None else jnp.zeros_like(task.survey.words),
+        seen_at_s=jnp.full(task.survey.cells.shape, jnp.nan, kind)
+        if task.survey is not None and spec.timed
+        else None,
+        found=found if heard and spec.goods_return else None,
+    )
+
+
+def look(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, travel: Travel
+) -> TaskState:
+    """The state after a look.
+
+    Args:
+        spec: settings.
+        task: of the world.
+        state: before.
+        scene: what is seen of the world.
+        travel: ways between its places.
+    """
+    after = knowing.known(spec, task, _done(spec, task, state, scene), scene)
+    return _sent(spec, task, after, scene, travel, knowing.news(spec, state, after, scene))
+
+
+def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
+    """What has become true since the last look."""
+    near = knowing.near(spec, scene.p, task.place_m) & scene.running[:, None]
+    by = near[:, : spec.jobs]
+    if spec.kind == "deliver":
+        state, by = deliver.advance(spec, state, scene.running, near)
+    if not spec.shared:
+        return _visited(spec, task, state, scene, by)
+    seen, survey, world = state.seen, spec.survey, task.survey
+    if seen is not None and survey is not None and world is not None:
+        before, seen = seen, _seen(survey, world, seen, scene)
+        state = _with_seen(state, seen & ~before, seen, scene.t)
+        by = _over(spec, survey, task, world, seen, scene, by)
+    new = jnp.any(by, axis=0) & task.exists & ~state.done
+    who = jnp.argmax(by, axis=0).astype(jnp.int32)
+    state = _with_done(state, new, who, scene.t)
+    mine = state.done & (state.by == jnp.arange(spec.robots)[:, None])
+    state = replace(state, did=jnp.sum(mine, axis=1, dtype=jnp.int32))
+    progress = jnp.sum(state.done) / jnp.maximum(jnp.sum(task.exists), 1)
+    complete = jnp.all(state.done | ~task.exists)
+    if seen is not None and survey is not None and world is not None:
+        count, total = bit_grid.population(seen), jnp.maximum(world.count, 1)
+        progress, complete = count / total, count >= survey.required(total)
+    return _with_progress(state, progress, complete, scene.t)
+
+
+def _with_done(state: TaskState, new: jax.Array, who: jax.Array, t: jax.Array) -> TaskState:
+    return replace(
+        state,
+        done=state.done | new,
+        by=jnp.where(new, who, state.by),
+        done_at_s=jnp.where(new, t, state.done_at_s),
+    )
+
+
+def _with_progress(
+    state: TaskState, progress: jax.Array, complete: jax.Array, t: jax.Array
+) -> TaskState:
+    new = complete & ~state.complete
+    return replace(
+        state,
+        progress=progress.astype(state.progress.dtype),
+        complete=state.complete | complete,
+        completed_s=jnp.where(new, t, state.completed_s),
+    )
+
+
+def _visited(
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, near: jax.Array
+) -> TaskState:
+    """A tour of which every robot visits all places: what each knows is where it was."""
+    before = bits.unpack(state.knows, spec.jobs)
+    if spec.ordered:
+        jobs = jnp.arange(spec.jobs)
+        near &= jobs == jnp.argmin(before, axis=1)[:, None]
+    visited = before | near
+    everybody = jnp.all(visited, axis=0)
+    new = everybody & ~state.done
+    last = jnp.argmax(near & ~before, axis=0).astype(jnp.int32)
+    count = jnp.sum(visited, axis=1, dtype=jnp.int32)
+    state = replace(state, knows=bits.pack(visited), did=count)
+    state = _with_done(state, new, last, scene.t)
+    return _with_progress(state, jnp.mean(visited), jnp.all(everybody), scene.t)
+
+
+def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
+    """Cells that some robot has seen by now, uint32 [nx, ny, w]."""
+    shape, wanted = scene.grid.occupied.shape, world.words & ~seen
+    down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
+
+    def one(p: jax.Array, down: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return sight.seen_cells(survey, scene.grid, wanted, world.ground, p, down)
+
+    cells, sees = jax.vmap(one)(scene.p, down)
+    words = sight.packed(survey, shape[2], cells[..., 2], sees & scene.running[:, None])
+    return seen | sight.together(survey, shape, sight.cell_of(scene.grid, scene.p), words)
+
+
+def _with_seen(state: TaskState, new: jax.Array, seen: jax.Array, t: jax.Array) -> TaskState:
+    """Cells uint32 [nx, ny, w] that were seen, and of them the new ones."""
+    at_s = state.seen_at_s
+    if at_s is not None:
+        at_s = jnp.where(bit_grid.unpack(new, at_s.shape[2]), t, at_s)
+    return replace(state, seen=seen, seen_at_s=at_s)
+
+
+def _over(
+    spec: TaskSpec,
+    survey: SurveySpec,
+    task: TaskWorld,
+    world: SurveyWorld,
+    seen: jax.Array,
+    scene: Scene,
+    near: jax.Array,
+) -> jax.Array:
+    """Whose jobs of a survey are over, bool [R, M].
+
+    A job is over when all its cells are seen, whoever saw them, or when a robot has looked from its
+    viewpoint (``near``, bool [R, M]): more cannot be seen from there. Cells that were seen in
+    passing are the nearest robot's.
+    """
+    # A whole column is one word or a few: a look at each cell would cost several times as much.
+    points, shape = task.place_m[: spec.jobs], scene.grid.occupied.shape
+
+    def whole(point: jax.Array, mine: jax.Array) -> jax.Array:
+        at = sight.columns(survey, shape, sight.cell_of(scene.grid, point))
+        return jnp.all(mine & ~seen[at[:, 0], at[:, 1]] == 0)
+
+    apart = jnp.sum((scene.p[:, None] - points) ** 2, axis=-1)
+    apart = jnp.where(scene.running[:, None], apart, jnp.inf)
+    nearest = jnp.argmin(apart, axis=0) == jnp.arange(spec.robots)[:, None]
+    return near | (jax.vmap(whole)(points, world.of_job) & nearest)
+
+
+def _sent(
+    spec: TaskSpec,
+    task: TaskWorld,
+    state: TaskState,
+    scene: Scene,
+    travel: Travel,
+    news: jax.Array,
+) -> TaskState:
+    """Where each robot goes next: on to where it goes, unless it has learned something."""
+    over = bits.unpack(state.knows, spec.jobs)
+    robots = jnp.arange(spec.robots)
+    carries = state.carrying >= 0
+    before = jnp.where(state.target < spec.jobs, state.target, -1)
+    closed = bits.unpack(knowing.closed(state), spec.jobs)
+    job = jnp.where(news, _jobs(spec, task, state, scene, travel, closed, news), before)
+    target = jnp.where(carries, spec.jobs + state.carrying, job)
+    left = ~jnp.all(over, axis=1) | carries
+    home = spec.homes + robots
+    if spec.after == "return":
+        target = jnp.where(target < 0, home, target)
+        apart = jnp.sum((scene.p - task.place_m[spec.homes :]) ** 2, axis=-1)
+        finished = ~left & (apart <= spec.tolerance_m**2)
+    else:
+        finished = ~left
+    target = jnp.where(scene.running, target, -1).astype(jnp.int32)
+    stays, stayed = target < 0, state.target < 0
+    here = jnp.where((stays & ~stayed)[:, None], scene.believed_m, state.goal_m)
+    return replace(
+        state,
+        target=target,
+        goal_m=jnp.where(stays[:, None], here, task.place_m[jnp.maximum(target, 0)]),
+        finished=state.finished | finished,
+    )
+
+
+def _jobs(
+    spec: TaskSpec,
+    task: TaskWorld,
+    state: TaskState,
+    scene: Scene,
+    travel: Travel,
+    closed: jax.Array,
+    news: jax.Array,
+) -> jax.Array:
+    """Next job of each robot that thinks anew, int32 [R]; -1 for none.
+
+    For the others nobody is taken to be able, so that there is little to work out.
+    """
+    jobs = jnp.arange(spec.jobs, dtype=jnp.int32)
+    length = jnp.zeros(spec.jobs, scene.p.dtype)
+    if spec.kind == "deliver":
+        length = jax.vmap(lambda j: travel.ways(task.place_m[j][None], spec.jobs + j[None])[0, 0])(
+            jobs
+        )
+
+    def between(job: jax.Array) -> jax.Array:
+        end = task.place_m[job + (spec.jobs if spec.kind == "deliver" else 0)]
+        return travel.ways(end[None], jobs)[0]
+
+    allocate = allocation.in_order if spec.ordered else allocation.named_in_errors(spec.allocation)
+
+    def view(
+        p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array
+    ) -> View:
+        return View(
+            open=open_,
+            able=able & active,
+            active=active,
+            p=p,
+            travel=travel,
+            length_m=length,
+            between_m=between,
+            rank=task.rank,
+            share=share,
+            exists=task.exists,
+        )
+
+    able = scene.running & (state.carrying < 0) & news
+    if not spec.shared:
+
+        def alone(p: jax.Array, able: jax.Array, closed: jax.Array) -> jax.Array:
+            share = jnp.zeros(1, jnp.int32)
+            return allocate(view(p[None], able[None], able[None], ~closed, share))[0]
+
+        return jax.vmap(alone)(scene.believed_m, able, closed)
+    carried = deliver.carried(spec, state)
+    if scene.others is None:
+        open_ = ~closed[0] & ~carried
+        return allocate(view(scene.believed_m, scene.running, able, open_, task.share))
+
+    def of_one(
+        robot: jax.Array, p: jax.Array, active: jax.Array, free: jax.Array, closed: jax.Array
+    ) -> jax.Array:
+        return allocate(view(p, active, free & news[robot], ~closed, task.share))[robot]
+
+    # What a robot knows of itself needs no packet.
+    robots, others = jnp.arange(spec.robots), scene.others
+    p = others.p.at[robots, robots].set(scene.believed_m)
+    active = others.active.at[robots, robots].set(scene.running)
+    free = (others.active & (others.said.carrying < 0)).at[robots, robots].set(able)
+    return jax.vmap(of_one)(robots, p, active, free, closed)

@@ -1,0 +1,37 @@
+"""Figures of the card: numbers in words, and marks where robots were."""
+
+import numpy as np
+import pytest
+
+from angler_mjx.learning.datasets import figures, index, manifest
+from angler_mjx.runs.storage.folder import Run
+
+
+@pytest.mark.parametrize(
+    ("ended", "said"),
+    [({"timeout": 2}, "0 %"), ({"reached": 3, "timeout": 1}, "75 %"), ({"reached": 2}, "100 %")],
+)
+def test_the_headline_says_how_many_robots_arrived(made, ended, said):
+    figure = figures.counts(manifest.read(made), index.read(made), ended)
+    texts = [text.get_text() for text in figure.texts]
+    assert f"small: 6 episodes, {said} of robots arrived" in texts
+
+
+def test_a_cross_marks_where_each_robot_failed(made):
+    found = manifest.read(made)
+    figure = figures.flights(made, found, index.read(made))
+    marks = [
+        {tuple(line.get_xydata()[0]) for line in panel.lines if line.get_marker() == "X"}
+        for panel in figure.axes
+        if panel.get_title(loc="left")
+    ]
+    wanted = []
+    for part in found.parts:
+        rows = Run(made / part.path).episodes.to_pylist()
+        for world in range(part.worlds):
+            failed = [row for row in rows if row["world"] == world and row["outcome"] != "reached"]
+            wanted.append({(row["failure_x_m"], row["failure_y_m"]) for row in failed})
+    assert any(wanted)
+    assert len(marks) == len(wanted)
+    for drawn, places in zip(marks, wanted, strict=True):
+        np.testing.assert_allclose(sorted(drawn), sorted(places), atol=1e-6)

@@ -1,0 +1,32 @@
+"""What the learned planner takes from a dataset: its splits, judged by the reader of episodes."""
+
+import numpy as np
+import pytest
+
+from angler_experiments.learned_planner.training import stored
+from angler_mjx.learning import datasets
+
+
+def _taken(made, split, told):
+    parts = list(stored.of_folder(made, split, told.append))
+    return (
+        np.concatenate([20.0 * np.asarray(part.scenes.own)[..., 0] for part in parts]),
+        np.concatenate([np.asarray(part.counts) for part in parts]),
+    )
+
+
+@pytest.mark.parametrize("split", ["train", "test_there"])
+def test_a_split_is_its_episodes_and_no_others(made, split):
+    told = []
+    length_m, planned = _taken(made, split, told)
+    chosen = datasets.open(made, split=split)
+    expected = [chosen.episode(i) for i in range(len(chosen))]
+    assert len(expected) < len(datasets.open(made))
+    straight = [np.linalg.norm(one.goal_m - one.start_m, axis=-1) for one in expected]
+    np.testing.assert_allclose(length_m, straight, rtol=1e-4)
+    assert planned.sum() == sum(one.about["planned"] for one in expected)
+    assert not told
+
+
+def test_a_split_that_is_not_there_gives_nothing(made):
+    assert list(stored.of_folder(made, "nowhere", print)) == []

@@ -1,0 +1,101 @@
+"""Programs compiled side by side, with stand-ins for what JAX gives."""
+
+import threading
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from angler_mjx.runs.simulator.compiling import Compiled, Together
+
+LONG_S = 30.0
+
+
+class Lowered:
+    def __init__(self, compiling):
+        self.compile = compiling
+
+
+class Jitted:
+    def __init__(self, name, compiling, lowering=lambda: None):
+        self.name, self._compiling, self._lowering = name, compiling, lowering
+
+    def lower(self, *example):
+        self._lowering()
+        return Lowered(lambda: (self.name, example, self._compiling()))
+
+
+def test_the_next_is_traced_while_the_first_compiles():
+    traced = threading.Event()
+    # One after the other, the first would wait in vain for the second.
+    first = Jitted("first", lambda: traced.wait(LONG_S))
+    second = Jitted("second", lambda: True, lowering=traced.set)
+    with Together(2) as programs:
+        begun = [programs.begin(first, 1, 2), programs.begin(second, 3)]
+    (one, one_s), (other, other_s) = (program.result() for program in begun)
+    assert one == ("first", (1, 2), True)
+    assert other == ("second", (3,), True)
+    assert one_s > 0
+    assert other_s > 0
+
+
+def test_all_compile_at_once():
+    meeting = threading.Barrier(3, timeout=LONG_S)
+    with Together(3) as programs:
+        begun = [programs.begin(Jitted(str(i), meeting.wait)) for i in range(3)]
+    assert sorted(program.result()[0][2] for program in begun) == [0, 1, 2]
+
+
+def test_what_the_compiler_says_comes_with_the_result():
+    def refused():
+        raise MemoryError("too large")
+
+    with Together(2) as programs:
+        begun = programs.begin(Jitted("large", refused))
+        other = programs.begin(Jitted("small", lambda: True))
+    with pytest.raises(MemoryError, match="too large"):
+        begun.result()
+    assert other.result()[0][0] == "small"
+
+
+def test_a_fault_while_tracing_waits_for_what_runs():
+    running, faulted, done = threading.Event(), threading.Event(), threading.Event()
+
+    def compiling():
+        running.set()
+        faulted.wait(LONG_S)
+        done.set()
+
+    def fault():
+        running.wait(LONG_S)
+        faulted.set()
+        raise TypeError("not a shape")
+
+    def both():
+        with Together(2) as programs:
+            programs.begin(Jitted("first", compiling))
+            programs.begin(Jitted("second", lambda: True, lowering=fault))
+
+    with pytest.raises(TypeError, match="not a shape"):
+        both()
+    assert done.is_set()
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_program_may_be_a_part_of_another(ahead):
+    """Its compiler options are refused by JAX inside any trace, and so is an executable."""
+    x = jnp.arange(3.0)
+    cube = Compiled(lambda x: x**3)
+    if ahead:
+        cube.keep(cube.lower(x).compile())
+    expected = np.arange(3.0) ** 3
+    np.testing.assert_allclose(cube(x), expected)
+    np.testing.assert_allclose(jax.jit(lambda x: cube(x) + 1.0)(x), expected + 1.0)
+    np.testing.assert_allclose(jax.jit(lambda: cube(x) + 1.0)(), expected + 1.0)
+    np.testing.assert_allclose(jax.grad(lambda x: cube(x).sum())(x), 3 * np.arange(3.0) ** 2)
+    np.testing.assert_allclose(jax.vmap(cube)(jnp.stack([x, x])), np.stack([expected, expected]))
+    repeated = jax.lax.fori_loop(0, 2, lambda _, x: cube(x), jnp.array([2.0, 1.0, 0.5]))
+    np.testing.assert_allclose(repeated, [512.0, 1.0, 0.5**9])
+    assert jax.eval_shape(cube, x).shape == cube.shape(x).shape == (3,)
+    assert "pow" in str(jax.make_jaxpr(cube)(x))

@@ -1,0 +1,156 @@
+"""Shared programs: the same for scenarios that differ in labels, never for others."""
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
+
+import jax
+import numpy as np
+import pytest
+
+from angler_mjx.planning.planner import PathShape
+from angler_mjx.planning.routes.policy import AlongRoutes
+from angler_mjx.runs.simulator import programs
+from angler_mjx.runs.simulator.compiling import CompileTime
+from angler_mjx.runs.simulator.simulator import Simulator
+from angler_mjx.scenario.editing import table_of, with_value
+from angler_mjx.scenario.scenario import Scenario
+
+WITHOUT_PATHS = PathShape(points=2)
+
+
+@pytest.fixture(autouse=True)
+def _no_others():
+    programs.forget()
+    yield
+    programs.forget()
+
+
+@pytest.fixture(scope="module")
+def small(scenario):
+    return scenario.model_copy(update={"worlds": 4, "tile": 2})
+
+
+def _programs(scenario, **options):
+    return Simulator(scenario, **options).programs
+
+
+def _edited(scenario, edits):
+    """A scenario with values at dotted keys, checked anew."""
+    table = table_of(scenario)
+    for key, value in edits.items():
+        table = with_value(table, key, value)
+    return Scenario.model_validate(table)
+
+
+def test_a_scenario_of_another_name_and_seed_uses_the_programs_and_gives_its_own_results(small):
+    first = Simulator(small)
+    first.compile()
+    edits = {"name": "other", "description": "text", "seed": 9, "worlds": 40}
+    other = small.model_copy(update=edits)
+    second = Simulator(other)
+    assert second.programs is first.programs
+    assert second.compile() == CompileTime()
+    assert second.problems(0, 1, seed=9)[0].name.scenario == "other"
+    shared = _flown(second)
+    programs.forget()
+    alone = Simulator(other)
+    assert alone.programs is not first.programs
+    for path, leaf in jax.tree.leaves_with_path(_flown(alone)):
+        np.testing.assert_array_equal(
+            leaf, dict(jax.tree.leaves_with_path(shared))[path], err_msg=jax.tree_util.keystr(path)
+        )
+
+
+def _flown(simulator):
+    worlds = simulator.worlds(0)
+    return jax.device_get((worlds, simulator.segment(worlds, simulator.reset(worlds))))
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        {"engine": "fused"},
+        {"goal_tolerance_m": 0.31},
+        {"water.density_kgpm3": 1025.0},
+        {"time.horizon_s": 1.0},
+        {"time.physics_dt_s": 0.005},
+        {"store.also": ["clearance"]},
+        {"fleet.0.count": 2},
+        {"fleet.0.estimate": "ekf"},
+        {"planner.margin_m": 0.2},
+        {"planner.points": 16},
+        {"planner.knows.obstacles": "predicted"},
+        {"planner.replan_hz": 1.0},
+        {"controller.name": "ardusub"},
+        {"world.preset": "open"},
+        {"breakdowns.share": 0.5},
+        {"randomise.current": [0.5, 1.5]},
+        {"acoustics": {"model": "range", "range_m": 20.0}},
+    ],
+    ids=lambda edit: next(iter(edit)),
+)
+def test_another_simulation_has_other_programs(small, edit):
+    assert _programs(_edited(small, edit)) is not _programs(small)
+
+
+def test_other_arguments_of_the_simulator_make_other_programs(small):
+    first = _programs(small)
+    assert _programs(small, tile=4) is not first
+    assert _programs(small, paths=WITHOUT_PATHS) is not first
+    with jax.enable_x64(True):
+        assert _programs(small) is not first
+    with jax.debug_nans(True):
+        assert _programs(small) is not first
+    assert _programs(small) is first
+
+
+def test_a_vehicle_file_that_was_edited_is_read_again(small, tmp_path):
+    vehicle = tmp_path / "mine.toml"
+    text = (files("angler_mjx.robot.vehicles") / "data" / "bluerov2.toml").read_text()
+    vehicle.write_text(text)
+    mine = _edited(small, {"fleet": [{"vehicle": str(vehicle), "count": 1}]})
+    first = _programs(mine)
+    vehicle.write_text(re.sub(r"(?m)^mass_kg = .*", "mass_kg = 13.0", text))
+    again = _programs(mine)
+    assert again is not first
+    before, after = (jax.tree.leaves(one.fleet.control) for one in (first, again))
+    assert any(np.any(old != new) for old, new in zip(before, after, strict=True))
+
+
+def test_code_of_a_caller_is_traced_anew(small, tmp_path):
+    policy = AlongRoutes(
+        dt_s=small.time.control_dt_s, horizon_s=2.0, routes_margin_m=0.3, period=5, looks=5
+    )
+    assert _programs(small, policy=policy) is not _programs(small, policy=policy)
+    file = tmp_path / "batch.py"
+    file.write_text("class Batch:\n    def plan_batch(self, problems):\n        return None\n")
+    planned = _edited(small, {"planner.name": f"{file}:Batch"})
+    assert _programs(planned) is not _programs(planned)
+    online = _edited(planned, {"planner.replan_hz": 1.0})
+    assert _programs(online) is not _programs(online)
+
+
+def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small, tmp_path):
+    file = tmp_path / "hosted.py"
+    lines = (f"class {name}:\n    def plan(self, problem):\n        return []\n" for name in "AB")
+    file.write_text("\n".join(lines))
+    first, other = (_edited(small, {"planner.name": f"{file}:{name}"}) for name in "AB")
+    assert _programs(first) is _programs(other)
+    assert _programs(first) is not _programs(small)
+
+
+def test_the_programs_that_were_asked_for_longest_ago_are_dropped(small, monkeypatch):
+    monkeypatch.setattr(programs, "HELD", 2)
+    one, two = _programs(small), _programs(small, tile=1)
+    assert _programs(small) is one
+    _programs(small, tile=3)
+    assert _programs(small) is one
+    assert _programs(small, tile=1) is not two
+
+
+def test_threads_compile_once(small):
+    simulators = [Simulator(small) for _ in range(3)]
+    with ThreadPoolExecutor(3) as threads:
+        took = list(threads.map(lambda simulator: simulator.compile().total_s, simulators))
+    assert sorted(seconds > 0 for seconds in took) == [False, False, True]

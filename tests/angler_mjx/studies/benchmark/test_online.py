@@ -1,0 +1,115 @@
+"""Planners that are flown online and policies in one benchmark, interrupted and made again."""
+
+import json
+
+import pyarrow.parquet as pq
+import pytest
+
+from angler_mjx.studies.benchmark import again, questions, running
+from angler_mjx.studies.benchmark.columns import NUMBERS
+from angler_mjx.studies.benchmark.report import reading
+from angler_mjx.studies.benchmark.store import Store
+
+from .conftest import Interrupting, workers
+
+FILE = """
+name = "online"
+scenario = "small.toml"
+problems = 2
+set.engine = "fused"
+
+[[planner]]
+name = "grid"
+knows = { obstacles = "observed" }
+
+[[planner]]
+name = "grid"
+replan_hz = 1.0
+knows = { obstacles = "observed" }
+
+[[planner]]
+policy = "mppi"
+settings = { samples = 32, hz = 5.0 }
+knows = { obstacles = "observed" }
+"""
+
+
+@pytest.fixture
+def file(tmp_path, scenario_file):
+    text = scenario_file.read_text().replace("horizon_s = 20.0", "horizon_s = 40.0")
+    (tmp_path / "small.toml").write_text(text)
+    (tmp_path / "online.toml").write_text(FILE)
+    return tmp_path / "online.toml"
+
+
+def test_what_a_folder_keeps_of_it_is_the_same_benchmark(file):
+    made = questions.read(file)
+    kept = json.loads(json.dumps(made.resolved()))
+    other = questions.again(file.parent, kept, {})
+    assert [one.label for one in other.contestants] == [one.label for one in made.contestants]
+    assert [one.online for one in other.contestants] == [one.online for one in made.contestants]
+    assert [one.policy for one in other.contestants] == [None, None, "mppi"]
+    assert {s.scenario.digest() for s in other.settings} == {
+        s.scenario.digest() for s in made.settings
+    }
+
+
+def test_a_database_of_an_older_version_is_brought_up_to_date(tmp_path):
+    place = tmp_path / "old.sqlite"
+    with Store(place, new=True) as store:
+        store._base.execute("ALTER TABLE runs DROP COLUMN failed_replans")
+    with Store(place) as store:
+        there = {row["name"] for row in store.rows("PRAGMA table_info(runs)")}
+    assert {name for _, name in NUMBERS} <= there
+
+
+class Stopping(Interrupting):
+    """Ends a benchmark when it begins to fly somebody."""
+
+    def __init__(self, who):
+        super().__init__(None)
+        self.who = who
+
+    def at(self, text):
+        super().at(text)
+        if text.endswith(f"flying {self.who}"):
+            raise KeyboardInterrupt
+
+
+@pytest.mark.nightly(
+    by="tests/angler_mjx/studies/benchmark/test_questions.py::"
+    "test_who_flies_otherwise_flies_the_same_problems_by_another_scenario"
+)
+def test_online_and_policy_are_flown_once_and_alike_when_made_again(file):
+    out, how = file.parent / "out", {"workers": workers}
+    for who in ("grid, 1 Hz", "mppi"):
+        going = (file.parent / ".out.partial").exists()
+        with pytest.raises(KeyboardInterrupt):
+            running.run(running.read(file), file, out, told=Stopping(who), resume=going, **how)
+    last = Interrupting(None)
+    running.run(running.read(file), file, out, told=last, resume=True, **how)
+    assert not any(text.endswith("flying grid, 1 Hz") for text in last.texts)
+    found = pq.read_table(out / "runs.parquet").to_pylist()
+    runs = {(row["planner"], row["world"]): row for row in found}
+    assert len(runs) == len(found) == 6
+    for world in (0, 1):
+        plain, online, mppi = (runs[x, world] for x in ("grid", "grid, 1 Hz", "mppi"))
+        assert plain["plan_length_m"] == online["plan_length_m"]
+        assert plain["failed_replans"] is None
+        assert online["failed_replans"] >= 0
+        assert (mppi["plan_status"], mppi["planned"]) == ("policy", False)
+        assert mppi["planning_s"] is None
+        assert mppi["success"] == (mppi["robots_reached"] == 2)
+        assert mppi["flown"]
+        assert mppi["density"] == plain["density"]
+    robots = pq.read_table(out / "robots.parquet").to_pylist()
+    own = {run: [one for one in robots if one["run"] == run] for run in {x["run"] for x in found}}
+    for row in found:
+        counts = [one["failed_replans"] for one in own[row["run"]]]
+        online = row["planner"] == "grid, 1 Hz"
+        assert row["failed_replans"] == (sum(counts) if online else None)
+    assert reading.read(out).planners == ["grid", "grid, 1 Hz", "mppi"]
+    assert "mppi: " in running.summary(out)
+    twin = file.parent / "twin"
+    running.run(running.read(out), out, twin, told=Interrupting(None), **how)
+    assert again.compare(out, twin).same

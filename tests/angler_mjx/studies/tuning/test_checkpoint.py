@@ -1,0 +1,76 @@
+"""Damaged checkpoints: our own message and the file as it was, or a tuning to go on with."""
+
+import json
+
+import numpy as np
+import pytest
+
+from angler_mjx.errors import AnglerError, ConfigError
+from angler_mjx.studies.tuning import folder, tune
+from angler_mjx.studies.tuning.search import Generation, History
+
+VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
+
+
+@pytest.fixture
+def stored(tmp_path):
+    claimed = folder.create(tmp_path / "tuned")
+    history = History(generations=[Generation(costs=[1.0, 0.9], failed=[0, 1], gradients=None)])
+    table = {"settings": {"seed": 1}, "provenance": {"commit": None}}
+    folder.save(claimed.building, table, history, complete=False)
+    claimed.release()
+    return tmp_path / "tuned", claimed.building / folder.CHECKPOINT
+
+
+def test_a_whole_checkpoint_is_taken_up(stored):
+    out, _ = stored
+    claimed, table = folder.reopen(out)
+    assert folder.generations(table)[0].costs == [1.0, 0.9]
+    with pytest.raises(ConfigError, match="another process makes this tuning"):
+        folder.reopen(out)
+    claimed.release()
+
+
+def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
+    out = tmp_path / "tuned"
+    claimed = folder.create(out)
+    folder.save(claimed.building, {"settings": {}, "provenance": {}}, History(), complete=False)
+    claimed.publish()
+
+    def require(known):
+        tune._require_same(known["settings"], {"seed": 1}, out)
+
+    with pytest.raises(ConfigError, match=r"another seed \(None there, 1 here\)"):
+        folder.reopen(out, require)
+    assert [path.name for path in tmp_path.rglob("*")] == ["tuned", folder.CHECKPOINT]
+
+
+def test_damaged_checkpoints_end_in_our_errors_and_stay(stored):
+    out, path = stored
+    whole = path.read_bytes()
+    table = json.loads(whole)
+    rng = np.random.default_rng(0)
+    damaged = [whole[: rng.integers(len(whole))] for _ in range(20)]
+    damaged += [rng.bytes(200) for _ in range(10)]
+    damaged += [json.dumps(table | {key: value}).encode() for key in table for value in VALUES]
+    one = table["generations"][0]
+    for key in one:
+        for value in VALUES:
+            changed = table | {"generations": [one | {key: value}]}
+            damaged.append(json.dumps(changed).encode())
+    damaged.append(b"[" * 100_000)
+    refused = 0
+    for data in damaged:
+        path.write_bytes(data)
+        said = str(path)
+        try:
+            claimed, found = folder.reopen(out)
+        except AnglerError as error:
+            said = str(error)
+            refused += 1
+        else:
+            folder.generations(found)
+            claimed.release()
+        assert str(path) in said
+        assert path.read_bytes() == data
+    assert refused > 0.7 * len(damaged)
