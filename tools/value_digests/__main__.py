@@ -1,0 +1,186 @@
+"""``python -m tools.value_digests``: digest what commands compute; compare two such files.
+
+Digests are of values: names, shapes, types and bytes of arrays and columns, without provenance,
+times of a clock or versions. Two commits are compared on one machine, with one version of JAX,
+each from a checkout of its own.
+"""
+
+import hashlib
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import tyro
+import zarr
+
+from tests.folders import write_inputs
+
+ROOT = Path(__file__).parents[2]
+ITEMS = tomllib.loads(Path(__file__).with_name("items.toml").read_text(encoding="utf-8"))
+ENGINES = ("fused", "mjx")
+LIMIT_S = 1800.0
+COMMAND = "from angler_mjx.cli.main import main; import sys; main(sys.argv[1:])"
+
+type Digests = dict[str, dict[str, str]]
+"""Digest by item and by ``FILE:NAME`` of an array or column."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Make:
+    """Run the commands of items.toml and write the digests of their results."""
+
+    out: Path
+    """JSON file of digests; items that it holds are not run again."""
+    only: tuple[str, ...] = ()
+    """Beginnings of the names of items to run; all if left out."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare:
+    """Compare two files of digests; exit with 1 where a value differs."""
+
+    before: Path
+    """File of the earlier commit."""
+    after: Path
+    """File of the later commit."""
+    renamed: Path | None = None
+    """JSON file of an object: name of an array or column before, to its name after."""
+
+
+def items() -> dict[str, str]:
+    """Return the command line of each item, by name."""
+    lines = {
+        f"{name}/{engine}": f"rollout {line} --engine {engine} --record-hz 5 --no-figures --out out"
+        for name, line in ITEMS["rollouts"].items()
+        for engine in ENGINES
+    }
+    return lines | ITEMS["commands"]
+
+
+def make(options: Make) -> int:
+    """Digest the chosen items; return 0, or 1 where a command failed."""
+    done: Digests = json.loads(options.out.read_text()) if options.out.exists() else {}
+    failed = []
+    for name, line in items().items():
+        if name in done or (options.only and not name.startswith(options.only)):
+            continue
+        start = time.monotonic()
+        with tempfile.TemporaryDirectory() as folder:
+            error = _run(Path(folder), line)
+            if error is None:
+                done[name] = dict(sorted(digests(Path(folder) / "out")))
+                options.out.write_text(json.dumps(done, indent=1, sort_keys=True) + "\n")
+        print(f"{time.monotonic() - start:6.1f} s  {name}  {error or len(done[name])}", flush=True)
+        if error is not None:
+            failed.append(name)
+    return 1 if failed else 0
+
+
+def _run(folder: Path, line: str) -> str | None:
+    """Run a command of `angler` in a folder; return its last words where it fails."""
+    write_inputs(folder)
+    paths = os.pathsep.join(str(ROOT / p) for p in ("", "kernels", "sitl_bridge", "experiments"))
+    try:
+        ended = subprocess.run(
+            [sys.executable, "-c", COMMAND, *shlex.split(line)],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": paths + os.pathsep + os.environ.get("PYTHONPATH", "")},
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"not done after {LIMIT_S:.0f} s"
+    if ended.returncode and not (folder / "out").exists():
+        return f"exit code {ended.returncode}: {ended.stderr[-400:]}"
+    return None
+
+
+def digests(folder: Path) -> Iterator[tuple[str, str]]:
+    """Yield ``FILE:NAME`` and the digest of each array and column below a folder, or of a file."""
+    left_out = ITEMS["left_out"]
+    for name, values in _values(folder):
+        if not any(part in name for part in left_out["parts"]):
+            yield name, digest(values)
+
+
+def _values(folder: Path) -> Iterator[tuple[str, np.ndarray]]:
+    tops = [folder] if _is_group(folder) or folder.is_file() else []
+    for path in tops or sorted(folder.rglob("*")):
+        name = path.relative_to(folder.parent).as_posix()
+        if _is_group(path) and not _is_group(path.parent):
+            group = zarr.open_group(path, mode="r")
+            for key, array in group.members(max_depth=None):
+                if isinstance(array, zarr.Array):
+                    yield f"{name}:{key}", np.asarray(array[...])
+        elif path.suffix == ".parquet":
+            table = pq.read_table(path)
+            for key in table.column_names:
+                yield f"{name}:{key}", _column(table[key])
+
+
+def _is_group(path: Path) -> bool:
+    return (path / "zarr.json").exists() or (path / ".zgroup").exists()
+
+
+def _column(column: pa.ChunkedArray) -> np.ndarray:
+    """Return a column as an array: numbers as they are, all else as JSON, nulls kept."""
+    if column.null_count == 0 and (
+        pa.types.is_integer(column.type) or pa.types.is_floating(column.type)
+    ):
+        return column.to_numpy()
+    return np.asarray([json.dumps(value, default=str) for value in column.to_pylist()])
+
+
+def digest(values: np.ndarray) -> str:
+    """Return the digest of an array's type, shape and bytes."""
+    if values.dtype.hasobject or values.dtype.kind in "TU":
+        values = np.asarray(values.tolist(), dtype=str)
+    head = f"{values.dtype.str} {values.shape} ".encode()
+    return hashlib.sha256(head + np.ascontiguousarray(values).tobytes()).hexdigest()[:16]
+
+
+def compare(options: Compare) -> int:
+    """Print what differs; return 1 if anything does."""
+    before: Digests = json.loads(options.before.read_text())
+    after: Digests = json.loads(options.after.read_text())
+    names: dict[str, str] = json.loads(options.renamed.read_text()) if options.renamed else {}
+    wrong = 0
+    for item in sorted(before.keys() | after.keys()):
+        old = {_renamed(name, names): value for name, value in before.get(item, {}).items()}
+        new = after.get(item, {})
+        missing, added = sorted(old.keys() - new.keys()), sorted(new.keys() - old.keys())
+        other = sorted(name for name in old.keys() & new.keys() if old[name] != new[name])
+        wrong += bool(missing or other)
+        for label, found in (("missing", missing), ("differs", other), ("new", added)):
+            if found:
+                print(f"{item}: {label}: {', '.join(found[:6])}{' ...' * (len(found) > 6)}")
+    count = sum(len(values) for values in before.values())
+    print(f"{count} values of {len(before)} items; {wrong} items differ")
+    return 1 if wrong else 0
+
+
+def _renamed(name: str, names: dict[str, str]) -> str:
+    file, _, key = name.rpartition(":")
+    return f"{file}:{'/'.join(names.get(part, part) for part in key.split('/'))}"
+
+
+if __name__ == "__main__":
+    chosen: Any = tyro.cli(
+        Annotated[Make, tyro.conf.subcommand("make")]
+        | Annotated[Compare, tyro.conf.subcommand("compare")]  # type: ignore[arg-type]
+    )
+    sys.exit(make(chosen) if isinstance(chosen, Make) else compare(chosen))
