@@ -18,6 +18,7 @@ MOVED = {
     "angler_mjx.flights": "angler_mjx.studies.flights",
     "angler_mjx.interop": "angler_mjx.report.interop",
     "angler_mjx.physics": "angler_mjx.sim.physics",
+    "angler_mjx.planning.host.ray_workers": "angler_mjx.planning.host.cluster.ray_workers",
     "angler_mjx.sensing": "angler_mjx.robot.sensing",
     "angler_mjx.session": "angler_mjx.runs.session",
     "angler_mjx.simulator": "angler_mjx.runs.simulator",
@@ -30,14 +31,17 @@ MOVED = {
     "angler_mjx.vehicles": "angler_mjx.robot.vehicles",
     "angler_mjx.viewing": "angler_mjx.report.viewing",
 }
-"""Package of before, and of today; modules below have the same names."""
+"""Package or module of before, and of today; modules below have the same names."""
 
 
 def moved(name: str) -> str | None:
     """Return the path of today of a module; None if it has not moved."""
-    parts = name.split(".")
-    today = MOVED.get(".".join(parts[:2]))
-    return None if today is None else ".".join([today, *parts[2:]])
+    before = name
+    while before not in MOVED:
+        before = before.rpartition(".")[0]
+        if not before:
+            return None
+    return MOVED[before] + name.removeprefix(before)
 
 
 class _Finder(MetaPathFinder, Loader):

@@ -13,6 +13,7 @@ from angler_mjx._moved import MOVED, moved
 PRINTED = {
     "angler_mjx.datasets": ("open", "Dataset"),
     "angler_mjx.datasets.loaders.torch": (),
+    "angler_mjx.planning.host.ray_workers": ("RayWorkers",),
     "angler_mjx.session.batch": ("BatchSession",),
     "angler_mjx.session.flying": ("fly",),
     "angler_mjx.session.online": ("problem_of",),

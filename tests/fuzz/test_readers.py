@@ -53,9 +53,9 @@ WIRE = {
     for name in (
         "worker",
         "workers",
-        "queued",
+        "processes/queued",
         "processes/runner",
-        "ray_workers",
+        "cluster/ray_workers",
         "cluster/runner",
         "cluster/actor",
     )

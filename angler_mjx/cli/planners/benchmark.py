@@ -97,7 +97,7 @@ def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
         return Workers(None, workers or os.cpu_count() or 1)
 
     def remote() -> "Pool":
-        from angler_mjx.planning.host.ray_workers import RayWorkers
+        from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 
         return RayWorkers(address or "", workers)
 

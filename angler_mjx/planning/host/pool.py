@@ -9,7 +9,7 @@ from angler_mjx.planning.register import PlannerSpec
 
 
 class Pool(Protocol):
-    """Plans in processes: `workers.Workers` on this machine, `ray_workers.RayWorkers` on many.
+    """Plans in processes: `workers.Workers` on this machine, `cluster.ray_workers` on many.
 
     Use it in a ``with`` statement: on leaving it, by an exception too, its processes are gone.
     """

@@ -1,7 +1,7 @@
 """Trajectories on disk: one sharded Zarr v3 group, a chunk per world, a shard per tile.
 
 Chunks are compressed by LZ4 after a shuffle of bytes, where they are not stored in steps
-(`angler_mjx.runs.storage.chunks.stepped`). Samples of ``reef_fleet`` at 10 Hz, two busy
+(`angler_mjx.runs.storage.stepped`). Samples of ``reef_fleet`` at 10 Hz, two busy
 cores, a disk that takes 2 GB/s, median rates in samples before compression and bytes left: LZ4 with
 byte shuffle 1.4 GB/s, 53 %; without shuffle 1.4 GB/s, 65 %; with bit shuffle 1.1 GB/s, 52 %;
 Zstandard 1 with byte shuffle 0.7 GB/s, 50 %; no compression 1.4 GB/s, 100 %. So LZ4 costs nothing
@@ -22,12 +22,11 @@ import zarr
 from numcodecs.blosc import SHUFFLE, Blosc
 from zarr.codecs import BloscCodec
 
-from angler_mjx.runs.storage import atomic, layout
+from angler_mjx.runs.storage import atomic, layout, shards
 from angler_mjx.runs.storage import environments as store
-from angler_mjx.runs.storage.chunks import shards
-from angler_mjx.runs.storage.chunks.stepped import Stepped, stepped
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.harvest import Arrays
+from angler_mjx.runs.storage.stepped import Stepped, stepped
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.world.environment import Environment
 

@@ -16,7 +16,6 @@ from angler_mjx.sim.aboard import telling
 from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact, detect
-from angler_mjx.sim.engines.repeated import repeated
 from angler_mjx.sim.fleet import Fleet, carrying
 from angler_mjx.sim.phase import Slots, run
 from angler_mjx.sim.physics import mjx_engine
@@ -24,6 +23,7 @@ from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody, VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
+from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
 from angler_mjx.world import currents

@@ -18,8 +18,8 @@ import zarr
 from numcodecs import blosc
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage.chunks.shards import ABSENT
 from angler_mjx.runs.storage.damage import ADVICE, reading
+from angler_mjx.runs.storage.shards import ABSENT
 
 SHARDS = 64
 """Files of an array that are kept open."""

@@ -11,8 +11,8 @@ from angler_mjx.planning.answers import Answer, failed
 from angler_mjx.planning.host.cluster.actor import PlanningActor
 from angler_mjx.planning.host.cluster.joining import Cluster
 from angler_mjx.planning.host.processes.process import START_S
+from angler_mjx.planning.host.processes.queued import CLOSED, Job, QueuedPool, Runner
 from angler_mjx.planning.host.processes.runner import TRIES
-from angler_mjx.planning.host.queued import CLOSED, Job, QueuedPool, Runner
 
 LOOK_S = 1.0
 """Between looks at whether all is to end."""

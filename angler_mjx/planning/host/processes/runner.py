@@ -7,7 +7,7 @@ import time
 from angler_mjx.errors import RunError
 from angler_mjx.planning.answers import Answer, failed
 from angler_mjx.planning.host.processes.process import START_S, DiedError, WorkerProcess
-from angler_mjx.planning.host.queued import CLOSED, Job, QueuedPool, Runner
+from angler_mjx.planning.host.processes.queued import CLOSED, Job, QueuedPool, Runner
 
 LATE = 1.1
 """Of its deadline a planner may take; then it is ended."""

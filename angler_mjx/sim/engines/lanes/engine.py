@@ -41,13 +41,13 @@ from angler_mjx.sim.engines.lanes.layout import (
     world_state,
 )
 from angler_mjx.sim.engines.lanes.steps import Cells, OnLanes, Shape
-from angler_mjx.sim.engines.repeated import repeated
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import Phase, Slots, run
 from angler_mjx.sim.physics.closed_form import ClosedForm
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
+from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
 from angler_mjx.world.currents import Current

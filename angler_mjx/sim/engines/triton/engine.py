@@ -24,7 +24,6 @@ from angler_mjx.sim.aboard import telling
 from angler_mjx.sim.aboard.telling import Minds, Told
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
-from angler_mjx.sim.engines.repeated import repeated
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.kernels import Kernels, Launch
 from angler_mjx.sim.engines.triton.segment import AHEAD, Arrays, Segment
@@ -32,6 +31,7 @@ from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
+from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 
 UNROLLED = 10

@@ -22,8 +22,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
-from angler_mjx.runs.storage import atomic, harvest
-from angler_mjx.runs.storage.chunks import shards
+from angler_mjx.runs.storage import atomic, harvest, shards
 from angler_mjx.runs.storage.harvest import FinishedTile
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.scenario.scenario import Scenario

@@ -50,7 +50,7 @@ def test_every_value_is_that_of_zarr(made):
 
 @pytest.mark.parametrize("codecs", ["exact", "stepped"])
 def test_worlds_that_were_never_written_are_missing(tmp_path, codecs):
-    from angler_mjx.runs.storage.chunks.stepped import stepped
+    from angler_mjx.runs.storage.stepped import stepped
 
     steps = stepped(1e-3, "m")
     more = {"filters": steps.filters(3), "compressors": steps.compressor()}

@@ -10,8 +10,8 @@ import pytest
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.planning import register
 from angler_mjx.planning.host.cluster import versions
+from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 from angler_mjx.planning.host.cluster.runner import _how
-from angler_mjx.planning.host.ray_workers import RayWorkers
 from angler_mjx.planning.register import PlannerSpec
 
 TEXT = "class Still:\n    def plan(self, problem):\n        return []\n"
@@ -77,7 +77,7 @@ def test_without_ray_its_extra_is_named(monkeypatch):
         with pytest.raises(UnsupportedError, match=r"install 'angler-mjx\[ray\]'"):
             RayWorkers("127.0.0.1:6379")
         return
-    made = "from angler_mjx.planning.host.ray_workers import RayWorkers; RayWorkers('h:1')"
+    made = "from angler_mjx.planning.host.cluster.ray_workers import RayWorkers; RayWorkers('h:1')"
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT + made], capture_output=True, text=True, check=False
     )

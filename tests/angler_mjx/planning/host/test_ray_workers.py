@@ -18,7 +18,7 @@ import pytest
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning import register
 from angler_mjx.planning.host.cluster import joining, versions
-from angler_mjx.planning.host.ray_workers import RayWorkers
+from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 from angler_mjx.planning.host.workers import Workers
 from angler_mjx.planning.register import PlannerSpec
 
@@ -199,7 +199,7 @@ def test_what_cannot_be_joined_is_said(address, monkeypatch):
 
 PARENT = """
 import pickle, sys
-from angler_mjx.planning.host.ray_workers import RayWorkers
+from angler_mjx.planning.host.cluster.ray_workers import RayWorkers
 address, spec, problem = pickle.loads(sys.stdin.buffer.read())
 with RayWorkers(address, 1, spec) as pool:
     pool.take(pool.submit(problem))

@@ -6,8 +6,7 @@ import pytest
 import zarr
 
 from angler_mjx.runs.storage import environments as store
-from angler_mjx.runs.storage import recorder
-from angler_mjx.runs.storage.chunks import shards
+from angler_mjx.runs.storage import recorder, shards
 from angler_mjx.runs.storage.harvest import Constants, End, FinishedTile, Last, arrays
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.sim.record import FIELDS, Sample

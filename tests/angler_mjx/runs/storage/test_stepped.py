@@ -5,10 +5,9 @@ import pytest
 import zarr
 
 from angler_mjx.learning.datasets.reading.stored import StoredArray
-from angler_mjx.runs.storage import layout
-from angler_mjx.runs.storage.chunks import shards
-from angler_mjx.runs.storage.chunks.stepped import stepped
+from angler_mjx.runs.storage import layout, shards
 from angler_mjx.runs.storage.recorder import Shape
+from angler_mjx.runs.storage.stepped import stepped
 from angler_mjx.scenario.store_table import StoreConfig
 
 STORE = StoreConfig(

@@ -8,7 +8,7 @@ import pickle
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.cluster.joining import Cluster
 from angler_mjx.planning.host.cluster.runner import ActorRunner
-from angler_mjx.planning.host.queued import QueuedPool
+from angler_mjx.planning.host.processes.queued import QueuedPool
 from angler_mjx.planning.register import PlannerSpec
 
 

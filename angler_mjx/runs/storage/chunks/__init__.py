@@ -1,1 +1,0 @@
-"""A world of an array as bytes: shards of many worlds, and values in whole steps."""
