@@ -14,7 +14,7 @@ from tools.value_digests import __main__ as tool
 
 
 @pytest.mark.parametrize("name", sorted(tool.items()))
-def test_every_line_is_taken_by_the_parser(name, monkeypatch):
+def test_every_line_begins_with_a_command_and_writes_into_out(name):
     words = shlex.split(tool.items()[name])
     names = ("COMMANDS", "GROUPS")
     assert words[0] in {key for table in names for key in getattr(cli, table, {})}

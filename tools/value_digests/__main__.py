@@ -17,7 +17,6 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
 import pyarrow as pa
@@ -179,8 +178,5 @@ def _renamed(name: str, names: dict[str, str]) -> str:
 
 
 if __name__ == "__main__":
-    chosen: Any = tyro.cli(
-        Annotated[Make, tyro.conf.subcommand("make")]
-        | Annotated[Compare, tyro.conf.subcommand("compare")]  # type: ignore[arg-type]
-    )
+    chosen = tyro.extras.subcommand_cli_from_dict({"make": Make, "compare": Compare})
     sys.exit(make(chosen) if isinstance(chosen, Make) else compare(chosen))

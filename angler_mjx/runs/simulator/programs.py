@@ -1,7 +1,7 @@
 """Compiled functions of a scenario, shared by simulators of this process that need the same ones.
 
-Tracing and compiling a scenario takes seconds to a minute; a grid of cells, a notebook or a test
-asks for the same programs many times over. `shared` returns those made before where everything that
+Tracing and compiling a scenario takes seconds to a minute, and a grid of cells, a notebook or a
+test needs the same programs many times. `shared` returns those made before where everything that
 was traced into them is equal. Programs that hold a planner or policy of a caller, or fields of
 files, are made anew for each simulator: their code and their files may have changed.
 """
@@ -50,11 +50,11 @@ type Segment = tuple[WorldState, Sample, jax.Array]
 """State after a segment, samples of it, and the number of running robots of each world."""
 
 HELD = 16
-"""Most sets of programs that `shared` keeps; the one that was asked for longest ago is dropped."""
+"""Maximum number of sets that `shared` keeps; the least recently used one is dropped."""
 
 SEGMENT_SAMPLES, SEGMENT_STEPS = 25, 100
-"""Most samples of a segment, or control steps where that is more. A call took an H200 2 ms to
-begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
+"""Maximum number of samples of a segment, or of control steps where that is more. A call took an
+H200 2 ms to begin: as long as 70 control steps of 1,024 worlds of 8 robots."""
 
 LABELS = {"name", "description", "worlds", "seed", "tile"}
 """Keys of a scenario that no program depends on; its tile is given beside it."""
@@ -139,7 +139,7 @@ class Programs:
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
         self.memory: Memory | None = None
-        self._asking: dict[Knows, Compiled] = {}
+        self._problems: dict[Knows, Compiled] = {}
         self._compiled, self._lock = False, threading.Lock()
         policy = setup.policy[0] if setup.policy else None
         sampling = preparer(scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy)
@@ -162,12 +162,12 @@ class Programs:
         looked_up = scenario.engine == "fused"
         self.pack = self._spread(jax.vmap(cell_neighbours), EACH) if looked_up else None
 
-    def ask(self, knows: Knows) -> Compiled:
+    def problem(self, knows: Knows) -> Compiled:
         """Return the program that makes problems of worlds at an information level."""
-        if knows not in self._asking:
-            asking = partial(ask_all, self._setup.scenario, knows)
-            self._asking[knows] = self._spread(asking, EACH, SAME, EACH)
-        return self._asking[knows]
+        if knows not in self._problems:
+            build = partial(ask_all, self._setup.scenario, knows)
+            self._problems[knows] = self._spread(build, EACH, SAME, EACH)
+        return self._problems[knows]
 
     @cached_property
     def wave_shape(self) -> World:
@@ -306,7 +306,7 @@ _lock = threading.Lock()
 
 
 def shared(setup: Setup) -> Programs:
-    """Return the programs of a setup; those of an equal one where it was asked for before.
+    """Return the programs of a setup: those of an equal setup if they are still held.
 
     Raises:
         ConfigError: as `Programs`.

@@ -262,7 +262,7 @@ class Simulator:
         if self._planners is None:
             return Drawn(worlds=worlds)
         names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
-        asked = hosted.one_by_one(self._programs.ask(self._knows)(worlds, *numbers), names)
+        asked = hosted.one_by_one(self._programs.problem(self._knows)(worlds, *numbers), names)
         kept = [self.tile] * len(firsts) if kept is None else kept
         wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
         return Drawn(worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted}))
@@ -305,7 +305,7 @@ class Simulator:
             (NamedSharding(self._mesh, SAME), NamedSharding(self._mesh, EACH)),
         )
         worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
-        return worlds, self._programs.ask(knows or self._knows)(worlds, *numbers)
+        return worlds, self._programs.problem(knows or self._knows)(worlds, *numbers)
 
     def problems(
         self,

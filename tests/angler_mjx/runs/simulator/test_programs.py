@@ -140,7 +140,7 @@ def test_planners_of_the_host_share_the_programs_that_draw_their_problems(small,
     assert _programs(first) is not _programs(small)
 
 
-def test_the_programs_that_were_asked_for_longest_ago_are_dropped(small, monkeypatch):
+def test_the_least_recently_used_programs_are_dropped(small, monkeypatch):
     monkeypatch.setattr(programs, "HELD", 2)
     one, two = _programs(small), _programs(small, tile=1)
     assert _programs(small) is one
