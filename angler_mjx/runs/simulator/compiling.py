@@ -4,9 +4,12 @@ XLA compiles without Python's lock, so a thread each is enough. What is compiled
 compiled one after the other.
 """
 
+import gc
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
@@ -111,9 +114,40 @@ class Together:
     def begin(self, function: Any, *example: Any) -> Program:
         """Trace a jitted function for arguments of these shapes, and begin to compile it."""
         start = time.perf_counter()
-        lowered = function.lower(*example)
+        with _COLLECTION.paused():
+            lowered = function.lower(*example)
         written_s = time.perf_counter() - start
         return Program(written_s=written_s, made=self._threads.submit(_timed, lowered))
+
+
+class _Collection:
+    """Python's cyclic garbage collection, paused while any thread traces a program.
+
+    A trace makes millions of objects that live until it ends; visiting them again and again took
+    23 % of the time to trace and lower the programs of `reef_fleet` (15.7 s instead of 12.1).
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._was_enabled = threading.Lock(), 0, False
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Pause until the last thread has left, then restore what the caller had set."""
+        with self._lock:
+            if self._inside == 0:
+                self._was_enabled = gc.isenabled()
+                gc.disable()
+            self._inside += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                if self._inside == 0 and self._was_enabled:
+                    gc.enable()
+
+
+_COLLECTION = _Collection()
 
 
 def _timed(lowered: Any) -> tuple[Any, float]:

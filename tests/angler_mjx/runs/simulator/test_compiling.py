@@ -1,5 +1,6 @@
 """Programs compiled side by side, with stand-ins for what JAX gives."""
 
+import gc
 import threading
 
 import jax
@@ -99,3 +100,62 @@ def test_a_program_may_be_a_part_of_another(ahead):
     np.testing.assert_allclose(repeated, [512.0, 1.0, 0.5**9])
     assert jax.eval_shape(cube, x).shape == cube.shape(x).shape == (3,)
     assert "pow" in str(jax.make_jaxpr(cube)(x))
+
+
+class _Traced:
+    """Records whether Python collects garbage while it is traced."""
+
+    def __init__(self, error=None):
+        self.enabled, self.error = [], error
+
+    def lower(self, x):
+        self.enabled.append(gc.isenabled())
+        if self.error:
+            raise self.error
+        return jax.jit(lambda x: x + 1).lower(x)
+
+
+def test_garbage_is_not_collected_while_a_program_is_traced():
+    traced = _Traced()
+    with Together(1) as programs:
+        compiled, _ = programs.begin(traced, 1.0).result()
+        assert gc.isenabled()
+    assert traced.enabled == [False]
+    assert compiled(1.0) == 2
+
+
+def test_collection_goes_on_after_a_trace_that_failed():
+    with pytest.raises(ValueError, match="no program"), Together(1) as programs:
+        programs.begin(_Traced(ValueError("no program")), 1.0)
+    assert gc.isenabled()
+
+
+def test_collection_that_the_caller_paused_stays_paused():
+    gc.disable()
+    try:
+        with Together(1) as programs:
+            programs.begin(_Traced(), 1.0)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_collection_goes_on_only_when_the_last_of_two_traces_has_ended():
+    first_inside, second_is_done = threading.Event(), threading.Event()
+
+    class First(_Traced):
+        def lower(self, x):
+            first_inside.set()
+            assert second_is_done.wait(10)
+            return super().lower(x)
+
+    first = First()
+    with Together(1) as programs:
+        thread = threading.Thread(target=programs.begin, args=(first, 1.0))
+        thread.start()
+        assert first_inside.wait(10)
+        programs.begin(_Traced(), 1.0)
+        second_is_done.set()
+        thread.join()
+    assert first.enabled == [False]
+    assert gc.isenabled()
