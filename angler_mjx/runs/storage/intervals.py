@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 Z = 1.959963984540054
 """Of 95 %."""
@@ -50,7 +51,9 @@ def wilson(count: float, total: float) -> tuple[float, float]:
     scale = 1.0 + Z * Z / total
     centre = (share + Z * Z / (2 * total)) / scale
     half = Z * math.sqrt(share * (1 - share) / total + Z * Z / (4 * total * total)) / scale
-    return max(0.0, centre - half), min(1.0, centre + half)
+    # Rounding must not keep the interval from the end that it reaches.
+    low = max(0.0, centre - half) if count > 0 else 0.0
+    return low, min(1.0, centre + half) if count < total else 1.0
 
 
 def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, Rate]:
@@ -136,20 +139,9 @@ def _effect(hit: np.ndarray, number: np.ndarray, robots: np.ndarray) -> float | 
 
 
 def student(freedom: int) -> float:
-    """Two-sided 95 % quantile of Student's t; to 0.2 % (Hill, CACM 13, 1970, above 2).
+    """Return the two-sided 95 % quantile of Student's t.
 
     Args:
         freedom: degrees of freedom; one is taken where there is none.
     """
-    if freedom <= 1:
-        return 12.706204736432095
-    if freedom == 2:
-        return 4.302652729696142
-    z, v = Z, float(freedom)
-    return (
-        z
-        + (z**3 + z) / (4 * v)
-        + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * v**2)
-        + (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / (384 * v**3)
-        + (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / (92160 * v**4)
-    )
+    return float(stdtrit(max(freedom, 1), 0.975))

@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import bdtr
 
 from angler_mjx.runs.storage.intervals import wilson
 from angler_mjx.studies.benchmark.report.rates import FEW
@@ -141,10 +142,9 @@ def newcombe(both: int, only_first: int, only_second: int, neither: int) -> tupl
 
 
 def mcnemar(only_first: int, only_second: int) -> float:
-    """Exact two-sided p that the two are equally likely to solve a problem alone."""
+    """Return the exact two-sided p that the two are equally likely to solve a problem alone."""
     n = only_first + only_second
-    tail = sum(math.comb(n, i) for i in range(min(only_first, only_second) + 1))
-    return min(1.0, float(2 * tail / 2**n))
+    return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
 def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:

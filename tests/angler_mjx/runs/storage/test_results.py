@@ -90,13 +90,11 @@ def test_one_world_says_next_to_nothing():
     assert found.low < 0.05
 
 
-def test_quantiles_of_student_are_scipys():
-    for freedom in (*range(1, 60), 120, 1000, 10_000):
-        assert student(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), rel=2e-3)
+def test_the_quantile_without_a_degree_of_freedom_is_that_of_one():
     assert student(0) == student(1)
 
 
 def test_quantiles_of_student_against_tables():
     # Abramowitz and Stegun, table 26.10.
-    for freedom, value in {1: 12.706, 2: 4.303, 3: 3.182, 5: 2.571, 10: 2.228, 60: 2.0}.items():
-        assert student(freedom) == pytest.approx(value, rel=2e-3)
+    for freedom, value in {1: 12.706, 2: 4.303, 3: 3.182, 5: 2.571, 10: 2.228, 60: 2.0003}.items():
+        assert student(freedom) == pytest.approx(value, rel=2e-4)
