@@ -85,7 +85,7 @@ clean:  ## remove .venv and the caches in this folder; runs/ stays
 	find $(CODE) -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # uv builds the environment where there is one, the standard library otherwise.
-$(STAMP): pyproject.toml constraints.txt .python-version
+$(STAMP): pyproject.toml experiments/pyproject.toml constraints.txt .python-version
 	@set -e; \
 	new_enough='import sys, ensurepip; sys.exit(sys.version_info < (3, 12))'; \
 	if ! $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null; then \
@@ -110,9 +110,9 @@ $(STAMP): pyproject.toml constraints.txt .python-version
 	fi; \
 	echo "make: installing angler-mjx[$(EXTRAS)]; the first time takes a minute or two"; \
 	if command -v uv >/dev/null 2>&1; then \
-	  uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]'; \
+	  uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[$(EXTRAS)]' -e ./experiments; \
 	else \
 	  if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then $(BIN)/python -m ensurepip >/dev/null; fi; \
-	  $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e '.[$(EXTRAS)]'; \
+	  $(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e '.[$(EXTRAS)]' -e ./experiments; \
 	fi; \
 	touch $(STAMP)

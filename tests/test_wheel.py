@@ -13,13 +13,25 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PACKAGES = tuple(
-    ROOT / place for place in PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-)
+DISTRIBUTIONS = {"angler-mjx": ROOT, "angler-experiments": ROOT / "experiments"}
+"""Name of each distribution, and the folder of its project."""
+PROJECTS = {
+    name: tomllib.loads((folder / "pyproject.toml").read_text())
+    for name, folder in DISTRIBUTIONS.items()
+}
+PACKAGES = {
+    name: tuple(
+        DISTRIBUTIONS[name] / path
+        for path in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    )
+    for name, project in PROJECTS.items()
+}
 
 DISTRIBUTION = {
     "PIL": "pillow",
+    "angler_kernels": "angler-mjx",
+    "angler_mjx": "angler-mjx",
+    "angler_sitl": "angler-mjx",
     "google_crc32c": "google-crc32c",
     "mcap_ros2": "mcap-ros2-support",
     "mpl_toolkits": "matplotlib",
@@ -80,25 +92,29 @@ def _imported(path):
 
 
 @cache
-def _foreign():
-    """All of them: distribution, file, whether when needed only."""
-    own = {package.name for package in PACKAGES}
+def _foreign(distribution):
+    """All of a distribution: where imported from, file, whether when needed only."""
+    own = {package.name for package in PACKAGES[distribution]}
     return [
         (DISTRIBUTION.get(name, name), path.relative_to(ROOT), late)
-        for package in PACKAGES
+        for package in PACKAGES[distribution]
         for path in package.rglob("*.py")
         for name, late in _imported(path)
         if name not in own and name not in sys.stdlib_module_names
     ]
 
 
-def test_what_is_imported_is_declared():
-    declared = _names(PROJECT["project"]["dependencies"])
-    extras = PROJECT["project"]["optional-dependencies"]
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_what_is_imported_is_declared(distribution):
+    project = PROJECTS[distribution]["project"]
+    declared = _names(project["dependencies"])
+    extras = project["optional-dependencies"]
     missing = [
         (name, str(path))
-        for name, path, _ in _foreign()
-        if name not in declared and name not in _names(extras.get(OF_EXTRAS.get(name), ()))
+        for name, path, _ in _foreign(distribution)
+        if name not in declared
+        and name not in _names(extras.get(OF_EXTRAS.get(name), ()))
+        and name not in _names(extras.get("ocean", ()))
     ]
     assert missing == []
 
@@ -106,7 +122,7 @@ def test_what_is_imported_is_declared():
 def test_extras_are_imported_where_they_are_used_and_not_with_the_simulator():
     at_once = {
         (name, "planning/host" if "host" in path.parts else path.parts[1])
-        for name, path, late in _foreign()
+        for name, path, late in _foreign("angler-mjx")
         if name in OF_EXTRAS and not late and path.parts[0] == "angler_mjx"
     }
     # The bridge is made of pymavlink; who draws replays is imported when one is drawn, and who
@@ -120,14 +136,15 @@ def test_extras_are_imported_where_they_are_used_and_not_with_the_simulator():
 
 
 def test_what_is_declared_is_imported():
-    declared = _names(PROJECT["project"]["dependencies"])
-    # MJX is mujoco.mjx, and in a distribution of its own.
-    assert declared - {name for name, _, _ in _foreign()} == {"mujoco-mjx"}
+    for distribution, more in (("angler-mjx", {"mujoco-mjx"}), ("angler-experiments", set())):
+        declared = _names(PROJECTS[distribution]["project"]["dependencies"])
+        # MJX is mujoco.mjx, and in a distribution of its own.
+        assert declared - {name for name, _, _ in _foreign(distribution)} == more
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Built from what git tracks, elsewhere, so that nothing of this checkout helps."""
+def wheels(tmp_path_factory):
+    """Path by distribution, built from what git tracks, so that nothing of this checkout helps."""
     if find_spec("pip") is None:
         pytest.skip("pip is not installed")
     place = tmp_path_factory.mktemp("wheel")
@@ -140,10 +157,15 @@ def wheel(tmp_path_factory):
         if (ROOT / name).is_file():
             (place / "source" / name).parent.mkdir(parents=True, exist_ok=True)
             (place / "source" / name).write_bytes((ROOT / name).read_bytes())
+    return {
+        name: _build(place / "source" / folder.relative_to(ROOT), place / name)
+        for name, folder in DISTRIBUTIONS.items()
+    }
+
+
+def _build(source, place):
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(place)]
-    built = subprocess.run(
-        [*command, str(place / "source")], capture_output=True, text=True, check=False
-    )
+    built = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
     if "hatchling" in built.stderr and "No matching distribution" in built.stderr:
         pytest.skip("hatchling cannot be had here")
     assert built.returncode == 0, built.stderr
@@ -152,42 +174,76 @@ def wheel(tmp_path_factory):
 
 
 @pytest.mark.nightly(by="test_what_is_imported_is_declared")
-def test_the_wheel_holds_every_package_and_its_data_and_nothing_else(wheel):
-    with zipfile.ZipFile(wheel) as opened:
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_a_wheel_holds_every_package_and_its_data_and_nothing_else(wheels, distribution):
+    with zipfile.ZipFile(wheels[distribution]) as opened:
         held = {name for name in opened.namelist() if ".dist-info/" not in name}
     wanted = {
         str(path.relative_to(package.parent))
-        for package in PACKAGES
+        for package in PACKAGES[distribution]
         for path in package.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert held == wanted
-    assert "angler_mjx/scenario/shipped/reef_fleet.toml" in held
+
+
+def _run(site, script, *words):
+    """Run a script with what is installed here, but packages of ours from wheels alone."""
+    begin = (
+        "import sys; site = sys.argv.pop(1); sys.path[:0] = [site]\n"
+        "sys.path = [x for x in sys.path if x == site or 'site-packages' in x or 'lib/' in x]\n"
+    )
+    return subprocess.run(
+        [sys.executable, "-P", "-c", begin + script, str(site), *words],
+        cwd=site,
+        env={"PATH": "/usr/bin:/bin", "HOME": str(site), "JAX_PLATFORMS": "cpu"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+COMMAND = """
+import angler_mjx
+assert angler_mjx.__file__.startswith(sys.path[0]), angler_mjx.__file__
+from angler_mjx.cli.main import main
+main()
+"""
+LEARNED = """
+from importlib.metadata import entry_points
+import angler_mjx
+assert angler_mjx.__file__.startswith(sys.path[0]), angler_mjx.__file__
+(learned,) = entry_points(group="angler_mjx.planners", name="learned")
+print(learned.load().__module__)
+"""
 
 
 @pytest.mark.nightly(by="test_what_is_imported_is_declared")
-def test_the_wheel_lists_its_scenarios_and_vehicles_away_from_any_checkout(wheel, tmp_path):
-    """With what is installed here, but this checkout not on the path."""
-    with zipfile.ZipFile(wheel) as opened:
-        opened.extractall(tmp_path / "site")
-    script = (
-        "import sys; sys.path[:0] = [sys.argv.pop(1)]\n"
-        "from angler_mjx.cli.main import main; import angler_mjx\n"
-        "assert angler_mjx.__file__.startswith(sys.path[0]), angler_mjx.__file__\n"
-        "main()\n"
-    )
-    for words, said in (
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
         (("scenarios", "show", "open_water_current"), "open_water_current"),
         (("vehicle", "show", "bluerov2_heavy"), "13.500 kg"),
-    ):
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", script, str(tmp_path / "site"), *words],
-            cwd=tmp_path,
-            env={"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"},
-            capture_output=True,
-            text=True,
-            timeout=120,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        assert said in done.stdout
+        (("benchmark", "fleets", "--presets", "nowhere"), "nowhere"),
+        (("study", "fleet_size", "survey_reef", "--only", "nothing"), "nothing"),
+        (("dataset", "make", "reef", "--episodes", "0"), "--episodes 0: must be at least 1"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_the_wheel_alone_reads_the_files_that_it_ships(wheels, tmp_path, words, text):
+    with zipfile.ZipFile(wheels["angler-mjx"]) as opened:
+        opened.extractall(tmp_path / "site")
+    done = _run(tmp_path / "site", COMMAND, *words)
+    assert text in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    assert "unknown" not in done.stderr
+
+
+@pytest.mark.nightly(by="test_what_is_imported_is_declared")
+def test_the_wheel_of_experiments_brings_its_planner(wheels, tmp_path):
+    for path in wheels.values():
+        with zipfile.ZipFile(path) as opened:
+            opened.extractall(tmp_path / "site")
+    done = _run(tmp_path / "site", LEARNED)
+    assert done.stdout.strip() == "angler_experiments.learned_planner.planner", done.stderr

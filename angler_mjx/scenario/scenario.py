@@ -1,7 +1,6 @@
 """Scenario files: everything that a run needs to know, checked before anything is computed."""
 
 import hashlib
-import importlib.resources
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from angler_mjx.errors import ConfigError, shown
+from angler_mjx.errors import ConfigError
 from angler_mjx.files import FOLDER, Fault, FaultyError, FileModel, check, listed, read_toml
 from angler_mjx.planning.automatic import LARGE_TEAM
 from angler_mjx.quantities import FARTHEST_M, SchemaVersion
@@ -38,6 +37,7 @@ from angler_mjx.scenario.task_table import (
     check_flown,
     spec_of,
 )
+from angler_mjx.shipped import find_shipped, list_shipped
 from angler_mjx.sim.fleet import Member
 from angler_mjx.sim.physics.step import Water
 from angler_mjx.sim.state import SimSpec
@@ -305,8 +305,7 @@ def _as_drawn(entry: FleetEntry) -> dict[str, Any]:
 
 def shipped() -> dict[str, Path]:
     """Names and files of the scenarios that come with the package."""
-    folder = importlib.resources.files("angler_mjx.scenario") / "shipped"
-    return {path.stem: path for path in sorted(Path(str(folder)).glob("*.toml"))}
+    return list_shipped("angler_mjx.scenario")
 
 
 def load_scenario(name_or_path: str | Path, **overrides: Any) -> Scenario:
@@ -401,12 +400,4 @@ def find(name_or_path: str | Path) -> Path:
     Raises:
         ConfigError: there is no shipped one of that name, and it is no path of a ``.toml`` file.
     """
-    known, path = shipped(), Path(name_or_path)
-    if str(name_or_path) in known:
-        return known[str(name_or_path)]
-    if path.suffix != ".toml":
-        raise ConfigError(
-            f"unknown scenario {shown(str(name_or_path))}; there is {', '.join(known)}, "
-            "or give the path of a .toml file"
-        )
-    return path
+    return find_shipped(name_or_path, "angler_mjx.scenario", "scenario")

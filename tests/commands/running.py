@@ -41,7 +41,8 @@ def reason_to_skip(command):
 def small(command):
     """Return the words of a command with the sizes and files of tests.
 
-    Flags of ``[flags]`` take its values, or go; words of ``[words]`` are replaced; ``[more]`` adds
+    Flags of ``[flags]`` take its values, or go; words of ``[words]`` are replaced, of one verb or
+    of all; ``[more]`` adds
     the flags that the line does not hold, for its first three words, for a verb and a flag, or for
     a verb.
     """
@@ -52,7 +53,7 @@ def small(command):
         values = TABLE["flags"].get(f"{verb} {word}", TABLE["flags"].get(word))
         i += 1
         if not word.startswith("-") or values is None:
-            result.append(TABLE["words"].get(word, word))
+            result.append(TABLE["words"].get(f"{verb} {word}", TABLE["words"].get(word, word)))
             continue
         result += [word, *values] if values else []
         while i < len(words) and not words[i].startswith("-"):
@@ -114,7 +115,8 @@ class Workshop:
         for name in FILES:
             shutil.copy(BESIDE / name, folder)
         for row in TABLE["variants"]:
-            text = _resized((BESIDE / row["of"]).read_text(encoding="utf-8"), row["name"])
+            source = ROOT / row["of"] if "/" in row["of"] else BESIDE / row["of"]
+            text = _resized(source.read_text(encoding="utf-8"), row["name"])
             (folder / row["name"]).write_text(row.get("head", "") + text, encoding="utf-8")
         for row in TABLE["printed"]:
             text = _resized(_block(row["page"], row["holds"]), row["name"])

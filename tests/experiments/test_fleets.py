@@ -8,6 +8,7 @@ import pytest
 
 from angler_experiments.benchmarks import fleets
 from angler_mjx.errors import ConfigError
+from angler_mjx.shipped import list_shipped
 from angler_mjx.studies.benchmark import questions
 from angler_mjx.studies.benchmark.columns import RUN_SCHEMA
 
@@ -140,7 +141,7 @@ def test_tables_and_figures_come_of_one_command(parts, tmp_path, capsys):
 
 
 def study_file():
-    return fleets.Path(fleets.__file__).with_name("fleets.toml")
+    return list_shipped("angler_mjx.studies.benchmark")["fleets"]
 
 
 def test_the_studys_file_asks_what_its_page_says():

@@ -34,7 +34,7 @@ def make(
     """Fly the episodes of a dataset file, and write them with all that is to be known of them.
 
     Args:
-        config: Dataset file (.toml).
+        config: Name of a shipped dataset file (reef), or the path of one (.toml).
         episodes: How many, of all scenes, teams and experts together.
         out: Folder to make; datasets/NAME if left out.
         resume: Go on with an interrupted one of the same file and number.
@@ -62,8 +62,10 @@ def make(
     from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.learning.datasets import making, manifest
     from angler_mjx.runs.processes import telling
+    from angler_mjx.shipped import find_shipped
 
     with telling(shared):
+        config = find_shipped(config, "angler_mjx.learning.datasets", "dataset file")
         asked = making.ask(config, episodes)
     place = out or Path("datasets") / asked.config.name
     with PartsBar(quiet=shared.index > 0) as bar:

@@ -30,8 +30,8 @@ def benchmark(
     """Compare planners on the same problems, and judge them by how their plans fly.
 
     Args:
-        source: Benchmark file (.toml); or the results folder of a benchmark, which is made again
-            and compared with what it was.
+        source: Name of a shipped benchmark (reference, fleets), or a benchmark file (.toml); or the
+            results folder of a benchmark, which is made again and compared with what it was.
         out: Results folder to make; runs/NAME if left out.
         presets: Of worlds; the file's if left out.
         teams: Numbers of robots; the file's if left out.
@@ -46,8 +46,10 @@ def benchmark(
     choose(device)
     keep_all_programs()
     from angler_mjx.cli.shared.given import at_least_one
+    from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.benchmark import running
 
+    source = find_shipped(source, "angler_mjx.studies.benchmark", "benchmark", folders=True)
     if report:
         if out or workers or ray or resume or presets or teams or problems:
             raise ConfigError("--report: makes the page of a results folder; leave out other flags")

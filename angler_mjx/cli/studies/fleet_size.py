@@ -35,7 +35,8 @@ def fleet_size(
     is spent. docs/fleet_size.md says what a file holds and how to read what comes of it.
 
     Args:
-        source: Fleet-size file (.toml).
+        source: Name of a shipped study (survey_reef, delivery_corridor, reef_crossing), or a file
+            (.toml).
         out: Folder to make; runs/NAME if left out, runs/NAME-smoke with --smoke.
         only: Names of the conditions to look at; all of the file if left out.
         batch: Worlds of one size and condition at a time; the file's if left out.
@@ -64,9 +65,11 @@ def fleet_size(
         process=process,
     )
     from angler_mjx.runs.processes import telling
+    from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.fleet_size import asking, running
 
     with telling(shared):
+        source = find_shipped(source, "angler_mjx.studies.fleet_size", "study")
         study = asking.read(
             source,
             only,

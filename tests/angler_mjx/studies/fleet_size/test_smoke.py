@@ -1,26 +1,23 @@
 """The shipped studies of tasks by their command: too few robots, enough, and what is said."""
 
 import json
-from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-import angler_experiments.studies
 from angler_mjx.cli import main as cli
 from angler_mjx.studies.fleet_size import folder
 
 pytestmark = pytest.mark.nightly(
     by="studies/fleet_size/test_running.py; the printed command of commands/test_run.py"
 )
-FOLDER = Path(angler_experiments.studies.__file__).parent
 ASKED = {"survey_reef": "still water", "delivery_corridor": "still water"}
 """Of each study one condition: others that need programs of their own take as long again."""
 
 
 def ask(name, out, *more):
     """Ask by the command, as a user does."""
-    given = [str(FOLDER / f"{name}.toml"), "--smoke", "--only", ASKED[name], "--out", str(out)]
+    given = [name, "--smoke", "--only", ASKED[name], "--out", str(out)]
     cli.main(["study", "fleet_size", *given, *more])
 
 

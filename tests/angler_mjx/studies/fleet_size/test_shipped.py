@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-import angler_experiments.studies
+from angler_mjx.shipped import list_shipped
 from angler_mjx.studies.fleet_size import asking
 
-FILES = sorted(Path(angler_experiments.studies.__file__).parent.glob("*.toml"))
+FILES = tuple(list_shipped("angler_mjx.studies.fleet_size").values())
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -1,0 +1,42 @@
+"""Files that come with the package, each in the folder ``shipped`` of what reads it."""
+
+import importlib.resources
+from pathlib import Path
+
+from angler_mjx.errors import ConfigError, shown
+
+
+def list_shipped(package: str) -> dict[str, Path]:
+    """Return names and paths of the files that a package ships, sorted by name.
+
+    Args:
+        package: dotted name of a package with a folder ``shipped``.
+    """
+    folder = importlib.resources.files(package) / "shipped"
+    return {path.stem: path for path in sorted(Path(str(folder)).glob("*.toml"))}
+
+
+def find_shipped(
+    name_or_path: str | Path, package: str, kind: str, *, folders: bool = False
+) -> Path:
+    """Return the file that a name or path stands for; a shipped name comes first.
+
+    Args:
+        name_or_path: name of a shipped file, or path of a ``.toml`` file.
+        package: that ships files of this kind.
+        kind: what the file is, for the message.
+        folders: accept the path of an existing folder too.
+
+    Raises:
+        ConfigError: neither is there; names what ships.
+    """
+    files, path = list_shipped(package), Path(name_or_path)
+    if str(name_or_path) in files:
+        return files[str(name_or_path)]
+    if path.suffix == ".toml" or (folders and path.is_dir()):
+        return path
+    folder = " or of a results folder" if folders else ""
+    raise ConfigError(
+        f"unknown {kind} {shown(str(name_or_path))}; there is {', '.join(files)}, "
+        f"or give the path of a .toml file{folder}"
+    )

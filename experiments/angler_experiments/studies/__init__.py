@@ -1,1 +1,0 @@
-"""Studies that ship: how many robots a task takes."""
