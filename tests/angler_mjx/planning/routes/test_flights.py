@@ -90,7 +90,7 @@ def with_rock(worlds, cells, **places):
     return replace(worlds, environment=environment, routes=routes)
 
 
-@pytest.mark.nightly(by="routes/test_guidance.py, and the flights out of a pocket below")
+@pytest.mark.nightly(by="routes/test_avoidance.py, and the flights out of a pocket below")
 def test_robots_that_meet_head_on_pass_each_other_on_their_left_hand_sides(simulator):
     worlds = simulator.worlds()
     state, seen = fly(simulator, worlds)
