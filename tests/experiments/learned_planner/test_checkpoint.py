@@ -73,7 +73,9 @@ def test_the_shipped_one_is_small_and_plans():
 
 
 def test_the_entry_point_names_the_planner():
-    table = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
+    table = tomllib.loads(
+        (Path(__file__).parents[3] / "experiments" / "pyproject.toml").read_text()
+    )
     place = table["project"]["entry-points"]["angler_mjx.planners"]["learned"]
     module, _, name = place.partition(":")
     spec = PlannerSpec(
