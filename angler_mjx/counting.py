@@ -5,7 +5,7 @@ from collections.abc import Callable
 import jax
 
 
-def once_in[T](
+def every_n_steps[T](
     period: int, number: jax.Array, do: Callable[[], T], otherwise: Callable[[], T], every: int = 1
 ) -> T:
     """One thing in every n-th control step, and another one in the rest.

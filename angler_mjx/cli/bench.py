@@ -7,7 +7,7 @@ from angler_mjx.cli.shared.device import Device, choose
 from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
-    from angler_mjx.studies.speed.rows import Row
+    from angler_mjx.studies.speed.rows import SpeedRow
 
 RESULTS = Path("benchmarks/results.jsonl")
 CHART = Path("docs/images/performance.png")
@@ -67,9 +67,9 @@ def bench(
         _table(table, out)
     else:
         choose(device)
-        from angler_mjx.studies.speed.workloads import Request
+        from angler_mjx.studies.speed.workloads import SpeedRequest
 
-        asked = Request(
+        asked = SpeedRequest(
             profile=profile,
             workloads=workload,
             scenarios=scenario,
@@ -116,7 +116,7 @@ def _measure(asked: Any, out: Path) -> None:
         raise RunError(f"{len(refused)} of {len(rows)} rows were refused; the reasons stand above")
 
 
-def _show(rows: "list[Row]", device: Any) -> None:
+def _show(rows: "list[SpeedRow]", device: Any) -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
@@ -153,7 +153,7 @@ def _show(rows: "list[Row]", device: Any) -> None:
         console.print(line, highlight=False)
 
 
-def _seconds(rows: "list[Row]") -> Any:
+def _seconds(rows: "list[SpeedRow]") -> Any:
     """A table of the seconds of compiling, cold and cached side by side."""
     from angler_mjx.cli.shared.text_table import table as text_table
 
@@ -168,12 +168,12 @@ def _seconds(rows: "list[Row]") -> Any:
     return shown
 
 
-def _name(row: "Row") -> str:
+def _name(row: "SpeedRow") -> str:
     """Workload of a row; of seconds, whose rows are timed alike, without scenario and program."""
     return row.workload.partition("/")[0] if row.unit == "s" else row.workload
 
 
-def _recorded(row: "Row") -> str:
+def _recorded(row: "SpeedRow") -> str:
     """What a row of recording has to say beside its rate."""
     x = row.extra
     return (
@@ -191,7 +191,7 @@ def _size(row: Any) -> str:
     return size if row.devices == 1 else f"{row.devices} devices x {size}"
 
 
-def _compiled(row: "Row") -> str:
+def _compiled(row: "SpeedRow") -> str:
     if row.compile_s is None:
         return ""
     return f"{row.compile_s:.1f} s" + (" (cached)" if row.cached_programs else "")

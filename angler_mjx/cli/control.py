@@ -67,7 +67,7 @@ def _all(names: Sequence[str], n_draw: int, out: Path | None) -> None:
         console.print(f"{name} ...", style="dim")
         with _progress(console, n_draw) as done:
             trials.append(trial.fly(name, vehicles, n_draw, done))
-    third: tuple[steps.Step, ...] = ()
+    third: tuple[steps.TrialStep, ...] = ()
     if "cascade" in names:
         console.print("cascade with rotors of third order ...", style="dim")
         third = steps.fly("cascade", vehicles, "third_order").steps

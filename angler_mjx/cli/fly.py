@@ -74,7 +74,7 @@ def fly(
     from angler_mjx.planning.online import host_planner
     from angler_mjx.runs.session.flying import course
     from angler_mjx.runs.session.flying import fly as flying
-    from angler_mjx.runs.session.online import Flyer
+    from angler_mjx.runs.session.online import OnlineFlyer
     from angler_mjx.runs.session.recording import SessionRecording
     from angler_mjx.runs.storage import folder
     from angler_mjx.scenario import notices
@@ -113,7 +113,7 @@ def fly(
         if recording is not None:
             recording.begin(scene)
         tell("compiling what commands the robots")
-        flyer = Flyer(scene)
+        flyer = OnlineFlyer(scene)
         compile_s = time.perf_counter() - begun
 
         def watch(seen: Any) -> None:

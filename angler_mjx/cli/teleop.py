@@ -76,7 +76,7 @@ def teleop(
     from angler_mjx.cli.shared.given import scenario_given
     from angler_mjx.teleop import driving, opening
 
-    settings = driving.Settings(
+    settings = driving.TeleopSettings(
         robots=robots,
         script=script,
         realtime=realtime,

@@ -56,7 +56,7 @@ def tune(
 
     loaded = load_scenario(scenario)
     problem.spec_of(loaded, controller)
-    settings = problem.Settings(
+    settings = problem.TuningSettings(
         scenario=loaded,
         controller=controller,
         objective=objective,
@@ -96,17 +96,17 @@ class _Bar(Shown):
         self._task = self._bar.add_task("setting up", total=None)
 
     def start(self, flights: int, done: int) -> None:
-        """See `angler_mjx.studies.tuning.tune.Progress`."""
+        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
         self._bar.reset(self._task, description="compiling", total=flights, completed=done)
 
     def flown(self, flights: int) -> None:
-        """See `angler_mjx.studies.tuning.tune.Progress`."""
+        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
         self._bar.advance(self._task, flights)
 
     def generation(self, number: int, best: float) -> None:
-        """See `angler_mjx.studies.tuning.tune.Progress`."""
+        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
         self._bar.update(self._task, description=f"generation {number}, best {best:.4f}")
 
     def measuring(self) -> None:
-        """See `angler_mjx.studies.tuning.tune.Progress`."""
+        """See `angler_mjx.studies.tuning.tune.TuningProgress`."""
         self._bar.update(self._task, description="measuring what was found")

@@ -32,10 +32,10 @@ def validate(
         out: Folder for validation.md and validation.json; docs/ of the checkout if left out.
     """
     from angler_mjx.testing.validation import terms
-    from angler_mjx.testing.validation.validate import Request
+    from angler_mjx.testing.validation.validate import ValidationRequest
     from angler_mjx.testing.validation.validate import validate as run
 
-    request = Request(
+    request = ValidationRequest(
         quick=quick, measured=from_, page_only=page, check=check, store=store, out=out
     )
     bad = run(request, terms.checkout(), lambda line: print(line, file=sys.stderr, flush=True))

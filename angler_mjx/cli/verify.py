@@ -10,7 +10,7 @@ import tyro
 from angler_mjx.cli.export import indices
 
 if TYPE_CHECKING:
-    from angler_mjx.testing.referee import Verdict
+    from angler_mjx.testing.referee import RefereeVerdict
 
 EXIT_DISAGREES = 1
 EXIT_INCONCLUSIVE = 3
@@ -60,7 +60,7 @@ def verify(
         sys.exit(EXIT_INCONCLUSIVE)
 
 
-def _report(verdict: "Verdict") -> None:
+def _report(verdict: "RefereeVerdict") -> None:
     from rich.console import Console
 
     from angler_mjx.cli.shared.text_table import table as text_table
@@ -98,7 +98,7 @@ def _report(verdict: "Verdict") -> None:
     print(_conclusion(verdict))
 
 
-def _conclusion(verdict: "Verdict") -> str:
+def _conclusion(verdict: "RefereeVerdict") -> str:
     """Return the last line: what the findings come to."""
     if verdict.conclusion == "disagrees":
         wrong = sum(count.disagrees for count in verdict.counts.values())

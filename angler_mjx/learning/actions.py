@@ -27,7 +27,7 @@ type Make = Callable[[jax.Array, VehicleState, jax.Array, jax.Array], Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Action:
+class ActionSpace:
     """One kind of action; ``range`` is what 1 stands for, element by element, -1 the opposite."""
 
     name: str
@@ -93,7 +93,7 @@ KINDS: dict[str, tuple[str, tuple[float, ...], type | None, Make]] = {
 """By name: unit, range, command, and how it is made."""
 
 
-def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> Action:
+def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> ActionSpace:
     """An action by its name.
 
     Args:
@@ -117,7 +117,9 @@ def named(name: str, thrusters: int, scale: tuple[float, ...] | None = None) -> 
         )
     if name == "pwm" and max(chosen) > PWM[0]:
         raise ConfigError(f"scale = {chosen}: action 'pwm' reaches {PWM[0]:g} us from 1500 at most")
-    return Action(name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make)
+    return ActionSpace(
+        name=name, unit=unit, size=len(wanted), range=chosen, command=command, make=make
+    )
 
 
 def check(action: Any, shape: tuple[int, ...]) -> None:

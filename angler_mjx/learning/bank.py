@@ -14,7 +14,7 @@ from angler_mjx.sim.state import Laid, World, WorldState
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Bank:
+class WorldBank:
     """[B] worlds, and how each begins."""
 
     worlds: World
@@ -33,7 +33,7 @@ class Bank:
         return state
 
 
-def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None = None) -> Bank:
+def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None = None) -> WorldBank:
     """A bank of worlds first, first + 1 and on.
 
     Args:
@@ -53,13 +53,13 @@ def draw(simulator: Simulator, count: int, *, first: int = 0, seed: int | None =
     return of(simulator, _joined(tiles, count), [simulator.reset(tile) for tile in tiles])
 
 
-def of(simulator: Simulator, worlds: World, begun: list[WorldState]) -> Bank:
+def of(simulator: Simulator, worlds: World, begun: list[WorldState]) -> WorldBank:
     """A bank of worlds that are there, and their states at t = 0 tile by tile."""
     count = worlds.variant.shape[0]
     kept = loose(simulator.admitted(worlds))
     lay_out = jax.jit(simulator.engine.lay_out)
     laid = lay_out(loose(simulator.fleet), kept)
-    return Bank(worlds=kept, begun=_joined(begun, count), laid=laid)
+    return WorldBank(worlds=kept, begun=_joined(begun, count), laid=laid)
 
 
 def loose(tree: Any) -> Any:

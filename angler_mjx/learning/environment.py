@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning import bank as banks
-from angler_mjx.learning.actions import Action
-from angler_mjx.learning.bank import Bank
-from angler_mjx.learning.observations import Part, Sight
+from angler_mjx.learning.actions import ActionSpace
+from angler_mjx.learning.bank import WorldBank
+from angler_mjx.learning.observations import ObservationPart, ObservedState
 from angler_mjx.robot.control import stack
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.sim.aboard import senses
@@ -32,13 +32,13 @@ OBSERVE = ("velocity", "upright", "goal", "heading")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Rules:
+class EnvironmentRules:
     """What is fixed while an environment is compiled."""
 
     spec: SimSpec
     engine: Engine
-    action: Action
-    parts: tuple[Part, ...]
+    action: ActionSpace
+    parts: tuple[ObservationPart, ...]
     weights: tuple[tuple[str, float], ...]
     aim: Aim
     horizon: int
@@ -73,11 +73,11 @@ class FleetEnv:
     closes over an environment, its bank is a constant of the program: pass it in if it is large.
     """
 
-    bank: Bank
+    bank: WorldBank
     fleet: Fleet
     observed: jax.Array
     """[B, R, size] what is seen of each world of the bank at its beginning."""
-    rules: Rules = field(metadata={"static": True})
+    rules: EnvironmentRules = field(metadata={"static": True})
     worlds: int = field(metadata={"static": True})
 
     @property
@@ -156,7 +156,7 @@ class FleetEnv:
         after = _with_finite_energy(after, before)
         reward, terms = rewards.of(
             rules.weights,
-            rewards.Step(
+            rewards.RewardStep(
                 before=before,
                 after=after,
                 aim_m=aim_m,
@@ -242,7 +242,7 @@ class FleetEnv:
     def _see(self, state: WorldState, rows: jax.Array, action: jax.Array) -> jax.Array:
         aim_m, yaw = self._aim(rows)
         told, flow = self._estimate(state, rows)
-        sight = Sight(
+        sight = ObservedState(
             worlds=self.bank.worlds,
             rows=rows,
             state=state,
@@ -284,7 +284,7 @@ def make(
     simulator: Simulator,
     *,
     worlds: int,
-    bank: int | Bank | None = None,
+    bank: int | WorldBank | None = None,
     action: str = "twist",
     scale: tuple[float, ...] | None = None,
     observe: Sequence[str] = OBSERVE,
@@ -356,9 +356,9 @@ def make(
             "controllers do not ask for it; leave it out"
         )
     weights = rewards.weighed(rewards.DEFAULT if reward is None else reward)
-    if not isinstance(bank, Bank):
+    if not isinstance(bank, WorldBank):
         bank = banks.draw(simulator, 2 * worlds if bank is None else bank, seed=seed)
-    rules = Rules(
+    rules = EnvironmentRules(
         spec=simulator.spec,
         engine=simulator.engine,
         action=kind,

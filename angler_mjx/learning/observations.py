@@ -28,7 +28,7 @@ in another layout are other numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sight:
+class ObservedState:
     """What parts are made of: worlds [W] at one time."""
 
     worlds: World
@@ -61,39 +61,39 @@ class Sight:
         return turned
 
 
-def velocity(sight: Sight) -> jax.Array:
+def velocity(sight: ObservedState) -> jax.Array:
     """[6] velocity over ground as told, m/s and rad/s, in F."""
     return sight.told.nu
 
 
-def upright(sight: Sight) -> jax.Array:
+def upright(sight: ObservedState) -> jax.Array:
     """[3] the world's z axis in F: attitude without heading, 1."""
     up = jnp.zeros_like(sight.told.p).at[..., 2].set(1.0)
     return sight.turned(up)
 
 
-def goal(sight: Sight) -> jax.Array:
+def goal(sight: ObservedState) -> jax.Array:
     """[3] from the robot to its aim (goal, or the pose to hold), m, in F."""
     return sight.turned(sight.aim_m - sight.told.p)
 
 
-def heading(sight: Sight) -> jax.Array:
+def heading(sight: ObservedState) -> jax.Array:
     """[2] cosine and sine of the aim's heading less the robot's, 1."""
     off = sight.aim_yaw_rad - jax.vmap(jax.vmap(quaternion.yaw))(sight.told.q)
     return jnp.stack([jnp.cos(off), jnp.sin(off)], axis=-1)
 
 
-def depth(sight: Sight) -> jax.Array:
+def depth(sight: ObservedState) -> jax.Array:
     """[1] z of the robot, m, in W: 0 at the surface, negative below."""
     return sight.told.p[..., 2:]
 
 
-def current(sight: Sight) -> jax.Array:
+def current(sight: ObservedState) -> jax.Array:
     """[3] velocity of the water at the robot as told, m/s, in F."""
     return sight.turned(sight.flow)
 
 
-def robots(sight: Sight) -> jax.Array:
+def robots(sight: ObservedState) -> jax.Array:
     """[3 * `NEAREST`] from the robot to the nearest others, as they are, m, in F."""
     there, n = sight.state.vehicles.p, sight.told.p.shape[1]
     to = there[:, None, :] - sight.told.p[:, :, None]
@@ -101,7 +101,7 @@ def robots(sight: Sight) -> jax.Array:
     return _nearest(sight, to, seen)[0].reshape(*to.shape[:2], -1)
 
 
-def obstacles(sight: Sight) -> jax.Array:
+def obstacles(sight: ObservedState) -> jax.Array:
     """[4 * `NEAREST`] from the robot to the nearest obstacles' centres, m, in F; radii, m."""
     body = sight.worlds.environment.obstacles
     exists = body.exists[sight.rows]
@@ -115,7 +115,7 @@ def obstacles(sight: Sight) -> jax.Array:
     return jnp.concatenate([at, size[..., None]], axis=-1).reshape(*to.shape[:2], -1)
 
 
-def cells(sight: Sight) -> jax.Array:
+def cells(sight: ObservedState) -> jax.Array:
     """[27] 1 where a point is in rock or outside: 3 x 3 x 3 points in F, edges of a cell apart."""
     grid = sight.worlds.environment.grid
     shape = np.array(grid.occupied.shape[1:])
@@ -129,13 +129,13 @@ def cells(sight: Sight) -> jax.Array:
     return (rock | outside).astype(sight.told.p.dtype)
 
 
-def action(sight: Sight) -> jax.Array:
+def action(sight: ObservedState) -> jax.Array:
     """[size] the last action, from -1 to 1."""
     return sight.action
 
 
 def _nearest(
-    sight: Sight, to: jax.Array, seen: jax.Array
+    sight: ObservedState, to: jax.Array, seen: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The `NEAREST` of vectors [W, R, n, 3] in F, filled up, their places, if they are seen."""
     far = jnp.sum(to * to, axis=-1)
@@ -150,11 +150,11 @@ def _nearest(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class ObservationPart:
     """A part of an observation."""
 
     name: str
-    see: Callable[[Sight], jax.Array]
+    see: Callable[[ObservedState], jax.Array]
     size: int
     unit: str
     low: float
@@ -164,24 +164,28 @@ class Part:
 PARTS = {
     part.name: part
     for part in (
-        Part(name="velocity", see=velocity, size=6, unit="m/s, rad/s", low=-5.0, high=5.0),
-        Part(name="upright", see=upright, size=3, unit="1", low=-1.0, high=1.0),
-        Part(name="goal", see=goal, size=3, unit="m", low=-100.0, high=100.0),
-        Part(name="heading", see=heading, size=2, unit="1", low=-1.0, high=1.0),
-        Part(name="depth", see=depth, size=1, unit="m", low=-1000.0, high=0.0),
-        Part(name="current", see=current, size=3, unit="m/s", low=-5.0, high=5.0),
-        Part(name="robots", see=robots, size=3 * NEAREST, unit="m", low=-REACH_M, high=REACH_M),
-        Part(
+        ObservationPart(
+            name="velocity", see=velocity, size=6, unit="m/s, rad/s", low=-5.0, high=5.0
+        ),
+        ObservationPart(name="upright", see=upright, size=3, unit="1", low=-1.0, high=1.0),
+        ObservationPart(name="goal", see=goal, size=3, unit="m", low=-100.0, high=100.0),
+        ObservationPart(name="heading", see=heading, size=2, unit="1", low=-1.0, high=1.0),
+        ObservationPart(name="depth", see=depth, size=1, unit="m", low=-1000.0, high=0.0),
+        ObservationPart(name="current", see=current, size=3, unit="m/s", low=-5.0, high=5.0),
+        ObservationPart(
+            name="robots", see=robots, size=3 * NEAREST, unit="m", low=-REACH_M, high=REACH_M
+        ),
+        ObservationPart(
             name="obstacles", see=obstacles, size=4 * NEAREST, unit="m", low=-REACH_M, high=REACH_M
         ),
-        Part(name="cells", see=cells, size=len(WINDOW), unit="1", low=0.0, high=1.0),
-        Part(name="action", see=action, size=0, unit="1", low=-1.0, high=1.0),
+        ObservationPart(name="cells", see=cells, size=len(WINDOW), unit="1", low=0.0, high=1.0),
+        ObservationPart(name="action", see=action, size=0, unit="1", low=-1.0, high=1.0),
     )
 }
 """By name; numbers are clipped to their bounds. ``action`` has as many as the action."""
 
 
-def chosen(names: Sequence[str], action_size: int) -> tuple[Part, ...]:
+def chosen(names: Sequence[str], action_size: int) -> tuple[ObservationPart, ...]:
     """Parts by their names, in their order.
 
     Raises:
@@ -195,18 +199,19 @@ def chosen(names: Sequence[str], action_size: int) -> tuple[Part, ...]:
         )
     sized = {"action": action_size}
     return tuple(
-        Part(**{**vars(PARTS[name]), "size": sized.get(name, PARTS[name].size)}) for name in names
+        ObservationPart(**{**vars(PARTS[name]), "size": sized.get(name, PARTS[name].size)})
+        for name in names
     )
 
 
-def bounds(parts: Sequence[Part]) -> tuple[Any, Any]:
+def bounds(parts: Sequence[ObservationPart]) -> tuple[Any, Any]:
     """Lowest and highest numbers [size] of an observation of one robot."""
     low = np.concatenate([np.full(part.size, part.low, np.float32) for part in parts])
     high = np.concatenate([np.full(part.size, part.high, np.float32) for part in parts])
     return low, high
 
 
-def see(parts: Sequence[Part], sight: Sight) -> jax.Array:
+def see(parts: Sequence[ObservationPart], sight: ObservedState) -> jax.Array:
     """Observations [W, R, size], parts one after the other."""
     seen = [jnp.clip(part.see(sight), part.low, part.high) for part in parts]
     return jnp.concatenate(seen, axis=-1)

@@ -16,7 +16,7 @@ MARGIN_M = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class RewardStep:
     """A step of worlds [W], of one control step or of several."""
 
     before: WorldState
@@ -36,33 +36,33 @@ def _away(state: WorldState, aim_m: jax.Array) -> jax.Array:
     return jnp.sqrt(jnp.sum((state.vehicles.p - aim_m) ** 2, axis=-1))
 
 
-def progress(step: Step) -> jax.Array:
+def progress(step: RewardStep) -> jax.Array:
     """M by which the robot came nearer to its aim."""
     return _away(step.before, step.aim_m) - _away(step.after, step.aim_m)
 
 
-def distance(step: Step) -> jax.Array:
+def distance(step: RewardStep) -> jax.Array:
     """M s: distance to the aim after the step, times its length."""
     return _away(step.after, step.aim_m) * step.dt_s
 
 
-def square(step: Step) -> jax.Array:
+def square(step: RewardStep) -> jax.Array:
     """M^2 s: its square, times the step's length."""
     return _away(step.after, step.aim_m) ** 2 * step.dt_s
 
 
-def heading(step: Step) -> jax.Array:
+def heading(step: RewardStep) -> jax.Array:
     """S: 1 - cosine of the heading's error, times the step's length."""
     yaw = jax.vmap(jax.vmap(quaternion.yaw))(step.after.vehicles.q)
     return (1.0 - jnp.cos(yaw - step.aim_yaw_rad)) * step.dt_s
 
 
-def energy(step: Step) -> jax.Array:
+def energy(step: RewardStep) -> jax.Array:
     """KJ that the thrusters took."""
     return (step.after.tally.energy_j - step.before.tally.energy_j) / 1000.0
 
 
-def clearance(step: Step) -> jax.Array:
+def clearance(step: RewardStep) -> jax.Array:
     """M by which the least distance so far to anything fell in this step, below `MARGIN_M`."""
 
     def short(state: WorldState) -> jax.Array:
@@ -72,27 +72,27 @@ def clearance(step: Step) -> jax.Array:
     return short(step.after) - short(step.before)
 
 
-def collision(step: Step) -> jax.Array:
+def collision(step: RewardStep) -> jax.Array:
     """1 in the step in which the robot fails: touches, leaves the region or diverges."""
     outcome = step.after.tally.outcome
     ended = (step.before.tally.outcome == Outcome.RUNNING) & (outcome != Outcome.RUNNING)
     return (ended & (outcome != Outcome.REACHED)).astype(step.action.dtype)
 
 
-def arrival(step: Step) -> jax.Array:
+def arrival(step: RewardStep) -> jax.Array:
     """1 in the step in which the robot reaches its goal."""
     running = step.before.tally.outcome == Outcome.RUNNING
     return (running & (step.after.tally.outcome == Outcome.REACHED)).astype(step.action.dtype)
 
 
-def roughness(step: Step) -> jax.Array:
+def roughness(step: RewardStep) -> jax.Array:
     """Mean square of the change of the action's numbers since the step before."""
     if not step.action.shape[-1]:
         return jnp.zeros(step.action.shape[:-1], step.action.dtype)
     return jnp.mean((step.action - step.last) ** 2, axis=-1)
 
 
-TERMS: dict[str, Callable[[Step], jax.Array]] = {
+TERMS: dict[str, Callable[[RewardStep], jax.Array]] = {
     term.__name__: term
     for term in (
         progress, distance, square, heading, energy, clearance, collision, arrival, roughness
@@ -123,7 +123,7 @@ def weighed(weights: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
 
 
 def of(
-    weights: tuple[tuple[str, float], ...], step: Step
+    weights: tuple[tuple[str, float], ...], step: RewardStep
 ) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Reward [W, R], and its terms by name, weighted, whose sum it is."""
     counts = step.before.tally.outcome == Outcome.RUNNING

@@ -6,15 +6,20 @@ import jax.numpy as jnp
 from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim import knowledge
-from angler_mjx.sim.knowledge import Knows, Observation
+from angler_mjx.sim.knowledge import Information, SceneObservation
 from angler_mjx.sim.state import SimSpec, World
 
 _POWERS = 9
 """Speeds of which a robot's power is told, that of lying still among them."""
 
 
-def ask(
-    world: World, seed: jax.Array, spec: SimSpec, knows: Knows, horizon_s: float, deadline_s: float
+def build_problems(
+    world: World,
+    seed: jax.Array,
+    spec: SimSpec,
+    knows: Information,
+    horizon_s: float,
+    deadline_s: float,
 ) -> Problem:
     """What a planner is asked in one world; ``vmap`` it for a batch.
 
@@ -28,20 +33,20 @@ def ask(
     """
     place = world.environment
     begun = team(world.control, place.start_m, place.start_yaw_rad, place.goal_m)
-    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, None)
+    return _build_problem(world, begun, seed, spec, knows, horizon_s, deadline_s, None)
 
 
-def ask_now(
+def build_problem_now(
     world: World,
     seed: jax.Array,
     spec: SimSpec,
-    knows: Knows,
+    knows: Information,
     horizon_s: float,
     deadline_s: float,
-    now: Observation,
+    now: SceneObservation,
     yaw_rad: jax.Array,
 ) -> Problem:
-    """As `ask`, at a time of the flight; the problem's time is counted from it.
+    """As `build_problems`, at a time of the flight; the problem's time is counted from it.
 
     Args:
         world: drawn; its path is not looked at.
@@ -54,18 +59,18 @@ def ask_now(
         yaw_rad: [R] their headings.
     """
     begun = team(world.control, now.at_m, yaw_rad, world.environment.goal_m)
-    return _asked(world, begun, seed, spec, knows, horizon_s, deadline_s, now)
+    return _build_problem(world, begun, seed, spec, knows, horizon_s, deadline_s, now)
 
 
-def _asked(
+def _build_problem(
     world: World,
     begun: Team,
     seed: jax.Array,
     spec: SimSpec,
-    knows: Knows,
+    knows: Information,
     horizon_s: float,
     deadline_s: float,
-    now: Observation | None,
+    now: SceneObservation | None,
 ) -> Problem:
     environment, water = world.environment, spec.water
     at_m, begin_s = (None, None) if now is None else (now.at_m, now.time_s)

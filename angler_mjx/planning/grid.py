@@ -20,9 +20,9 @@ from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import terrain
 from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import Others, Traffic
+from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 
@@ -50,7 +50,7 @@ def plan(
     radius_m: jax.Array,
     speed_mps: jax.Array,
     config: WayConfig,
-    known: KnownObstacles | None = None,
+    known: ObstacleInformation | None = None,
 ) -> Trajectory:
     """Plan the fleet of one world.
 
@@ -72,7 +72,7 @@ def plan(
 
     def one(plans: Trajectory, index: jax.Array) -> tuple[Trajectory, None]:
         planned = jnp.arange(n_robot) < index
-        traffic = Traffic(
+        traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
             reach_m=radius_m + radius_m[index] + config.margin_m,
@@ -80,7 +80,7 @@ def plan(
         )
         new = plan_one(
             land,
-            Others(robots=traffic, bodies=grown(bodies, radius_m[index] + config.margin_m)),
+            PlannedTraffic(robots=traffic, bodies=grown(bodies, radius_m[index] + config.margin_m)),
             environment.start_m[index],
             environment.goal_m[index],
             radius_m[index] + config.margin_m,

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
+from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.grid import Grid
 
 
@@ -75,9 +75,9 @@ class Problem:
     floor_z_m: Any
     """[] height of the sea floor."""
     team: Team
-    obstacles: KnownObstacles
+    obstacles: ObstacleInformation
     """Bodies that are not cells, as far as they are known."""
-    current: KnownCurrent
+    current: CurrentInformation
     """The water's motion, as far as it is known."""
     seed: Any
     """uint32 [] for what a planner draws: the same seed and problem, the same plan."""
@@ -85,7 +85,7 @@ class Problem:
     """Nothing is flown after it."""
     goal_tolerance_m: float = field(metadata={"static": True})
     """A robot has arrived when its centre is this near to its goal."""
-    knows: Knows = field(metadata={"static": True})
+    knows: Information = field(metadata={"static": True})
     """What may be known; ``obstacles`` and ``current`` hold no more than that."""
     deadline_s: float = field(metadata={"static": True})
     """Wall-clock time that a planner has for this problem."""
@@ -122,5 +122,5 @@ class Problem:
 
 
 @jax.jit
-def _flow(current: KnownCurrent, p: jax.Array, t: jax.Array) -> jax.Array:
+def _flow(current: CurrentInformation, p: jax.Array, t: jax.Array) -> jax.Array:
     return jax.vmap(current.velocity)(p, t)

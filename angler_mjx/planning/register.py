@@ -36,7 +36,7 @@ DEVICE: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reference:
+class PlannerReference:
     """Where the class of a planner is; can be given to another process."""
 
     name: str
@@ -88,7 +88,7 @@ class Reference:
 class PlannerSpec:
     """A planner that can be made anywhere: its class and its settings."""
 
-    reference: Reference
+    reference: PlannerReference
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Those that differ from their defaults; checked before."""
     most_points: int = MOST_POINTS
@@ -98,7 +98,7 @@ class PlannerSpec:
         """The planner.
 
         Raises:
-            ConfigError, UnsupportedError: as `Reference.load`.
+            ConfigError, UnsupportedError: as `PlannerReference.load`.
         """
         found = self.reference.load()
         chosen = settings_of(found)
@@ -121,7 +121,7 @@ def _is_file(path: str) -> bool:
     return path.endswith(".py")
 
 
-def find(name: str) -> Reference:
+def find(name: str) -> PlannerReference:
     """Where a planner is.
 
     Args:
@@ -134,7 +134,7 @@ def find(name: str) -> Reference:
     if _is_file(path):
         file = Path(path)
         data = _bytes(file, name)
-        return Reference(
+        return PlannerReference(
             name=name,
             module=str(file.resolve()),
             qualname=qualname,
@@ -153,7 +153,7 @@ def find(name: str) -> Reference:
             "or give a class of a file as FILE.py:CLASS"
         )
     module, _, qualname = place.partition(":")
-    return Reference(name=name, module=module, qualname=qualname)
+    return PlannerReference(name=name, module=module, qualname=qualname)
 
 
 def settings_of(planner: type) -> type | None:
@@ -198,7 +198,7 @@ def _installed() -> dict[str, str]:
     return {point.name: point.value for point in entry_points(group=GROUP)}
 
 
-def _of_module(reference: Reference) -> Any:
+def _of_module(reference: PlannerReference) -> Any:
     try:
         return importlib.import_module(reference.module)
     except ModuleNotFoundError as error:
@@ -208,7 +208,7 @@ def _of_module(reference: Reference) -> Any:
         ) from error
 
 
-def _of_file(reference: Reference) -> Any:
+def _of_file(reference: PlannerReference) -> Any:
     """Run the text of a file as a module, once in each process; it can import files beside it.
 
     Another text is another module. The text is that of the time when the planner was chosen, so a

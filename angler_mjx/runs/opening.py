@@ -13,9 +13,9 @@ from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import claims, folder, mending
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table
-from angler_mjx.runs.storage.plans.read import Plans, open_plans
+from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.recorder import Recorder
 from angler_mjx.scenario.scenario import Scenario
 
@@ -23,7 +23,7 @@ PLANS = "plans.json"
 """Says which plans are flown."""
 
 
-def begin(simulator: Simulator, place: Path, plans: Plans | None = None) -> Claim:
+def begin(simulator: Simulator, place: Path, plans: PlanFile | None = None) -> OutputLock:
     """Make the folder of a new run, with what is known before the first world.
 
     Args:
@@ -59,7 +59,7 @@ def planner_file(simulator: Simulator) -> Path | None:
     return None if spec is None else spec.reference.file
 
 
-def plans_again(building: Path, given: Path | str | None, scenario: Scenario) -> Plans | None:
+def plans_again(building: Path, given: Path | str | None, scenario: Scenario) -> PlanFile | None:
     """The plans with which a run began; None where a planner made them.
 
     Args:
@@ -85,7 +85,7 @@ def plans_again(building: Path, given: Path | str | None, scenario: Scenario) ->
     return plans
 
 
-def _described(plans: Plans) -> dict[str, Any]:
+def _described(plans: PlanFile) -> dict[str, Any]:
     """Which plans are flown: where they lie, a hash of all their bytes, and who says made them."""
     return {
         "path": str(plans.path.absolute()),
@@ -172,7 +172,7 @@ def mend(simulator: Simulator, building: Path, told: Progress) -> None:
 
 
 @contextmanager
-def held(claimed: Claim, *, new: bool) -> Iterator[None]:
+def held(claimed: OutputLock, *, new: bool) -> Iterator[None]:
     """Part from a folder at the end; take it away if it is new and nothing was computed into it."""
     try:
         yield

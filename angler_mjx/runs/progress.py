@@ -24,7 +24,7 @@ class Progress(Protocol):
         """Something that a person should know: what was damaged and is made again."""
 
 
-class Silent:
+class SilentProgress:
     """A progress that says nothing."""
 
     def start(self, worlds: int, done: int) -> None:

@@ -18,15 +18,15 @@ from angler_mjx.planning.online.policy import Online
 from angler_mjx.runs import opening, sizes, waves
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
-from angler_mjx.runs.progress import Progress, Silent
+from angler_mjx.runs.progress import Progress, SilentProgress
 from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.runs.simulator.compiling import CompileTime
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import claims, folder, harvest, planned, results
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.harvest import FinishedTile
-from angler_mjx.runs.storage.plans.read import Plans, open_plans
+from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.recorder import Recorder
 from angler_mjx.runs.storage.writer import Writer
 from angler_mjx.scenario import notices
@@ -115,7 +115,7 @@ def rollout(
             claimed = opening.begin(simulator, place, found)
             stack.enter_context(opening.held(claimed, new=processes.count == 1))
         processes.meet("folder")
-        told = progress or Silent()
+        told = progress or SilentProgress()
         return _Rollout(simulator, place, room, told, processes, claimed, found).run()
 
 
@@ -155,7 +155,7 @@ def resume(
         RunError: as in `rollout`.
     """
     place, processes = Path(out), processes or OneProcess()
-    told = progress or Silent()
+    told = progress or SilentProgress()
     with telling(processes), ExitStack() as stack:
         claimed = None
         if processes.index == 0:
@@ -207,8 +207,8 @@ class _Rollout:
         room: int,
         progress: Progress,
         processes: Processes,
-        claimed: Claim | None,
-        plans: Plans | None,
+        claimed: OutputLock | None,
+        plans: PlanFile | None,
     ) -> None:
         self._plans = plans
         self._sim = simulator
@@ -222,7 +222,7 @@ class _Rollout:
         self._progress = Log(self._building / f"{folder.LOG}{number}", progress)
         self._processes = processes
         self._shape = sizes.shape_of(simulator)
-        self._failures = planned.Failures(self._progress.tell)
+        self._failures = planned.PlanningFailures(self._progress.tell)
         self._recorder: Recorder | None = None
         if self._scenario.time.record_hz > 0:
             self._recorder = Recorder.reopen(

@@ -16,7 +16,7 @@ from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import OneOfMany, Processes
 from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.storage import claims, folder
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.scenario.scenario import Scenario
@@ -27,14 +27,14 @@ RUNS = "runs"
 """Folder of the runs."""
 
 
-class Told(Progress, Protocol):
+class RunsProgress(Progress, Protocol):
     """What several runs tell: as a run does, and which of them it is."""
 
     def part(self, number: int, of: int, name: str) -> None:
         """A run of them begins."""
 
 
-def begin(out: Path, what: str, asked: Mapping[str, Any]) -> Claim:
+def begin(out: Path, what: str, asked: Mapping[str, Any]) -> OutputLock:
     """Take the name of a folder of several runs.
 
     Args:
@@ -45,7 +45,7 @@ def begin(out: Path, what: str, asked: Mapping[str, Any]) -> Claim:
     Raises:
         ConfigError: the name is taken or cannot be had.
     """
-    claimed = claims.claim(out, what=what)
+    claimed = claims.acquire(out, what=what)
     try:
         folder.write_json(claimed.building / MAKING, dict(asked))
         (claimed.building / RUNS).mkdir()
@@ -55,7 +55,7 @@ def begin(out: Path, what: str, asked: Mapping[str, Any]) -> Claim:
     return claimed
 
 
-def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> Claim:
+def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> OutputLock:
     """Take up the folder of several runs that were broken off.
 
     Args:
@@ -79,7 +79,7 @@ def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> Cla
             f"--resume {out}: was begun with another {other} (see {building / MAKING}); give what "
             "it was begun with, or begin a new one"
         )
-    claimed = claims.reclaim(out, what=what)
+    claimed = claims.acquire_unfinished(out, what=what)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted {what} of that name")
     return claimed
@@ -88,7 +88,7 @@ def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> Cla
 def fly(
     parts: Iterable[tuple[str, Scenario]],
     building: Path,
-    told: Told,
+    told: RunsProgress,
     together: Processes,
     how: Mapping[str, Any],
 ) -> bool:
@@ -113,7 +113,7 @@ def fly(
 
 
 def _fly(
-    scenario: Scenario, place: Path, told: Told, together: Processes, how: Mapping[str, Any]
+    scenario: Scenario, place: Path, told: RunsProgress, together: Processes, how: Mapping[str, Any]
 ) -> bool:
     """Fly a run, or what is left of it; whether it is whole now."""
     found = together.meet("stands", stands(place) if together.index == 0 else None)[0]

@@ -17,10 +17,10 @@ import numpy as np
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.simulator import devices
-from angler_mjx.runs.simulator.hosted import Drawn, PlanNotes
+from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import harvest
-from angler_mjx.runs.storage.harvest import End, FinishedTile, Last
+from angler_mjx.runs.storage.harvest import FinishedTile, Last, TileEnd
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World
 
@@ -28,7 +28,7 @@ AHEAD = 2
 """Segments that the device has been given and the host has not taken."""
 
 
-class Given(Protocol):
+class StoredPlans(Protocol):
     """Plans that were made before."""
 
     def of(
@@ -64,7 +64,7 @@ def simulate(
     *,
     recorded: bool,
     progress: Progress,
-    plans: Given | None = None,
+    plans: StoredPlans | None = None,
     seed: int | None = None,
     strict: bool = True,
     changed: Callable[[list[int], World], World] | None = None,
@@ -89,7 +89,7 @@ def simulate(
         RunError: a world cannot hold the fleet, or device memory is used up.
     """
     waves = split(tiles, simulator.devices)
-    drawn: deque[Drawn] = deque()
+    drawn: deque[SampledBatch] = deque()
 
     def draw(number: int) -> None:
         drawn.extend(_draw(simulator, firsts, seed) for firsts in waves[number : number + 1])
@@ -115,7 +115,7 @@ def simulate(
         raise
 
 
-def _draw(simulator: Simulator, firsts: list[int], seed: int | None) -> Drawn:
+def _draw(simulator: Simulator, firsts: list[int], seed: int | None) -> SampledBatch:
     """Begin with a wave; devices without a tile repeat the last one, which is dropped."""
     idle, total = simulator.devices - len(firsts), simulator.scenario.worlds
     kept = [min(simulator.tile, total - first) for first in firsts]
@@ -192,9 +192,9 @@ class _Flight:
             for i, first in enumerate(self._firsts)
         ]
 
-    def _end_of(self, i: int) -> End:
+    def _end_of(self, i: int) -> TileEnd:
         """The end of a tile: its own, however long it went on beside others."""
-        end: End = jax.tree.map(np.asarray, self._end[i])
+        end: TileEnd = jax.tree.map(np.asarray, self._end[i])
         last = self._last[i]
         return end if last is None else replace(end, last=last)
 

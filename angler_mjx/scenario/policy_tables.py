@@ -15,7 +15,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.fleet_entry import FleetEntry
 from angler_mjx.scenario.tables import (
     ControllerConfig,
-    KnowsConfig,
+    InformationConfig,
     PlannerConfig,
     TimeConfig,
     whole,
@@ -115,7 +115,7 @@ class PolicyConfig(FileModel):
     """None: robots fly their plans. mppi: each flies to its goal by path integral control, plan or
     no plan. routes: each flies along a way that was worked out for every place of the world, and
     gets out of the way of what it meets."""
-    knows: KnowsConfig | None = None
+    knows: InformationConfig | None = None
     """Information level of what moves, whenever the policy acts. If left out: `planner.knows` where
     the file gives that, else obstacles = "observed". Set explicitly to "nothing", the policy
     receives no obstacle, and commands say so."""
@@ -123,17 +123,17 @@ class PolicyConfig(FileModel):
     routes: RoutesConfig = RoutesConfig()
 
 
-def default_knows(policy: PolicyConfig, planner: PlannerConfig) -> KnowsConfig:
+def default_knows(policy: PolicyConfig, planner: PlannerConfig) -> InformationConfig:
     """Return the information level of a policy whose own table gives none.
 
     A policy that steers in flight observes obstacles unless ``planner.knows`` gives a level.
     Run folders of older versions store ``knows = null``: the level that was flown then is kept.
     """
     if "knows" in policy.model_fields_set:  # null, which no file in TOML can hold
-        is_open = policy.name == "routes" and planner.knows == KnowsConfig()
+        is_open = policy.name == "routes" and planner.knows == InformationConfig()
     else:
         is_open = not planner.knows.model_fields_set
-    return KnowsConfig(obstacles="observed") if is_open else planner.knows
+    return InformationConfig(obstacles="observed") if is_open else planner.knows
 
 
 def _steps(key: str, hz: float, time: TimeConfig) -> int:

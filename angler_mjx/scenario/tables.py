@@ -20,11 +20,11 @@ from angler_mjx.files import FileModel, folder_of
 from angler_mjx.planning import register
 from angler_mjx.planning.automatic import AUTO, CHOICES, for_team
 from angler_mjx.planning.planner import MOST_POINTS
-from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.robot.control import stack, stages
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import Knows, Level
+from angler_mjx.sim.knowledge import Information, InformationLevel
 
 
 class WaterConfig(FileModel):
@@ -155,19 +155,19 @@ class ControllerConfig(FileModel):
         return stages.build(names, self.gains)
 
 
-class KnowsConfig(FileModel):
+class InformationConfig(FileModel):
     """What the planner may know of what moves; see `docs/planners.md`."""
 
-    obstacles: Level = "nothing"
+    obstacles: InformationLevel = "nothing"
     """Of those that move: nothing; observed, where they are at t = 0 and how fast; predicted, where
     that takes them in the current that is known; truth, where they will be."""
-    current: Level = "nothing"
+    current: InformationLevel = "nothing"
     """Nothing; observed, its mean at the robots' starts at t = 0; predicted, all of it at t = 0,
     taken to stay; truth, all of it for all time."""
 
-    def knows(self) -> Knows:
+    def knows(self) -> Information:
         """As planners are told."""
-        return Knows(obstacles=self.obstacles, current=self.current)
+        return Information(obstacles=self.obstacles, current=self.current)
 
 
 def _from_its_file(name: str, info: ValidationInfo) -> str:
@@ -194,7 +194,7 @@ class PlannerConfig(FileModel):
     (`--plans`) may have up to 1,024, whatever this says. Part of the result's bytes."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each world; a planner that takes a tenth more is ended."""
-    knows: KnowsConfig = KnowsConfig()
+    knows: InformationConfig = InformationConfig()
     replan_hz: float = Field(default=0.0, ge=0.0, le=1e4)
     """How often robots are planned for anew while they fly; 0: never. A whole number of control
     steps from one time to the next; see `docs/online.md`."""
@@ -331,7 +331,7 @@ def check_online(planner: PlannerConfig, time: TimeConfig) -> None:
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-def _check_table(reference: Reference, given: Mapping[str, Any], table: str) -> None:
+def _check_table(reference: PlannerReference, given: Mapping[str, Any], table: str) -> None:
     """Refuse settings of a planner that has none, or other ones."""
     model = register.settings_of(reference.load())
     if model is None and given:

@@ -16,7 +16,7 @@ from angler_mjx.scenario.tables import TimeConfig, whole
 from angler_mjx.world.config import Vector, WorldRecipe
 from angler_mjx.world.rules import OpenRule
 from angler_mjx.world.tasks import allocation, sight
-from angler_mjx.world.tasks.drawing import WHOLE, Places
+from angler_mjx.world.tasks.drawing import WHOLE, GoalSampling
 from angler_mjx.world.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
 
 MOST_ROBOTS = 64
@@ -180,14 +180,14 @@ def spec_of(task: TaskConfig, world: WorldRecipe, robots: int, time: TimeConfig)
     return replace(spec, jobs=task.viewpoints, survey=_survey(task, world), timed=timed)
 
 
-def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:
+def drawn_places(task: TaskConfig) -> tuple[tuple[str, GoalSampling, int], ...]:
     """Places of a task by the keys that say where they are, where jobs begin first."""
     if isinstance(task, TourTask):
-        where = Places(within=task.within, given_m=task.places_m)
+        where = GoalSampling(within=task.within, given_m=task.places_m)
         return (("places_m" if task.places_m else "within", where, task.count),)
     if isinstance(task, DeliverTask):
-        begin = Places(within=task.from_within, given_m=task.from_m)
-        end = Places(within=task.to_within, given_m=task.to_m)
+        begin = GoalSampling(within=task.from_within, given_m=task.from_m)
+        end = GoalSampling(within=task.to_within, given_m=task.to_m)
         return (
             ("from_m" if task.from_m else "from_within", begin, task.count),
             ("to_m" if task.to_m else "to_within", end, task.count),
@@ -195,7 +195,7 @@ def drawn_places(task: TaskConfig) -> tuple[tuple[str, Places, int], ...]:
     return ()
 
 
-def _check_places(key: str, wanted: Places, count: int, world: WorldRecipe) -> None:
+def _check_places(key: str, wanted: GoalSampling, count: int, world: WorldRecipe) -> None:
     low = np.array(world.origin_m)
     high = low + world.size_m
     low[2] = max(low[2], world.floor_z_m)

@@ -35,7 +35,7 @@ type Take = Callable[[jax.Array], tuple[ControlParams, BodyInertia]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Admitted:
+class _ValidatedWorlds:
     """What was found right."""
 
     leaves: tuple[weakref.ref[Any], ...]
@@ -49,7 +49,7 @@ class _Admitted:
         )
 
 
-class Gate:
+class WorldValidator:
     """Where worlds enter the engine of one fleet."""
 
     def __init__(self, fleet: Fleet, *, take: Take, pack: Pack | None) -> None:
@@ -63,7 +63,7 @@ class Gate:
         self._take, self._pack = take, pack
         self._possible = np.isfinite(np.asarray(fleet.log_weight))
         self._leaves = _named({"control": fleet.control, "body": fleet.body})
-        self._admitted: list[_Admitted] = []
+        self._admitted: list[_ValidatedWorlds] = []
 
     def own(self, worlds: World) -> World:
         """Worlds that were made of this fleet: they are taken as they are from now on."""
@@ -109,7 +109,10 @@ class Gate:
         alive = [
             known for known in self._admitted if all(ref() is not None for ref in known.leaves)
         ]
-        self._admitted = [*alive, _Admitted(leaves=tuple(map(weakref.ref, leaves)), packed=packed)]
+        self._admitted = [
+            *alive,
+            _ValidatedWorlds(leaves=tuple(map(weakref.ref, leaves)), packed=packed),
+        ]
 
     def _check(self, worlds: World) -> None:
         """Refuse what would not be seen (host side)."""

@@ -26,7 +26,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.variation import Variation, varied
 from angler_mjx.sim.physics import mjx_engine
-from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.state import World
 
 
@@ -61,7 +61,7 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Group:
+class VehicleGroup:
     """Neighbouring robots of a fleet that are the same vehicle, if not the same variant of it."""
 
     first: int
@@ -89,7 +89,7 @@ class Fleet:
     control: ControlParams
     """[n_variant] leads, but for cruise_speed_mps: see ``cruise_mps``. Where robots carry loads,
     so many variants again follow: the same ones, in order, with the load."""
-    engine: MjxEngine | None
+    engine: MjxPhysics | None
     """None where no multibody models were asked for."""
     body: BodyInertia
     """As of ``control``; empty where no multibody models were asked for."""
@@ -97,7 +97,7 @@ class Fleet:
     """[n_robot, n_variant], and so many again as of ``control``."""
     log_weight: jax.Array
     """[n_robot, n_variant], -inf where a robot cannot be that variant."""
-    groups: tuple[Group, ...] = field(metadata={"static": True})
+    groups: tuple[VehicleGroup, ...] = field(metadata={"static": True})
     """All robots, in order."""
 
     @property
@@ -221,7 +221,7 @@ def _refuse_mixed_rotors(kinds: Sequence[Variant], robots: Sequence[VehicleParam
 
 def _groups(
     members: Sequence[Member], kinds: Sequence[Variant], stacked: ControlParams
-) -> tuple[Group, ...]:
+) -> tuple[VehicleGroup, ...]:
     """Runs of robots with the same vehicles."""
     vehicles = [{variant.vehicle for variant in member.variants} for member in members]
     groups = []
@@ -231,7 +231,9 @@ def _groups(
         one, every = min(possible), stacked.cruise_speed_mps.shape[0]
         with_load = [k + more for k in possible for more in range(0, every, len(kinds))]
         letters = _sameness(stacked, sorted(with_load))
-        groups.append(Group(rows[0], len(rows), one, letters, _shared(stacked, one, letters)))
+        groups.append(
+            VehicleGroup(rows[0], len(rows), one, letters, _shared(stacked, one, letters))
+        )
     return tuple(groups)
 
 

@@ -20,7 +20,7 @@ from angler_mjx.world.currents import Current, Uniform, velocity
 from angler_mjx.world.environment import Environment, region
 from angler_mjx.world.obstacles import DRIFT, STATIC, ObstacleState, bounding_radius
 
-type Level = Literal["nothing", "observed", "predicted", "truth"]
+type InformationLevel = Literal["nothing", "observed", "predicted", "truth"]
 """How much is known, the least first."""
 
 STEP_S = 0.5
@@ -28,20 +28,20 @@ STEP_S = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Knows:
+class Information:
     """What may be known."""
 
-    obstacles: Level = "nothing"
+    obstacles: InformationLevel = "nothing"
     """Of those that move: nothing; where they are at the observation and how fast; where that will
     take them, in the current that is known; or where they will be."""
-    current: Level = "nothing"
+    current: InformationLevel = "nothing"
     """Nothing; its mean at the robots at the observation; all of it then, taken to stay; or all of
     it, for all time."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class KnownObstacles:
+class ObstacleInformation:
     """Bodies that are not cells; [n] rows. Still ones stand on every map, whatever is known."""
 
     kind: Any
@@ -84,7 +84,7 @@ def renamed(kind: type) -> str:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class KnownCurrent:
+class CurrentInformation:
     """The motion of the water as far as it is known."""
 
     components: Current
@@ -102,7 +102,7 @@ class KnownCurrent:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Observation:
+class SceneObservation:
     """What is seen of one world at a time of its flight."""
 
     time_s: Any
@@ -114,10 +114,10 @@ class Observation:
 
 def current(
     environment: Environment,
-    level: Level,
+    level: InformationLevel,
     at_m: jax.Array | None = None,
     begin_s: jax.Array | None = None,
-) -> KnownCurrent:
+) -> CurrentInformation:
     """The current of one world at a level.
 
     Args:
@@ -128,24 +128,26 @@ def current(
     """
     whole = environment.current
     if level == "nothing" or not whole:
-        return KnownCurrent(components=(), stays=True)
+        return CurrentInformation(components=(), stays=True)
     if level == "observed":
         robots = environment.start_m if at_m is None else at_m
         t = jnp.zeros((), robots.dtype) if begin_s is None else begin_s
         there = jax.vmap(lambda p: velocity(whole, p, t))(robots)
-        return KnownCurrent(components=(Uniform(velocity_mps=jnp.mean(there, axis=0)),), stays=True)
-    return KnownCurrent(components=whole, stays=level == "predicted", begin_s=begin_s)
+        return CurrentInformation(
+            components=(Uniform(velocity_mps=jnp.mean(there, axis=0)),), stays=True
+        )
+    return CurrentInformation(components=whole, stays=level == "predicted", begin_s=begin_s)
 
 
 def obstacles(
     environment: Environment,
-    knows: Knows,
+    knows: Information,
     horizon_s: float,
     dt_s: float,
     density: float,
     gravity: float,
-    now: Observation | None = None,
-) -> KnownObstacles:
+    now: SceneObservation | None = None,
+) -> ObstacleInformation:
     """The obstacles of one world at a level.
 
     Args:
@@ -181,7 +183,7 @@ def obstacles(
         scripted = moves & (body.motion != DRIFT)
         where = jnp.where(scripted[:, None, None], on, where)
     told_of = ~moves | (level != "nothing")
-    return KnownObstacles(
+    return ObstacleInformation(
         kind=body.kind,
         half_size_m=jnp.where(told_of[:, None], body.size_m, 0.0),
         radius_m=jnp.where(told_of, jax.vmap(bounding_radius)(body.kind, body.size_m), 0.0),

@@ -25,7 +25,7 @@ step also ``known`` (`Belief`, or the vehicle where robots are told the truth), 
 """
 
 
-class Here(Protocol):
+class BatchContext(Protocol):
     """Where an engine runs a phase of robots or obstacles.
 
     Fields of one body lead with whatever the engine works on: robots of a world, or lanes.
@@ -126,7 +126,7 @@ class Phase:
     name: str
     of: Literal["world", "robot", "obstacle"]
     run: Callable[[Any, Slots], Done]
-    """Of `Here` (`Aboard` for worlds) and what it reads; pure."""
+    """Of `BatchContext` (`WorldContext` for worlds) and what it reads; pure."""
     reads: tuple[str, ...]
     gives: tuple[str, ...]
     meets: bool = False

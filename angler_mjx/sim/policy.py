@@ -16,15 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.counting import once_in
+from angler_mjx.counting import every_n_steps
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import command_checks, stack
 from angler_mjx.robot.control.mixed import Mixed
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams, Stages
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows, Level
+from angler_mjx.sim.knowledge import (
+    CurrentInformation,
+    Information,
+    InformationLevel,
+    ObstacleInformation,
+)
 from angler_mjx.sim.record import Belief
-from angler_mjx.world.acoustics.channel import Others, unheard
+from angler_mjx.world.acoustics.channel import HeardRobots, unheard
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.routes import Routes
 
@@ -37,7 +42,7 @@ MOST_S = 86400
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Known:
+class PolicyInput:
     """What the robots of one world know; [R] leads.
 
     Of their own motion nothing is the truth where a scenario tells the robots something else;
@@ -59,11 +64,11 @@ class Known:
     """Rock."""
     floor_z_m: jax.Array | None = None
     """[] height of the sea floor."""
-    obstacles: KnownObstacles | None = None
+    obstacles: ObstacleInformation | None = None
     """Bodies that are not cells, as far as they may be known now; their times run from now on."""
-    current: KnownCurrent | None = None
+    current: CurrentInformation | None = None
     """The water's motion, as far as it may be known now; its times run from now on."""
-    others: Others | None = None
+    others: HeardRobots | None = None
     """What robots have heard of each other; None where everybody knows everything."""
     routes: Routes | None = None
     """Ways to places of the world, for a policy that asks by `Policy.routes_margin_m`."""
@@ -85,12 +90,12 @@ class Policy(ABC):
     """
 
     period: int = 1
-    knows: Knows | None = None
+    knows: Information | None = None
     looks: int = 1
     ahead_s: float = 0.0
     routes_margin_m: float | None = None
 
-    def reset(self, known: Known, key: jax.Array) -> Any:
+    def reset(self, known: PolicyInput, key: jax.Array) -> Any:
         """Memory at t = 0: a pytree of arrays.
 
         Args:
@@ -126,7 +131,9 @@ class Policy(ABC):
         return None
 
     @abstractmethod
-    def act(self, carry: Any, known: Known, key: jax.Array, step: jax.Array) -> tuple[Any, Any]:
+    def act(
+        self, carry: Any, known: PolicyInput, key: jax.Array, step: jax.Array
+    ) -> tuple[Any, Any]:
         """Command the robots.
 
         Args:
@@ -151,7 +158,7 @@ class PolicyMemory:
     """That holds until the next call; None for a policy that is called in every step."""
 
 
-def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: Known) -> Any:
+def begin(policy: Policy, stages: Stages, policy_key: jax.Array | None, known: PolicyInput) -> Any:
     """Memory of a policy at t = 0.
 
     Args:
@@ -194,9 +201,9 @@ def check_knows(policy: Policy) -> None:
     name, knows, ahead = type(policy).__name__, policy.knows, policy.ahead_s
     if knows is None:
         return
-    if not isinstance(knows, Knows):
+    if not isinstance(knows, Information):
         raise ConfigError(f"policy {name}: knows = {knows!r}; give a Knows, or None")
-    levels = get_args(Level.__value__)
+    levels = get_args(InformationLevel.__value__)
     for what in ("obstacles", "current"):
         if getattr(knows, what) not in levels:
             raise ConfigError(
@@ -220,7 +227,7 @@ def _key(policy: Policy, policy_key: jax.Array | None) -> jax.Array:
     return key
 
 
-def _check(name: str, stages: Stages, command: Any, known: Known) -> None:
+def _check(name: str, stages: Stages, command: Any, known: PolicyInput) -> None:
     lead, thrusters = (1, known.goal_m.shape[0]), known.params.vehicle.B.shape[-1]
     command = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), command)
     try:
@@ -270,7 +277,7 @@ def step(
     policy: Policy,
     policy_key: jax.Array | None,
     memory: PolicyMemory,
-    known: Callable[[], Known],
+    known: Callable[[], PolicyInput],
     number: jax.Array,
     every: int = 1,
 ) -> tuple[PolicyMemory, Any]:
@@ -297,5 +304,5 @@ def step(
         carry, command = act()
         return PolicyMemory(carry=carry, command=None), command
     before = memory.carry, memory.command
-    carry, command = once_in(policy.period, number, act, lambda: before, every)
+    carry, command = every_n_steps(policy.period, number, act, lambda: before, every)
     return PolicyMemory(carry=carry, command=command), command

@@ -40,7 +40,7 @@ type Also = Literal["wrench", "clearance", "acoustics"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class About:
+class FieldMetadata:
     """What is said of a recorded field where it is declared."""
 
     phase: Phase
@@ -66,9 +66,11 @@ class About:
 
 
 def _given(phase: Phase, array: str, axes: str, unit: str, text: str, **more: Any) -> Any:
-    """Metadata of a field: what `About` says, the axes with blanks between."""
+    """Metadata of a field: what `FieldMetadata` says, the axes with blanks between."""
     names = tuple(axes.split())
-    return {"about": About(phase=phase, array=array, axes=names, unit=unit, text=text, **more)}
+    return {
+        "about": FieldMetadata(phase=phase, array=array, axes=names, unit=unit, text=text, **more)
+    }
 
 
 @jax.tree_util.register_dataclass
@@ -175,7 +177,7 @@ class Talk:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Progress:
+class ProgressRecord:
     """How far the task of a world is, and who does what."""
 
     share: jax.Array = field(
@@ -387,17 +389,17 @@ class Sample:
     """Distances to what is near, where they are asked for."""
     talk: Talk | None = field(default=None, metadata={"parts": Talk})
     """What was heard, where it is asked for."""
-    task: Progress | None = field(default=None, metadata={"parts": Progress})
+    task: ProgressRecord | None = field(default=None, metadata={"parts": ProgressRecord})
     """How far the task is; None where each robot has a goal of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class RecordedField:
     """A recorded field, as it is declared in `Sample`."""
 
     path: tuple[str, ...]
     """Names of attributes, from the sample down."""
-    about: About
+    about: FieldMetadata
 
     @property
     def optional(self) -> bool:
@@ -427,25 +429,25 @@ class Field:
         return tuple({**SIZES, **sizes}[axis] for axis in axes)
 
 
-def _declared(kind: type, above: tuple[str, ...] = ()) -> tuple[Field, ...]:
-    found: list[Field] = []
+def _declared(kind: type, above: tuple[str, ...] = ()) -> tuple[RecordedField, ...]:
+    found: list[RecordedField] = []
     for one in dataclasses.fields(kind):
         path = (*above, one.name)
         if "about" in one.metadata:
-            found.append(Field(path=path, about=one.metadata["about"]))
+            found.append(RecordedField(path=path, about=one.metadata["about"]))
         elif "parts" in one.metadata:
             found += _declared(one.metadata["parts"], path)
     return tuple(found)
 
 
-FIELDS: tuple[Field, ...] = _declared(Sample)
+FIELDS: tuple[RecordedField, ...] = _declared(Sample)
 """All of them, in the order of their declarations."""
 
-STATES: tuple[Field, ...] = tuple(one for one in FIELDS if one.about.state)
+STATES: tuple[RecordedField, ...] = tuple(one for one in FIELDS if one.about.state)
 """Those of the state."""
 
 
-def of_phase(phase: str, also: Sequence[str] = ()) -> tuple[Field, ...]:
+def of_phase(phase: str, also: Sequence[str] = ()) -> tuple[RecordedField, ...]:
     """Those of the sample itself that a phase gives by their names, ``also`` being asked for."""
     return tuple(
         one

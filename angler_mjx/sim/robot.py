@@ -12,7 +12,7 @@ from angler_kernels import rigid_body, thruster
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import Estimate, ThrusterPwm
 from angler_mjx.robot.control.mixed import Mixed
-from angler_mjx.robot.control.stack import ControlParams, Memory
+from angler_mjx.robot.control.stack import ControlMemory, ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import PWM_LOW_US, PWM_STEP_US
 from angler_mjx.sim.detection import Contact
@@ -24,7 +24,7 @@ SPEED_OF_NONSENSE_MPS = 50.0
 """A robot faster than this has diverged: ten times what any of them can reach."""
 
 
-def begin(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> Memory:
+def begin(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> ControlMemory:
     """The controllers' memory of a robot at its start, with its heading [] rad."""
     return stack.reset(spec.stages, Estimate(p=state.p, q=state.q, nu=state.nu), yaw_rad)
 
@@ -32,11 +32,11 @@ def begin(spec: SimSpec, state: VehicleState, yaw_rad: jax.Array) -> Memory:
 def decide(
     spec: SimSpec,
     params: ControlParams,
-    carry: Memory,
+    carry: ControlMemory,
     state: VehicleState | Belief,
     command: Any,
     flow: jax.Array | None,
-) -> tuple[Memory, jax.Array, ThrusterPwm]:
+) -> tuple[ControlMemory, jax.Array, ThrusterPwm]:
     """The controllers' part.
 
     Args:
@@ -115,7 +115,7 @@ def hold_if_ended(
 
 
 def approaches(
-    spec: SimSpec, memory: Memory, command: Any, last_approach_s: jax.Array
+    spec: SimSpec, memory: ControlMemory, command: Any, last_approach_s: jax.Array
 ) -> jax.Array:
     """Return whether a robot is on the last approach of its plan to its goal, bool [].
 

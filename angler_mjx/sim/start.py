@@ -12,7 +12,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
 from angler_mjx.sim.aboard import hearing, phases, senses
-from angler_mjx.sim.aboard.here import Aboard, Sent
+from angler_mjx.sim.aboard.here import Sent, WorldContext
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody
@@ -97,7 +97,7 @@ def _begun(spec: SimSpec, world: World) -> TaskState | None:
 
 def _commanded(spec: SimSpec, world: World, state: WorldState, policy: Policy) -> WorldState:
     """A state with the memory of a policy, which knows what the first step tells the robots."""
-    here = Aboard(
+    here = WorldContext(
         spec=spec,
         policy=policy,
         world=world,

@@ -10,12 +10,12 @@ from angler_mjx.robot.control import plans, stages
 from angler_mjx.robot.control.measurements import NavigationCarry
 from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.stack import ControlParams, Memory, Stages
+from angler_mjx.robot.control.stack import ControlMemory, ControlParams, Stages
 from angler_mjx.robot.sensing.readings import SensorCarry
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.sim.policy import PolicyMemory
-from angler_mjx.world.acoustics.channel import Channel, Radio
+from angler_mjx.world.acoustics.channel import Channel, ModemState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import ObstacleState
 from angler_mjx.world.routes import Routes
@@ -196,7 +196,7 @@ class WorldState:
     """What changes from step to step in one world."""
 
     vehicles: VehicleState
-    carry: Memory
+    carry: ControlMemory
     """Memory of the controllers."""
     obstacles: ObstacleState
     tally: Tally
@@ -206,7 +206,7 @@ class WorldState:
     """Of each group of `InstrumentedRobots`; None for noise on the truth, which has no memory."""
     policy: PolicyMemory | None = None
     """Of the policy, where there is one."""
-    radio: Radio | None = None
+    radio: ModemState | None = None
     """Of the channel that the robots share, if they share one."""
     task: TaskState | None = None
     """Of the task, where there is one."""

@@ -10,8 +10,8 @@
 
 `PHASES` is that table, and engines run what stands in it: `angler_mjx.sim.engines.mjx` by ``vmap``,
 the fused engines on lanes and in kernels, one for each phase of robots. A phase is a pure function
-of what it reads; `Here` is how an engine applies a function of one body to all that it works on,
-and holds what does not change. What a phase gives to the record is declared in
+of what it reads; `BatchContext` is how an engine applies a function of one body to all that it
+works on, and holds what does not change. What a phase gives to the record is declared in
 `angler_mjx.sim.record`.
 """
 
@@ -25,14 +25,14 @@ from angler_mjx.robot.control import stack
 from angler_mjx.sim import robot
 from angler_mjx.sim.aboard import phases as world_phases
 from angler_mjx.sim.detection import Contact
-from angler_mjx.sim.phase import Done, Here, Phase, Slots
+from angler_mjx.sim.phase import BatchContext, Done, Phase, Slots
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Tally
 from angler_mjx.world.obstacles import ObstacleState
 
 
-def decide(here: Here, now: Slots) -> Done:
+def decide(here: BatchContext, now: Slots) -> Done:
     """The controllers give signals, and the thrusters settle at what these ask for."""
     spec, known = here.spec, now["known"]
     if isinstance(known, Belief):
@@ -54,7 +54,7 @@ def record_decided(pwm_us: Any, target_m: Any) -> dict[str, Any]:
     return {"pwm_us": pwm_us, "target_m": target_m}
 
 
-def move(here: Here, now: Slots) -> Done:
+def move(here: BatchContext, now: Slots) -> Done:
     """The physics steps of a control period; who failed or diverged stays where it was."""
     before, outcome = now["vehicle"], now["tally"].outcome
     params, current = here.params, here.current  # asked for once, not in every physics step
@@ -88,7 +88,7 @@ def record_motion(vehicle: VehicleState, outcome: Any, flow: Any) -> dict[str, A
     }
 
 
-def advance_obstacles(here: Here, now: Slots) -> Done:
+def advance_obstacles(here: BatchContext, now: Slots) -> Done:
     """Drifting and scripted bodies go on by a control period."""
     before = now["obstacles"]
     return Done(
@@ -102,7 +102,7 @@ def record_obstacles(obstacles: ObstacleState) -> dict[str, Any]:
     return {"obstacle_p": obstacles.p, "obstacle_q": obstacles.q}
 
 
-def approaching(here: Here, now: Slots) -> Any:
+def approaching(here: BatchContext, now: Slots) -> Any:
     """Return whether robots are on the last approach of their plans, bool [].
 
     None where no plan is flown, or a task says who has finished: there the approach does not count.
@@ -114,7 +114,7 @@ def approaching(here: Here, now: Slots) -> Any:
     )
 
 
-def judge(here: Here, now: Slots) -> Done:
+def judge(here: BatchContext, now: Slots) -> Done:
     """What the step came to for each robot."""
 
     def account(

@@ -13,7 +13,7 @@ from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.editing import with_value, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.studies.settings import Axis
+from angler_mjx.studies.settings import SettingAxis
 
 MOST = 10_000
 """Cells of a sweep."""
@@ -22,7 +22,7 @@ _NAME = 80
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class StudyCell:
     """One combination of settings."""
 
     number: int
@@ -40,7 +40,9 @@ class Cell:
         return f"{RUNS}/{self.number:03d}_{text}"
 
 
-def cells(table: Mapping[str, Any], axes: Sequence[Axis], source: str) -> tuple[Cell, ...]:
+def cells(
+    table: Mapping[str, Any], axes: Sequence[SettingAxis], source: str
+) -> tuple[StudyCell, ...]:
     """All cells; the last axis changes fastest.
 
     A cell whose world has another preset gets that one's horizon, unless one is set.
@@ -58,7 +60,7 @@ def cells(table: Mapping[str, Any], axes: Sequence[Axis], source: str) -> tuple[
         count *= len(axis.values)
     if count > MOST:
         raise ConfigError(f"--set: makes {count:,} cells; {MOST:,} are the most: vary less")
-    made: list[Cell] = []
+    made: list[StudyCell] = []
     faults: dict[str, list[Mapping[str, str]]] = {}
     for number, chosen in enumerate(itertools.product(*(range(len(x.values)) for x in axes))):
         names = {axis.key: axis.names[i] for axis, i in zip(axes, chosen, strict=True)}
@@ -71,7 +73,7 @@ def cells(table: Mapping[str, Any], axes: Sequence[Axis], source: str) -> tuple[
         except ConfigError as error:
             faults.setdefault(str(error), []).append(names)
         else:
-            made.append(Cell(number=number, names=names, values=values, scenario=scenario))
+            made.append(StudyCell(number=number, names=names, values=values, scenario=scenario))
     if faults:
         several = [axis.key for axis in axes if len(axis.values) > 1]
         raise ConfigError(listed(source, [_told(x, at, several) for x, at in faults.items()]))

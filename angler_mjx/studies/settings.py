@@ -29,7 +29,7 @@ _CLOSED_BY = {"[": "]", "{": "}"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class SettingAxis:
     """One key, and the values that it takes."""
 
     key: str
@@ -40,7 +40,7 @@ class Axis:
     """The values as they were written."""
 
 
-def axes(given: Iterable[str]) -> tuple[Axis, ...]:
+def axes(given: Iterable[str]) -> tuple[SettingAxis, ...]:
     """Axes of a sweep.
 
     Args:
@@ -70,7 +70,7 @@ def axes(given: Iterable[str]) -> tuple[Axis, ...]:
     return tuple(made)
 
 
-def axis(text: str) -> Axis:
+def axis(text: str) -> SettingAxis:
     """One axis from its text.
 
     Raises:
@@ -90,7 +90,7 @@ def axis(text: str) -> Axis:
     for i, name in enumerate(names):
         if values[i] in values[:i] and type(values[i]) in map(type, values[:i]):
             raise ConfigError(f"--set {key}={name}: is there twice; give each value once")
-    return Axis(key=key, values=values, names=names)
+    return SettingAxis(key=key, values=values, names=names)
 
 
 def _parts(rest: str, text: str) -> Iterator[str]:

@@ -20,30 +20,30 @@ from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
-from angler_mjx.runs.several import Told
+from angler_mjx.runs.several import RunsProgress
 from angler_mjx.runs.storage import claims, folder
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies import cells, chart, measures, paired, tables
-from angler_mjx.studies.cells import Cell
-from angler_mjx.studies.settings import Axis
+from angler_mjx.studies.cells import StudyCell
+from angler_mjx.studies.settings import SettingAxis
 
 SWEEP, TABLE, PAGE, FIGURE = "sweep.json", "sweep.parquet", "sweep.md", "sweep.png"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class SweepRequest:
     """What a person asked for."""
 
     name: str
     """Of the scenario."""
     table: Mapping[str, Any]
     """Of the scenario."""
-    axes: tuple[Axis, ...]
-    cells: tuple[Cell, ...]
+    axes: tuple[SettingAxis, ...]
+    cells: tuple[StudyCell, ...]
 
     def resolved(self) -> dict[str, Any]:
         """All of it in plain values."""
@@ -53,7 +53,7 @@ class Asked:
         }
 
 
-def ask(scenario: Scenario, axes: Sequence[Axis], source: str) -> Asked:
+def build_request(scenario: Scenario, axes: Sequence[SettingAxis], source: str) -> SweepRequest:
     """What is to be flown; every cell is checked.
 
     Args:
@@ -65,7 +65,7 @@ def ask(scenario: Scenario, axes: Sequence[Axis], source: str) -> Asked:
         ConfigError: naming what is wrong with any cell.
     """
     table = table_of(scenario)
-    return Asked(
+    return SweepRequest(
         name=scenario.name,
         table=table,
         axes=tuple(axes),
@@ -74,10 +74,10 @@ def ask(scenario: Scenario, axes: Sequence[Axis], source: str) -> Asked:
 
 
 def make(
-    asked: Asked,
+    asked: SweepRequest,
     out: Path,
     *,
-    told: Told,
+    told: RunsProgress,
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
@@ -137,7 +137,7 @@ def read(out: Path) -> dict[str, Any]:
     return read_table(out / SWEEP)
 
 
-def _again(asked: Asked, out: Path) -> Claim:
+def _again(asked: SweepRequest, out: Path) -> OutputLock:
     whole = (out / SWEEP).is_file() and bool(read(out).get("complete"))
     return several.again(out, "sweep", asked.resolved(), whole=whole)
 
@@ -145,7 +145,7 @@ def _again(asked: Asked, out: Path) -> Claim:
 def _fly(
     flights: Sequence[tuple[str, Scenario]],
     building: Path,
-    told: Told,
+    told: RunsProgress,
     together: Processes,
     how: Mapping[str, Any],
 ) -> bool:
@@ -162,7 +162,7 @@ def _any_whole(flights: Sequence[tuple[str, Scenario]], building: Path) -> bool:
     return any(several.stands(building / path) == "whole" for path, _ in flights)
 
 
-def _close(asked: Asked, claimed: Claim, *, complete: bool) -> None:
+def _close(asked: SweepRequest, claimed: OutputLock, *, complete: bool) -> None:
     """Table, page and figure; then the folder gets its name."""
     place = claimed.building
     try:
@@ -181,7 +181,7 @@ def _close(asked: Asked, claimed: Claim, *, complete: bool) -> None:
     claimed.publish()
 
 
-def _gather(asked: Asked, place: Path, *, complete: bool) -> dict[str, Any]:
+def _gather(asked: SweepRequest, place: Path, *, complete: bool) -> dict[str, Any]:
     """Everything that is known of the cells that are whole."""
     rows, episodes = [], {}
     for cell in asked.cells:
@@ -213,7 +213,7 @@ def _gather(asked: Asked, place: Path, *, complete: bool) -> dict[str, Any]:
 
 
 def _pairs(
-    axes: Sequence[Axis], rows: Sequence[Mapping[str, Any]], episodes: Mapping[int, pa.Table]
+    axes: Sequence[SettingAxis], rows: Sequence[Mapping[str, Any]], episodes: Mapping[int, pa.Table]
 ) -> list[dict[str, Any]]:
     """Every value of an axis against its first, all other settings being the same."""
     held = {tuple(row["set"].values()): row for row in rows}

@@ -14,7 +14,7 @@ from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.teleop import live_view, opening, script
 from angler_mjx.teleop.loop import Driven, Watcher, drive
-from angler_mjx.teleop.pilot import SILENCE_S, Pilot
+from angler_mjx.teleop.pilot import SILENCE_S, TeleopPilot
 from angler_mjx.teleop.recording import Recording
 from angler_mjx.teleop.script import Script
 from angler_mjx.teleop.signals import Stop, breakable, stoppable
@@ -22,7 +22,7 @@ from angler_mjx.teleop.terminal import Keyboard, Screen, has_screen
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class TeleopSettings:
     """What a person chooses on the command line."""
 
     robots: str | None = None
@@ -59,7 +59,7 @@ class Settings:
 
 def run(
     scenario: Scenario,
-    settings: Settings,
+    settings: TeleopSettings,
     tell: opening.Tell | None = None,
     opener: opening.Opener = opening.simulated,
 ) -> tuple[Driven, Run | None]:
@@ -98,7 +98,7 @@ def run(
         compile_s = time.perf_counter() - begun
         stack.callback(session.close)
         interrupt.check()
-        pilot = Pilot(
+        pilot = TeleopPilot(
             session.robots,
             driven,
             speed_mps=settings.speed_mps,
@@ -126,11 +126,11 @@ def run(
 
 def _drive(
     session: opening.Drivable,
-    pilot: Pilot,
+    pilot: TeleopPilot,
     keys: Keyboard | Script,
     title: str,
     stop: Stop,
-    settings: Settings,
+    settings: TeleopSettings,
     watchers: Sequence[Watcher],
 ) -> Driven:
     """Drive with the terminal taken, if there is one, and give it back."""

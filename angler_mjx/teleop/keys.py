@@ -58,7 +58,7 @@ FACTORS: dict[str, tuple[float, float]] = {
 """Keys that multiply the set speeds: linear, angular."""
 
 
-class Action(Enum):
+class KeyAction(Enum):
     """What else a key can ask for."""
 
     NEXT = "next robot"
@@ -69,14 +69,14 @@ class Action(Enum):
     QUIT = "end"
 
 
-ACTIONS: dict[str, Action] = {
-    "\t": Action.NEXT,
-    "a": Action.ALL,
-    "p": Action.PLAN,
-    "h": Action.HOLD,
-    "?": Action.HELP,
-    "Q": Action.QUIT,
-    "\x03": Action.QUIT,
+ACTIONS: dict[str, KeyAction] = {
+    "\t": KeyAction.NEXT,
+    "a": KeyAction.ALL,
+    "p": KeyAction.PLAN,
+    "h": KeyAction.HOLD,
+    "?": KeyAction.HELP,
+    "Q": KeyAction.QUIT,
+    "\x03": KeyAction.QUIT,
 }
 
 NAMES: dict[str, str] = {

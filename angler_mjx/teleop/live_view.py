@@ -14,14 +14,14 @@ import numpy as np
 
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.report.viewing import style, window
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session.batch import Inside
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus, Session
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.teleop import chase
-from angler_mjx.teleop.pilot import Pilot
+from angler_mjx.teleop.pilot import TeleopPilot
 from angler_mjx.teleop.status import drives
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class LiveView:
     """
 
     def __init__(
-        self, recording: "rr.RecordingStream", session: Viewable, pilot: Pilot, root: str
+        self, recording: "rr.RecordingStream", session: Viewable, pilot: TeleopPilot, root: str
     ) -> None:
         """Log what does not move.
 
@@ -199,14 +199,14 @@ class LiveView:
             self._recording.log(f"{self._space}/{robot.name}/trail", piece)
             del trail[:-1]
 
-    def _scene(self, time_s: float, observation: Observation | None) -> Scene:
+    def _scene(self, time_s: float, observation: Observation | None) -> ReplayScene:
         """The world at one time, as pictures take it."""
         given = self._world.environment.obstacles
         p, q = np.array(given.p0), np.array(given.q0)
         if observation is not None and observation.obstacles is not None:
             there = np.asarray(given.exists)
             p[there], q[there] = observation.obstacles.position_m, observation.obstacles.attitude
-        return Scene(
+        return ReplayScene(
             world=0,
             time_s=np.array([time_s]),
             environment=self._world.environment,
@@ -216,7 +216,7 @@ class LiveView:
         )
 
 
-def open_viewer(session: Viewable, pilot: Pilot, title: str, world: int) -> LiveView:
+def open_viewer(session: Viewable, pilot: TeleopPilot, title: str, world: int) -> LiveView:
     """Open the viewer on a session that is about to be driven.
 
     Args:

@@ -9,7 +9,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.session.interface import Observation, Session
 from angler_mjx.teleop import status
 from angler_mjx.teleop.pace import Overruns, Pace
-from angler_mjx.teleop.pilot import Pilot
+from angler_mjx.teleop.pilot import TeleopPilot
 from angler_mjx.teleop.script import TimedKey
 from angler_mjx.teleop.signals import Stop
 
@@ -65,7 +65,7 @@ class Driven:
 
 def drive(
     session: Session,
-    pilot: Pilot,
+    pilot: TeleopPilot,
     keys: Keys,
     *,
     title: str,
@@ -127,7 +127,7 @@ def drive(
     )
 
 
-def _step(session: Session, pilot: Pilot, observation: Observation) -> Observation:
+def _step(session: Session, pilot: TeleopPilot, observation: Observation) -> Observation:
     """One step; a robot that has no plan to go back to stops instead."""
     orders = pilot.orders(observation)
     for robot in orders.resume:

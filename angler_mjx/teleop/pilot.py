@@ -17,7 +17,7 @@ import numpy as np
 from angler_mjx.robot.control.commands import BodyTwist, Estimate, PoseTarget
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.session.interface import Observation, RobotInfo
-from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Action, Direction
+from angler_mjx.teleop.keys import ACTIONS, FACTORS, MOVES, STILL, Direction, KeyAction
 
 SILENCE_S = 0.8
 """Without a key for so long a robot stops. A key that is held repeats only after a while: 0.66 s on
@@ -47,7 +47,7 @@ class Mode(Enum):
 
 
 @dataclass
-class _Helm:
+class _RobotControl:
     """One robot's."""
 
     mode: Mode = Mode.PLAN
@@ -61,7 +61,7 @@ class _Helm:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Orders:
+class TeleopCommands:
     """What a session is to be told before its next step."""
 
     commands: dict[int, Command] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Orders:
     """Robots that go back to their plans."""
 
 
-class Pilot:
+class TeleopPilot:
     """Drives some robots of a scene by keys.
 
     Attributes:
@@ -99,7 +99,7 @@ class Pilot:
         self.help_wanted = False
         self.ended = False
         self._robots = robots
-        self._helms = {i: _Helm() for i in self.driven}
+        self._helms = {i: _RobotControl() for i in self.driven}
 
     def mode(self, robot: int) -> Mode:
         """What drives a robot; the plan, for one that is not driven from here."""
@@ -147,7 +147,7 @@ class Pilot:
         self.stop(robot, time_s)
         self._helms[robot].remark = reason
 
-    def orders(self, observation: Observation) -> Orders:
+    def orders(self, observation: Observation) -> TeleopCommands:
         """What follows from the keys so far, for the step that begins now."""
         time_s, estimate = observation.time_s, observation.estimate
         commands: dict[int, Command] = {}
@@ -171,26 +171,26 @@ class Pilot:
                 else:
                     commands[robot] = _still()
             helm.told = True
-        return Orders(commands=commands, resume=tuple(resume))
+        return TeleopCommands(commands=commands, resume=tuple(resume))
 
-    def _chosen(self) -> list[_Helm]:
+    def _chosen(self) -> list[_RobotControl]:
         return [self._helms[i] for i in self.chosen]
 
-    def _act(self, action: Action) -> None:
+    def _act(self, action: KeyAction) -> None:
         match action:
-            case Action.NEXT:
+            case KeyAction.NEXT:
                 at = self.driven.index(self.chosen[-1]) + 1
                 self.chosen = (self.driven[at % len(self.driven)],)
-            case Action.ALL:
+            case KeyAction.ALL:
                 self.chosen = self.driven
-            case Action.PLAN | Action.HOLD:
-                mode = Mode.PLAN if action is Action.PLAN else Mode.HOLD
+            case KeyAction.PLAN | KeyAction.HOLD:
+                mode = Mode.PLAN if action is KeyAction.PLAN else Mode.HOLD
                 for helm in self._chosen():
                     if helm.mode is not mode:
                         helm.mode, helm.told = mode, False
-            case Action.HELP:
+            case KeyAction.HELP:
                 self.help_wanted = not self.help_wanted
-            case Action.QUIT:
+            case KeyAction.QUIT:
                 self.ended = True
 
     def _velocity(self, direction: Direction) -> np.ndarray:
@@ -258,7 +258,7 @@ def heading(q: np.ndarray) -> float:
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def _over(helm: _Helm, nu: np.ndarray, time_s: float) -> bool:
+def _over(helm: _RobotControl, nu: np.ndarray, time_s: float) -> bool:
     """Whether a robot that brakes has come to rest, or has tried for long enough."""
     slow = np.linalg.norm(nu[:3]) < REST_MPS and np.linalg.norm(nu[3:]) < REST_RADPS
     return bool(slow) or time_s - helm.since_s > BRAKE_S

@@ -7,7 +7,7 @@ the same scene the same way again.
 from typing import Any
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs.session.recording import Course, SessionRecording
+from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.teleop import script
 from angler_mjx.teleop.loop import Driven
@@ -41,7 +41,7 @@ class Recording(SessionRecording):
                 f"{self.building / KEYS}: cannot be written ({error.strerror or error})"
             ) from error
         return self.close(
-            Course(
+            RecordedCourse(
                 steps=driven.steps,
                 wall_s=driven.wall_s,
                 compile_s=compile_s,

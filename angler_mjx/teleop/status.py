@@ -11,7 +11,7 @@ from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.runs.session.interface import Observation, RobotInfo, RobotStatus
 from angler_mjx.teleop.keys import HELP
 from angler_mjx.teleop.pace import Overruns
-from angler_mjx.teleop.pilot import Mode, Pilot, heading
+from angler_mjx.teleop.pilot import Mode, TeleopPilot, heading
 
 WIDTH = 79
 """Of a terminal of 80 columns, all that can be used."""
@@ -23,7 +23,7 @@ def lines(
     title: str,
     robots: Sequence[RobotInfo],
     observation: Observation,
-    pilot: Pilot,
+    pilot: TeleopPilot,
     overruns: Overruns | None,
 ) -> list[str]:
     """The screen, from the top; no line is longer than `WIDTH`.
@@ -52,7 +52,7 @@ def lines(
     return [line[:WIDTH] for line in told]
 
 
-def drives(robot: int, pilot: Pilot, status: RobotStatus) -> str:
+def drives(robot: int, pilot: TeleopPilot, status: RobotStatus) -> str:
     """What drives a robot, in a word or two."""
     if status.refused:
         return "hold"
@@ -67,7 +67,7 @@ def compass_deg(q: np.ndarray) -> float:
     return math.degrees(heading(frames.quaternion_enu_to_ned(np.asarray(q, float)))) % 360.0
 
 
-def _robot(i: int, robot: RobotInfo, observation: Observation, pilot: Pilot) -> str:
+def _robot(i: int, robot: RobotInfo, observation: Observation, pilot: TeleopPilot) -> str:
     p, q, nu = (
         np.asarray(part)[i]
         for part in (observation.estimate.p, observation.estimate.q, observation.estimate.nu)

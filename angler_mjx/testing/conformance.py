@@ -12,7 +12,15 @@ from angler_mjx.runs.session.interface import Session
 from angler_mjx.testing import refusals, session_checks
 from angler_mjx.testing.driving import Bounds, NonConformanceError, Skipped
 
-__all__ = ["CHECKS", "Bounds", "Check", "NonConformanceError", "Result", "Skipped", "check_session"]
+__all__ = [
+    "CHECKS",
+    "Bounds",
+    "Check",
+    "NonConformanceError",
+    "Result",
+    "Skipped",
+    "check_session",
+]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ _RULES = {
 }
 
 
-class Table(FileModel):
+class CalibrationTable(FileModel):
     """Mean density after the rule and the filling of closed caverns, for cubes."""
 
     rule: AutomatonRule
@@ -45,7 +45,7 @@ class Table(FileModel):
 
 class _Tables(FileModel):
     made_by: str
-    tables: tuple[Table, ...]
+    tables: tuple[CalibrationTable, ...]
 
 
 def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float:
@@ -69,7 +69,7 @@ def fill_for_density(rule: AutomatonRule, shape: Shape, density: float) -> float
     return float(np.interp(density, densities, table.fill))
 
 
-def _densities(table: Table, shape: Shape) -> np.ndarray:
+def _densities(table: CalibrationTable, shape: Shape) -> np.ndarray:
     """Densities at the fills of the table, for a shape."""
     face_share = float(np.mean(1.0 / np.array(shape)))
     known = 1.0 / np.array(table.edge_cells)
@@ -83,13 +83,15 @@ def _densities(table: Table, shape: Shape) -> np.ndarray:
 
 
 @cache
-def _tables() -> dict[AutomatonRule, Table]:
+def _tables() -> dict[AutomatonRule, CalibrationTable]:
     path = resources.files("angler_mjx.world") / "data" / _FILE
     data = json.loads(path.read_text(encoding="utf-8"))
     return {table.rule: table for table in parse(_Tables, data, source=_FILE).tables}
 
 
-def measure(rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _EDGES) -> Table:
+def measure(
+    rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _EDGES
+) -> CalibrationTable:
     """Mean densities of a rule; the same random numbers serve all fills, so the curve is smooth."""
     rows = []
     for edge in edges:
@@ -100,7 +102,9 @@ def measure(rule: AutomatonRule, fills: np.ndarray, edges: tuple[int, ...] = _ED
         measured = [np.mean([of_batch(fill, key) for key in keys]) for fill in fills]
         # Two fills may give the same density within the error; the inverse needs a rising curve.
         rows.append(tuple(np.round(np.maximum.accumulate(np.array(measured, float)), 6).tolist()))
-    return Table(rule=rule, edge_cells=edges, fill=tuple(fills.tolist()), density=tuple(rows))
+    return CalibrationTable(
+        rule=rule, edge_cells=edges, fill=tuple(fills.tolist()), density=tuple(rows)
+    )
 
 
 def _mean_density(

@@ -20,7 +20,7 @@ from angler_mjx.world import groups, ways_kernel
 type Move = tuple[int, ...]
 type _Settling = tuple[jax.Array, jax.Array, jax.Array]
 """Groups that had their turn, lengths [n_pair], and whether each is settled."""
-type _Ways = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+type _PathLengths = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 """Rounds, ways [nx, ny, nz, n] to a group's goals, their lengths [n], and which are settled."""
 MOVES: tuple[Move, ...] = tuple(m for m in itertools.product((-1, 0, 1), repeat=3) if any(m))
 _STRIDE = (9, 3, 1)
@@ -38,7 +38,7 @@ _GROUP_SHARE = 8
 """A group of pairs is this part of all of them."""
 
 
-def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
+def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
     """Length of the shortest way between pairs of cells, in cell edges; inf where none is.
 
     Bellman's equation, relaxed layer by layer (fast sweeping): a sweep along an axis carries every
@@ -76,11 +76,11 @@ def shortest_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arra
         at_goal = (index == to_cell[read]) & free[..., world]
         to_the_end = groups.had_one(turn, n_pair, size)
 
-        def unsettled(state: _Ways) -> jax.Array:
+        def unsettled(state: _PathLengths) -> jax.Array:
             more: jax.Array = (state[0] == 0) | (~jnp.all(state[3]) & to_the_end)
             return more
 
-        def go_on(state: _Ways) -> _Ways:
+        def go_on(state: _PathLengths) -> _PathLengths:
             # Tied to what changes, the moves stay bits: XLA would take the test of each bit out of
             # the loop, as 26 grids to be read instead of one.
             way, moves = jax.lax.optimization_barrier((state[1], theirs))
@@ -109,7 +109,7 @@ def by_kernel(
     *,
     interpret: bool = False,
 ) -> jax.Array:
-    """Lengths int32 [n, n_world] as `shortest_ways` counts them, by a GPU program for each pair."""
+    """Return lengths int32 [n, n_world] as of `shortest_paths`, by a GPU program for each pair."""
     moves = jnp.moveaxis(_moves_into(passable, nz), -1, 0)
     at_goal = jnp.take_along_axis(
         unpack(passable, nz).reshape(-1, passable.shape[-1]),
@@ -134,7 +134,7 @@ def in_cells(length: jax.Array) -> jax.Array:
 
 
 def open_ways(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Array) -> jax.Array:
-    """As `shortest_ways`, where the passable cells are a box: nothing is searched.
+    """As `shortest_paths`, where the passable cells are a box: nothing is searched.
 
     A way that never leaves the box that its two ends span is as short as a way can be.
     """

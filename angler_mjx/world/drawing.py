@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from angler_kernels.bit_grid import everywhere, pack, population, unpack
 from angler_mjx.world import groups
 from angler_mjx.world.config import WorldRecipe
-from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_ways
+from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_paths
 from angler_mjx.world.obstacles.explicit import explicit_rows
 from angler_mjx.world.placement import cell_centres, cell_of, obstacle_gap, passable_cells, place
 from angler_mjx.world.rules import draw_cells
@@ -250,7 +250,7 @@ def difficulty(
     """
     start, goal = (jnp.moveaxis(p, 1, -1) for p in (start, goal))
     from_cell, to_cell = (jnp.moveaxis(cell_of(recipe, p), -1, 0) for p in (start, goal))
-    ways = open_ways if recipe.is_empty else shortest_ways
+    ways = open_ways if recipe.is_empty else shortest_paths
     length = ways(passable, recipe.shape[2], from_cell, to_cell)
     straight = jnp.sqrt(jnp.sum((to_cell - from_cell) ** 2, axis=0).astype(length.dtype))
     ratio = jnp.where(straight > 0, length / jnp.maximum(straight, 1.0), 1.0)

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Group:
+class WorldGroup:
     """Which of n things have their turn."""
 
     index: jax.Array
@@ -21,7 +21,7 @@ class Group:
     """int32 [size]; where an empty place reads something that there is."""
 
 
-def chosen(turn: jax.Array, left: jax.Array, size: int) -> Group:
+def chosen(turn: jax.Array, left: jax.Array, size: int) -> WorldGroup:
     """The group of a turn: neighbours until all had one, then the first that are left.
 
     Args:
@@ -32,7 +32,7 @@ def chosen(turn: jax.Array, left: jax.Array, size: int) -> Group:
     n = left.shape[0]
     (again,) = jnp.nonzero(left, size=size, fill_value=n)
     index = jnp.where(had_one(turn, n, size), again, turn * size + jnp.arange(size))
-    return Group(index=index, read=jnp.minimum(index, n - 1))
+    return WorldGroup(index=index, read=jnp.minimum(index, n - 1))
 
 
 def had_one(turn: jax.Array, n: int, size: int) -> jax.Array:

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import Program
+from angler_kernels.programs import BlockProgram
 
 type _Move = tuple[int, ...]
 
@@ -67,13 +67,13 @@ def least(
 class _Kernel:
     shape: tuple[int, ...]
     lengths: Lengths
-    program: Program
+    program: BlockProgram
 
     __name__ = "shortest_ways"
 
     @classmethod
     def of(cls, shape: tuple[int, ...], lengths: Lengths, interpret: bool) -> "_Kernel":
-        return cls(shape, lengths, Program.of(lanes_needed(shape), interpret=interpret))
+        return cls(shape, lengths, BlockProgram.of(lanes_needed(shape), interpret=interpret))
 
     @property
     def total(self) -> int:

@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from angler_experiments.shared import schemes
-from angler_experiments.shared.driving import CASES, HOLD_S, Case, draw_commands
+from angler_experiments.shared.driving import CASES, HOLD_S, DrivingCase, draw_commands
 from angler_kernels import quaternion
 from angler_kernels.current_field import lamb_oseen_circulation
 from angler_mjx.robot.vehicles import library, mjcf, params
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import mjx_engine, step
-from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.testing.validation.found import Number, save_result
 from angler_mjx.world.currents import Current, Uniform, Vortices
@@ -48,17 +48,17 @@ QUICK: dict[str, Any] = {"cases": CASES[:1], "steps_ms": (10,), "names": ("ours"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class ConvergenceSetup:
     """The vehicles [n_variant], and the water that they are in."""
 
-    engine: MjxEngine
+    engine: MjxPhysics
     body: BodyInertia
     vehicles: VehicleParams
     current: Current
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class ConvergenceRow:
     """One line of the table."""
 
     case: str
@@ -71,7 +71,7 @@ class Row:
     """By scheme; NaN where it blew up."""
 
 
-def set_up(variants: Sequence[tuple[str, str]]) -> Setup:
+def set_up(variants: Sequence[tuple[str, str]]) -> ConvergenceSetup:
     """Compile the vehicles and the current in JAX's present float type."""
     configs = [(library.load(vehicle), chosen) for vehicle, chosen in variants]
     engine, body = mjx_engine.build(
@@ -83,7 +83,7 @@ def set_up(variants: Sequence[tuple[str, str]]) -> Setup:
         circulation_m2ps=lamb_oseen_circulation(jnp.array([0.3]), core),
         core_m=core,
     )
-    return Setup(
+    return ConvergenceSetup(
         engine=engine,
         body=body,
         vehicles=params.stack([params.build(c, chosen, BATTERY_V) for c, chosen in configs]),
@@ -102,7 +102,7 @@ def first_state(n_thruster: int) -> VehicleState:
     )
 
 
-def simulator(setup: Setup, scheme: schemes.Scheme) -> Callable[[Array, int], Array]:
+def simulator(setup: ConvergenceSetup, scheme: schemes.Scheme) -> Callable[[Array, int], Array]:
     """A function (commands, step_ms) -> positions [n_variant, n_command, 3] after each command."""
 
     def one(
@@ -138,7 +138,7 @@ def simulator(setup: Setup, scheme: schemes.Scheme) -> Callable[[Array, int], Ar
     return run
 
 
-def reference(setup: Setup, commands: Array) -> Array:
+def reference(setup: ConvergenceSetup, commands: Array) -> Array:
     """States [n_variant, n_command, 13 + n_thruster] by DOP853, after each command."""
     n, n_thruster = len(commands), commands.shape[-1]
     start = first_state(n_thruster)
@@ -180,11 +180,11 @@ def reference(setup: Setup, commands: Array) -> Array:
 
 def study(
     seconds: float = 60.0,
-    cases: Sequence[Case] = CASES,
+    cases: Sequence[DrivingCase] = CASES,
     steps_ms: Sequence[int] = STEPS_MS,
     variants: Sequence[tuple[str, str]] = VARIANTS,
     names: Sequence[str] = tuple(schemes.SCHEMES),
-) -> list[Row]:
+) -> list[ConvergenceRow]:
     """Run all schemes against the reference, in float64.
 
     Args:
@@ -211,7 +211,7 @@ def study(
                 for step_ms in steps_ms
             }
             rows += [
-                Row(
+                ConvergenceRow(
                     case=case.name,
                     vehicle=vehicle,
                     parameter_set=chosen,
@@ -236,7 +236,7 @@ def _greatest_tilt_deg(q: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(up, -1, 1))).max())
 
 
-def to_markdown(rows: Sequence[Row]) -> str:
+def to_markdown(rows: Sequence[ConvergenceRow]) -> str:
     """The table as a person reads it: greatest position error in cm."""
     names = list(rows[0].error_cm)
     head = ["case", "vehicle, set", "step, ms", *names]
@@ -253,7 +253,7 @@ def _centimetres(value: float) -> str:
     return f"{value:.2g}" if value < 10 else f"{value:.0f}" if value < 1e4 else "blows up"
 
 
-def numbers(rows: Sequence[Row]) -> Mapping[str, Number]:
+def numbers(rows: Sequence[ConvergenceRow]) -> Mapping[str, Number]:
     """The errors of the scheme that is used, by case, vehicle, set and step."""
     return {
         f"{row.case}.{row.vehicle}.{row.parameter_set}.{row.step_ms}_ms": Number(
@@ -263,7 +263,9 @@ def numbers(rows: Sequence[Row]) -> Mapping[str, Number]:
     }
 
 
-def main(json: Path | None = None, seconds: float = 60.0, quick: bool = False) -> list[Row]:
+def main(
+    json: Path | None = None, seconds: float = 60.0, quick: bool = False
+) -> list[ConvergenceRow]:
     """Compare the schemes and print the table.
 
     Args:

@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from angler_experiments.shared import flights, tracing
-from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.flights import StudyFlight
 from angler_experiments.shared.tracing import Trace
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
@@ -35,7 +35,7 @@ DEVICES = {"gpu": "cuda", "cpu": "cpu"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class ParitySettings:
     """What is flown, on both sides."""
 
     scenario: str = "reef_fleet"
@@ -55,11 +55,11 @@ class Settings:
 
 
 def compare(
-    settings: Settings,
+    settings: ParitySettings,
     platforms: tuple[str, str],
     tiles: tuple[int, int],
     second_flags: str | None,
-) -> tuple[Flight, Flight]:
+) -> tuple[StudyFlight, StudyFlight]:
     """Fly both sides, each in a process of its own, at the same time.
 
     Raises:
@@ -73,7 +73,7 @@ def compare(
             if k == 1 and second_flags is not None:
                 environment["XLA_FLAGS"] = second_flags
             words = ["--side", str(file), "--tiles", str(tiles[k]), str(tiles[k])]
-            for name in Settings.__dataclass_fields__:
+            for name in ParitySettings.__dataclass_fields__:
                 words += [f"--{name}", str(getattr(settings, name))]
             command = [sys.executable, "-m", "angler_experiments.devices_parity", *words]
             running.append(subprocess.Popen(command, env=environment))
@@ -86,14 +86,14 @@ def compare(
     return first, second
 
 
-def ways(a: Flight, b: Flight) -> np.ndarray:
+def ways(a: StudyFlight, b: StudyFlight) -> np.ndarray:
     """Differences of path length of robots that ended the same way."""
     same = ~tracing.different(a, b)
     apart: np.ndarray = np.abs(a.path_length_m.astype(np.float64) - b.path_length_m)[same]
     return apart
 
 
-def numbers(a: Flight, b: Flight, traces: list[Trace]) -> dict[str, Number]:
+def numbers(a: StudyFlight, b: StudyFlight, traces: list[Trace]) -> dict[str, Number]:
     """What is compared from one time to the next."""
     apart = ways(a, b)
     return {
@@ -102,7 +102,7 @@ def numbers(a: Flight, b: Flight, traces: list[Trace]) -> dict[str, Number]:
     }
 
 
-def to_markdown(a: Flight, b: Flight, traces: list[Trace], names: tuple[str, str]) -> str:
+def to_markdown(a: StudyFlight, b: StudyFlight, traces: list[Trace], names: tuple[str, str]) -> str:
     """What was found, as it stands on the page."""
     apart = ways(a, b)
     arrived = [int(np.sum(side.outcome == Outcome.REACHED)) for side in (a, b)]
@@ -135,7 +135,7 @@ def to_markdown(a: Flight, b: Flight, traces: list[Trace], names: tuple[str, str
 
 
 def main(
-    settings: tyro.conf.OmitArgPrefixes[Settings] = Settings(),
+    settings: tyro.conf.OmitArgPrefixes[ParitySettings] = ParitySettings(),
     platforms: tuple[str, str] = ("cpu", "gpu"),
     tiles: tuple[int, int] = (128, 128),
     second_flags: str | None = None,

@@ -14,12 +14,12 @@ import jax
 import numpy as np
 import tyro
 
-from angler_mjx.planning.asking import ask
+from angler_mjx.planning.asking import build_problems
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 
 REPEATS = 5
 HORIZON_S = 120.0
@@ -28,9 +28,9 @@ HORIZON_S = 120.0
 def problems(scenario: str, worlds: int) -> list[Problem]:
     """The first worlds of a scenario, with the true motion of what moves."""
     sim = Simulator(load_scenario(scenario, worlds=worlds), tile=worlds)
-    knows = Knows(obstacles="truth")
+    knows = Information(obstacles="truth")
     batch = jax.jit(
-        jax.vmap(lambda world, seed: ask(world, seed, sim.spec, knows, HORIZON_S, 5.0))
+        jax.vmap(lambda world, seed: build_problems(world, seed, sim.spec, knows, HORIZON_S, 5.0))
     )(sim.worlds(0), np.arange(worlds, dtype=np.uint32))
     return [jax.tree.map(lambda x, i=i: np.asarray(x)[i], batch) for i in range(worlds)]
 

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from angler_experiments.devices_parity import Settings, numbers, to_markdown
+from angler_experiments.devices_parity import ParitySettings, numbers, to_markdown
 from angler_experiments.shared import flights, tracing
-from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.flights import StudyFlight
 from angler_mjx.testing.validation.found import Number, save_result
 
 
-def energy(single: Flight, double: Flight) -> float:
+def energy(single: StudyFlight, double: StudyFlight) -> float:
     """Median relative difference of the electrical energy of robots that ended the same way."""
     same = ~tracing.different(single, double)
     ours, theirs = single.energy_j.astype(np.float64)[same], double.energy_j[same]
@@ -34,7 +34,7 @@ def main(worlds: int = 64, seconds: float = 120.0, json: Path | None = None) -> 
         seconds: length of the episodes.
         json: file for the result, as `angler validate` reads it.
     """
-    scenario = Settings(worlds=worlds, seconds=seconds).load()
+    scenario = ParitySettings(worlds=worlds, seconds=seconds).load()
     single, double = flights.fly_in_double(scenario, math.gcd(worlds, 128))
     physics_steps = scenario.sim_spec().physics_steps
     traces = tracing.trace(single, double, scenario.time.control_dt_s, physics_steps)

@@ -17,7 +17,7 @@ import tyro
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import Scenario, load_scenario, shipped
 from angler_mjx.testing import referee
-from angler_mjx.testing.referee import Verdict
+from angler_mjx.testing.referee import RefereeVerdict
 
 type Engine = Literal["mjx", "fused"]
 
@@ -32,12 +32,12 @@ DEVIATIONS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class CampaignFlight:
     """A scenario, an engine, and what the referee says of their run."""
 
     scenario: str
     engine: Engine
-    verdict: Verdict
+    verdict: RefereeVerdict
 
 
 def prepared(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenario:
@@ -50,17 +50,17 @@ def prepared(name: str, engine: Engine, robots: int, horizon_s: float) -> Scenar
 
 def fly(
     names: tuple[str, ...], engines: tuple[Engine, ...], robots: int, horizon_s: float
-) -> Iterator[Flown]:
+) -> Iterator[CampaignFlight]:
     """Fly and judge, one run after another; no run stays on the disk."""
     for name in names:
         for engine in engines:
             with tempfile.TemporaryDirectory() as folder:
                 place = Path(folder) / "run"
                 rollout(prepared(name, engine, robots, horizon_s), out=place)
-                yield Flown(scenario=name, engine=engine, verdict=referee.judge(place))
+                yield CampaignFlight(scenario=name, engine=engine, verdict=referee.judge(place))
 
 
-def row(flown: Flown) -> str:
+def row(flown: CampaignFlight) -> str:
     """A row of the table."""
     verdict = flown.verdict
     wrong = sum(count.disagrees for count in verdict.counts.values())

@@ -20,7 +20,7 @@ from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_sitl.firmware import binary, parameters
 from angler_sitl.firmware.process import Instance, Launch, kill_all
 from angler_sitl.scene import motion
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.wire.lockstep import LockStep, Spent
 from angler_sitl.wire.ports import Ports, allocate
 
@@ -60,7 +60,7 @@ def measure(scenario: Scenario, ardusub: binary.Binary, folder: Path, sim_s: flo
         folder: where each keeps its files.
         sim_s: simulated time that is measured.
     """
-    scene = Scene(scenario)
+    scene = AutopilotScene(scenario)
     names = [f"robot_{i}" for i in range(len(scene.states.numbers))]
     vehicles = [member.variants[0].vehicle for member in scenario.members()]
     ports = allocate(len(names))
@@ -101,7 +101,7 @@ def _launch(
     )
 
 
-def _timed(scene: Scene, steps: LockStep, sim_s: float) -> Speed:
+def _timed(scene: AutopilotScene, steps: LockStep, sim_s: float) -> Speed:
     steps.advance(round(BOOT_S / scene.dt_s))
     scene.moored = False
     judge_s, steps.spent = 0.0, Spent()

@@ -6,7 +6,7 @@ from typing import Any, Self
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import Program, on_gpu
+from angler_kernels.programs import BlockProgram, on_gpu
 
 _LANES_A_WARP = 1024
 """32 for each thread: nothing is read in the loop, so that registers are all that counts."""
@@ -24,7 +24,7 @@ def matched(way: jax.Array) -> jax.Array:
         The column of each row, int32 [r]; -1 for none. Of equally long pairs that of the lower row
         comes first, then that of the lower column.
     """
-    kernel = _Kernel(Pairs.of(way.shape, lanes_a_warp=_LANES_A_WARP))
+    kernel = _Kernel(MatchedPairs.of(way.shape, lanes_a_warp=_LANES_A_WARP))
     if on_gpu() and kernel.pairs.program.lanes <= MOST_LANES:
         return kernel.run(way)
     return _one_by_one(way)
@@ -54,21 +54,21 @@ def _one_by_one(way: jax.Array) -> jax.Array:
 
 
 @dataclass(frozen=True)
-class Pairs:
+class MatchedPairs:
     """A program with a lane for each pair, for kernels that work lengths out themselves."""
 
     rows: int
     columns: int
     wide: int
     """Columns, and as many more as make a power of two."""
-    program: Program
+    program: BlockProgram
 
     @classmethod
     def of(cls, shape: tuple[int, ...], *, lanes_a_warp: int, interpret: bool = False) -> Self:
         """Of rows and columns."""
         rows, columns = shape
         wide = 1 << (columns - 1).bit_length()
-        program = Program.of(rows * wide, lanes_a_warp=lanes_a_warp, interpret=interpret)
+        program = BlockProgram.of(rows * wide, lanes_a_warp=lanes_a_warp, interpret=interpret)
         return cls(rows, columns, wide, program)
 
     @property
@@ -110,7 +110,7 @@ class Pairs:
 
 @dataclass(frozen=True)
 class _Kernel:
-    pairs: Pairs
+    pairs: MatchedPairs
 
     __name__ = "matched"
 

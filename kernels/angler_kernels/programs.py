@@ -25,7 +25,7 @@ def on_gpu() -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class BlockProgram:
     """A program of ``lanes`` or more lanes.
 
     Attributes:
@@ -39,7 +39,7 @@ class Program:
     interpret: bool = False
 
     @classmethod
-    def of(cls, needed: int, *, lanes_a_warp: int = 64, interpret: bool = False) -> "Program":
+    def of(cls, needed: int, *, lanes_a_warp: int = 64, interpret: bool = False) -> "BlockProgram":
         """With at least so many lanes."""
         lanes = max(32, 1 << (needed - 1).bit_length())
         return cls(lanes=lanes, lanes_a_warp=lanes_a_warp, interpret=interpret)

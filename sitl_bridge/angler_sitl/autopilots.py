@@ -14,7 +14,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session.interface import RobotInfo
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.binary import Binary
-from angler_sitl.firmware.boot import Place, Ready, boot
+from angler_sitl.firmware.boot import Ready, WorldOrigin, boot
 from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.firmware.process import (
     HOME_LAT_DEG,
@@ -23,11 +23,11 @@ from angler_sitl.firmware.process import (
     Launch,
     kill_all,
 )
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import sticks
 from angler_sitl.steering.levels import MODES
 from angler_sitl.steering.navigation import Navigation
-from angler_sitl.steering.pilot import Motion, Pilot, motion_of
+from angler_sitl.steering.pilot import AutopilotCommander, PilotMotion, motion_of
 from angler_sitl.wire import calling
 from angler_sitl.wire import ports as sockets
 from angler_sitl.wire.lockstep import LockStep
@@ -41,7 +41,7 @@ filter."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class AutopilotSettings:
     """How autopilots are run.
 
     Attributes:
@@ -73,7 +73,9 @@ class Autopilots:
         differences: parameters that they did not take, by robot's name.
     """
 
-    def __init__(self, settings: Settings, scene: Scene, robots: tuple[RobotInfo, ...]) -> None:
+    def __init__(
+        self, settings: AutopilotSettings, scene: AutopilotScene, robots: tuple[RobotInfo, ...]
+    ) -> None:
         """Start them and bring them up: armed, in their mode, their vehicles still moored.
 
         Raises:
@@ -91,7 +93,7 @@ class Autopilots:
                 self._advance_boot,
                 mode=MODES[settings.level],
                 source=settings.source,
-                home=Place(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG),
+                home=WorldOrigin(lat_deg=HOME_LAT_DEG, lon_deg=HOME_LON_DEG),
             )
             self._lockstep.pace(settings.speed)
             self.ready = Ready(sim_s=ready.sim_s, wall_s=time.perf_counter() - began)
@@ -126,7 +128,7 @@ class Autopilots:
         """What steps them."""
         return self._lockstep
 
-    def motion(self) -> Motion:
+    def motion(self) -> PilotMotion:
         """What they believe of their own motion, now."""
         return motion_of(self.pilots, self.time_s)
 
@@ -199,12 +201,12 @@ class Autopilots:
             on_crash=settings.on_crash,
         )
 
-    def _pilot(self, launch: Launch) -> Pilot:
+    def _pilot(self, launch: Launch) -> AutopilotCommander:
         if self._settings.folder is None:
-            return Pilot(launch.name, launch.sysid, launch.ports)
+            return AutopilotCommander(launch.name, launch.sysid, launch.ports)
         log = Telemetry(launch.folder / NAME)
         self._exit.callback(log.close)
-        return Pilot(launch.name, launch.sysid, launch.ports, tap=log.tap)
+        return AutopilotCommander(launch.name, launch.sysid, launch.ports, tap=log.tap)
 
     def _parameters(self, robot: RobotInfo) -> dict[str, float]:
         settings = self._settings

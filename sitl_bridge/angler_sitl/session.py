@@ -19,26 +19,26 @@ from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session import checks, fleet_facts, paths, presence
 from angler_mjx.runs.session.batch import POINTS, START_TOLERANCE, Inside
-from angler_mjx.runs.session.checks import Limits, Place
+from angler_mjx.runs.session.checks import CommandLimits, RobotPosition
 from angler_mjx.runs.session.interface import (
     Observation,
     Order,
     RobotInfo,
     RobotStatus,
 )
-from angler_mjx.runs.session.orders import PLAN, Orders
-from angler_mjx.runs.session.rejoin import Ways
+from angler_mjx.runs.session.orders import PLAN, CommandQueue
+from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_sitl.autopilots import Autopilots, Settings
+from angler_sitl.autopilots import Autopilots, AutopilotSettings
 from angler_sitl.firmware import binary as binaries
 from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.missions.choosing import scenario_of, speed_of
-from angler_sitl.scene.scene import Scene
-from angler_sitl.scene.sight import Sight
+from angler_sitl.scene.scene import AutopilotScene
+from angler_sitl.scene.sight import SessionView
 from angler_sitl.steering import levels
-from angler_sitl.steering.helm import Helm
+from angler_sitl.steering.helm import CommandSender
 from angler_sitl.steering.levels import STICK_LEVELS
 
 
@@ -94,7 +94,7 @@ class SitlSession:
         self._allowed = paths.stacked(tolerances, self._scenario)
         self._points, self._start_tolerance = points, start_tolerance
         self._estimate, self._closed = estimate, False
-        self.settings = Settings(  # of the next reset
+        self.settings = AutopilotSettings(  # of the next reset
             binary=binaries.find(binary),
             level=level,
             source=source,
@@ -103,10 +103,10 @@ class SitlSession:
             parameters=dict(parameters or {}),
             on_crash=on_crash,
         )
-        self._scene = Scene(self._scenario, world=world)
+        self._scene = AutopilotScene(self._scenario, world=world)
         self._simulator = self._scene.simulator
         self._spec = levels.spec_of(level, self._simulator.spec)
-        self._helm = Helm(level, self._spec)
+        self._helm = CommandSender(level, self._spec)
         self._autopilots: Autopilots | None = None
         self._drawn: int | None = None
         self.reset()
@@ -165,14 +165,14 @@ class SitlSession:
             here = jax.device_get(self._scene.worlds)  # an index on the device is a program each
             gathered = fleet_facts.gather(self._simulator, here)
             self._facts = levels.facts_of(self.settings.level, gathered)
-            self._ways = Ways(jax.tree.map(lambda x: x[0], here.environment))
+            self._ways = RejoinPaths(jax.tree.map(lambda x: x[0], here.environment))
             self._drawn = number if worlds is None else None
         dtype = self._scene.state.vehicles.p.dtype
-        self._orders = Orders(self._spec.stages, self._facts, self._limits, dtype)
+        self._orders = CommandQueue(self._spec.stages, self._facts, self._limits, dtype)
         self._helm.reset(self._scene, self._orders.slots.commands())
         self._autopilots = Autopilots(self.settings, self._scene, tuple(self.robots))
         self._scene.moored, self._steps = False, 0
-        self._sight = Sight(
+        self._sight = SessionView(
             self._scene, self._facts, self._allowed, truth=self._estimate == "truth"
         )
         self._sight.begin(self._autopilots, self._orders, self._helm)
@@ -214,7 +214,9 @@ class SitlSession:
         """See `Session.check`."""
         self._goes_on(robot)
         info, seen = self.robots[robot], self._sight.seen
-        place = Place(p=np.asarray(seen.p[robot], float), yaw_rad=float(seen.yaw_rad[robot]))
+        place = RobotPosition(
+            p=np.asarray(seen.p[robot], float), yaw_rad=float(seen.yaw_rad[robot])
+        )
         checks.check(info, place, self._limits, command, self._time_s)
 
     def resume_plan(self, robot: int) -> None:
@@ -250,7 +252,7 @@ class SitlSession:
         return self._steps * self.dt_s
 
     @property
-    def _limits(self) -> Limits:
+    def _limits(self) -> CommandLimits:
         return self._facts.limits(self._points, self._start_tolerance)
 
     def _go_on(self) -> None:

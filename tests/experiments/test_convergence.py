@@ -5,7 +5,7 @@ import math
 import pytest
 
 from angler_experiments import convergence
-from angler_mjx.testing.validation.found import Result, read
+from angler_mjx.testing.validation.found import TermResult, read
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_schemes_converge_at_their_order(rows):
 def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "study", lambda *_, **__: rows)
     convergence.main(json=tmp_path / "result.json")
-    result = read(Result, tmp_path / "result.json")
+    result = read(TermResult, tmp_path / "result.json")
     assert result.text.splitlines() == convergence.to_markdown(rows).splitlines()
     assert len({line.count("|") for line in result.text.splitlines()}) == 1
     assert {number.value for number in result.numbers.values()} == {
@@ -47,7 +47,7 @@ def test_the_result_holds_the_errors_and_the_table(rows, tmp_path, monkeypatch):
 def test_a_scheme_that_blows_up_is_named(rows):
     assert "blows up" in convergence.to_markdown(
         [
-            convergence.Row(
+            convergence.ConvergenceRow(
                 case="violent",
                 vehicle="a",
                 parameter_set="b",

@@ -6,7 +6,7 @@ import pytest
 
 from angler_experiments import spotcheck_result
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.found import Result, read
+from angler_mjx.testing.validation.found import TermResult, read
 from angler_mjx.testing.validation.place import describe
 
 ROWS = """\
@@ -31,7 +31,7 @@ def folder(tmp_path):
 def test_numbers_and_table(folder):
     out = folder / "result.json"
     spotcheck_result.main(folder, out)
-    result = read(Result, out)
+    result = read(TermResult, out)
     assert (
         "| thrusters | recorded | 1 of 2 | 0.020, 0.03 | 0.010, 0.01 | 0.020, 0.02 |" in result.text
     )

@@ -7,7 +7,7 @@ import pytest
 
 from angler_experiments import devices_parity
 from angler_experiments.shared import flights, tracing
-from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.flights import StudyFlight
 from angler_experiments.shared.tracing import Cause
 from angler_mjx.sim.state import Outcome, Touched
 
@@ -27,7 +27,7 @@ def flight():
     obstacle = np.zeros((W, STEPS, K, 3), np.float32)
     obstacle[..., 1] = 0.2 * time[:, None]
     obstacle[..., 2] = -np.arange(K)
-    return Flight(
+    return StudyFlight(
         cells=np.zeros((W, 2, 2, 2), bool),
         variant=np.zeros((W, R), int),
         start_m=p[:, 0],

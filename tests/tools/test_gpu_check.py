@@ -17,11 +17,11 @@ from angler_mjx.studies.speed.workloads import WORKLOADS, Engine, Kernels
 from tools.gpu_check import __main__ as command
 from tools.gpu_check import work, workloads
 from tools.gpu_check.checks import CHECKS, RATES, names
-from tools.gpu_check.comparing import Bound, differences
-from tools.gpu_check.running import Outcome, judge_tests
+from tools.gpu_check.comparing import ErrorBound, differences
+from tools.gpu_check.running import CheckOutcome, judge_tests
 
 ROOT = Path(__file__).parents[2]
-LAUNCHERS = ("angler_kernels.programs.Program", "angler_mjx.sim.engines.triton.launch")
+LAUNCHERS = ("angler_kernels.programs.BlockProgram", "angler_mjx.sim.engines.triton.launch")
 """Names by which modules launch kernels of their own."""
 MEASURED = {"angler_mjx.studies.speed.roofline"}
 """Kernels without an outcome: the first of all rates, in every workload of `angler bench`."""
@@ -86,13 +86,13 @@ def test_arrays_are_compared_within_their_bounds():
     (fault,), notes = differences(moved, ours, {})
     assert "p: 0.6667 of 3 rows within 0, 1 must be; first at (2,)" in fault
     assert not notes
-    assert differences(moved, ours, {"p": Bound(atol=0.6)}) == ([], [])
-    faults, (note,) = differences(moved, ours, {"p": Bound(fraction=0.6)})
+    assert differences(moved, ours, {"p": ErrorBound(atol=0.6)}) == ([], [])
+    faults, (note,) = differences(moved, ours, {"p": ErrorBound(fraction=0.6)})
     assert not faults
     assert "largest difference 0.5" in note
-    assert differences(moved, ours, {"p": Bound(fraction=0.7)})[0]
+    assert differences(moved, ours, {"p": ErrorBound(fraction=0.7)})[0]
     infinite = {**ours, "p": np.where(np.isnan(ours["p"]), 0.0, ours["p"])}
-    assert differences(infinite, ours, {"p": Bound(atol=1e9)})[0]
+    assert differences(infinite, ours, {"p": ErrorBound(atol=1e9)})[0]
     assert (
         "shape (2,), on the CPU (3,)" in differences({**ours, "n": ours["n"][:2]}, ours, {})[0][0]
     )
@@ -107,8 +107,8 @@ def test_rows_are_compared_only_where_another_array_agrees():
     moved["plan_m"][0, 0] = 5.0
     moved["early_m"][0, 0] = 7.0
     bounds = {
-        "plan_m": Bound(fraction=0.5, axes=2),
-        "early_m": Bound(atol=0.1, axes=2, equal="plan_m"),
+        "plan_m": ErrorBound(fraction=0.5, axes=2),
+        "early_m": ErrorBound(atol=0.1, axes=2, equal="plan_m"),
     }
     faults, (note,) = differences(moved, cpu, bounds)
     assert not faults
@@ -122,7 +122,7 @@ def test_rows_are_compared_only_where_another_array_agrees():
 def test_durations_may_differ_by_a_fraction_of_the_cpus(ratio, faults):
     cpu = {"plan_s": np.array([[50.0, 0.0, np.inf]])}
     ours = {"plan_s": np.array([[50.0 * ratio, 0.0, np.inf]])}
-    assert len(differences(ours, cpu, {"plan_s": Bound(rtol=0.02, axes=2)})[0]) == faults
+    assert len(differences(ours, cpu, {"plan_s": ErrorBound(rtol=0.02, axes=2)})[0]) == faults
 
 
 ROW = {"median": 89.0, "worlds": 4, "robots": 1, "unit": "steps/s"}
@@ -180,7 +180,7 @@ def on_cpu(tmp_path, monkeypatch):
 
     def run(*only, **options):
         chosen = {"device": "cpu", "jobs": 2, "results": results, "only": only, **options}
-        return command.main(command.Options(**chosen)), results
+        return command.main(command.GpuCheckOptions(**chosen)), results
 
     return run
 
@@ -209,7 +209,7 @@ def test_what_time_did_not_suffice_for_is_left_to_the_next_call(on_cpu, capsys):
 
 def test_outcomes_of_another_commit_are_not_believed(on_cpu, capsys, monkeypatch):
     name = "kernel/angler_kernels.matching"
-    outcome = Outcome(name=name, status="failed", seconds=1.0, reason="of old")
+    outcome = CheckOutcome(name=name, status="failed", seconds=1.0, reason="of old")
     _, results = on_cpu(name, minutes=0.0)
     for commit, status in (("other", 3), ("abc", 1)):
         line = {**outcome.__dict__, "mark": [commit, "cpu", "cpu"], "at_utc": "now"}

@@ -181,10 +181,10 @@ class Faulty:
 
 def test_a_cut_line_is_no_result_and_the_next_stands_on_its_own(tmp_path):
     file = tmp_path / "results.jsonl"
-    book = trying.Book(file)
+    book = trying.MutantLog(file)
     book.write({"mutant": "a"})
     file.write_bytes(file.read_bytes() + b'{"mutant": "b", "outc')
-    trying.Book(file).write({"mutant": "c"})
+    trying.MutantLog(file).write({"mutant": "c"})
     assert [row["mutant"] for row in trying.read(file)] == ["a", "c"]
 
 

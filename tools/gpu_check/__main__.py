@@ -14,14 +14,14 @@ from typing import Any, Literal
 import tyro
 
 from tools.gpu_check import checks, running, workloads
-from tools.gpu_check.running import Machine, Outcome
+from tools.gpu_check.running import CheckOutcome, Machine
 
 KEPT = ("worlds", "robots", "unit", "engine", "kernels", "median", "low", "high", *workloads.HOST)
 """Fields of a row that are stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class GpuCheckOptions:
     """Compare engines, kernels, policies, planners and rates of a GPU with the CPU's outcomes.
 
     A call ends after --minutes; the next one goes on with what is left.
@@ -47,7 +47,7 @@ class Options:
     """Store the measured rates as medians of this card, with date and commit."""
 
 
-def main(options: Options) -> int:
+def main(options: GpuCheckOptions) -> int:
     """Run checks; return 0 if all of the chosen passed or were skipped, 3 if some are left."""
     cache = running.ROOT / ".cache" / "gpu_check_programs"
     cache.mkdir(parents=True, exist_ok=True)
@@ -73,7 +73,7 @@ def main(options: Options) -> int:
         return 0
     begun = time.monotonic()
 
-    def report(outcome: Outcome) -> None:
+    def report(outcome: CheckOutcome) -> None:
         known[outcome.name] = outcome
         line = {**asdict(outcome), "mark": mark, "at_utc": datetime.now(UTC).isoformat()}
         options.results.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def _about(machine: Machine) -> dict[str, Any]:
 
 
 def _rates(
-    machine: Machine, names: list[str], device: str, report: Callable[[Outcome], None]
+    machine: Machine, names: list[str], device: str, report: Callable[[CheckOutcome], None]
 ) -> None:
     medians = workloads.stored(device)
     for name in names:
@@ -116,7 +116,7 @@ def _rates(
         report(running.run_rate(machine, name, medians.get(name.removeprefix("rate/"))))
 
 
-def _read(results: Path, mark: list[Any]) -> dict[str, Outcome]:
+def _read(results: Path, mark: list[Any]) -> dict[str, CheckOutcome]:
     """Return the last outcome of each check of this commit and device."""
     known = {}
     lines = results.read_text().splitlines() if results.is_file() else []
@@ -124,11 +124,11 @@ def _read(results: Path, mark: list[Any]) -> dict[str, Outcome]:
         found = json.loads(line)
         if found.pop("mark") == mark:
             found.pop("at_utc")
-            known[found["name"]] = Outcome(**found)
+            known[found["name"]] = CheckOutcome(**found)
     return known
 
 
-def _store(known: dict[str, Outcome], about: dict[str, Any]) -> None:
+def _store(known: dict[str, CheckOutcome], about: dict[str, Any]) -> None:
     origin = {
         "commit": about["commit"],
         "date": datetime.now(UTC).date().isoformat(),
@@ -144,7 +144,7 @@ def _store(known: dict[str, Outcome], about: dict[str, Any]) -> None:
     print(f"{workloads.STORED}: {len(rows)} medians of {about['device']}")
 
 
-def _summary(chosen: list[str], known: dict[str, Outcome], about: dict[str, Any]) -> int:
+def _summary(chosen: list[str], known: dict[str, CheckOutcome], about: dict[str, Any]) -> int:
     """Print what became of each check and of all; return the exit status."""
     of = {name: known[name].status if name in known else "unfinished" for name in chosen}
     print()
@@ -167,4 +167,4 @@ def _summary(chosen: list[str], known: dict[str, Outcome], about: dict[str, Any]
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(tyro.cli(Options)))
+    raise SystemExit(main(tyro.cli(GpuCheckOptions)))

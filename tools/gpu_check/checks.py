@@ -9,19 +9,19 @@ import numpy as np
 
 from angler_mjx.studies.speed.workloads import WORKLOADS
 from tools.gpu_check import kernels, simulations, workloads
-from tools.gpu_check.comparing import Bound
+from tools.gpu_check.comparing import ErrorBound
 
 type Run = Callable[[], Mapping[str, np.ndarray]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class GpuCheck:
     """One line of the results."""
 
     name: str
     run: Run
     """Arrays by name; computed in a process for each device."""
-    bounds: Mapping[str, Bound] = field(default_factory=dict)
+    bounds: Mapping[str, ErrorBound] = field(default_factory=dict)
     covers: frozenset[str] = frozenset()
     """Such as ``engine:mjx/xla``, ``kernel:angler_kernels.matching``, ``planner:grid``."""
     compared: bool = True
@@ -33,9 +33,9 @@ class Check:
 WATER = "float32 rounds differently in each of 100 steps of numbers of order 10"
 
 
-def _kernels() -> list[Check]:
-    free = Bound(atol=2e-4, why=WATER)
-    found: list[tuple[str, Run, dict[str, Bound]]] = [
+def _kernels() -> list[GpuCheck]:
+    free = ErrorBound(atol=2e-4, why=WATER)
+    found: list[tuple[str, Run, dict[str, ErrorBound]]] = [
         ("angler_kernels.matching", kernels.matching, {}),
         ("angler_mjx.world.tasks.pairs", kernels.pairs, {}),
         ("angler_mjx.planning.ways.search_kernel", kernels.reachable, {}),
@@ -44,7 +44,7 @@ def _kernels() -> list[Check]:
         ("angler_mjx.sim.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
     ]
     return [
-        Check(name=f"kernel/{of}", run=run, bounds=bounds, covers=frozenset({f"kernel:{of}"}))
+        GpuCheck(name=f"kernel/{of}", run=run, bounds=bounds, covers=frozenset({f"kernel:{of}"}))
         for of, run, bounds in found
     ]
 
@@ -52,9 +52,9 @@ def _kernels() -> list[Check]:
 FAST = {"record_hz": 1.0}
 
 
-def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> Check:
+def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> GpuCheck:
     """Fly a scenario on the fused engine, with its default kernels, unless changes say another."""
-    return Check(
+    return GpuCheck(
         name=f"flight/{name}",
         run=partial(simulations.fly, scenario, **{"engine": "fused", **changes}),
         bounds=simulations.BOUNDS,
@@ -62,7 +62,7 @@ def _flight(name: str, scenario: str, covers: set[str], **changes: Any) -> Check
     )
 
 
-def _flights() -> list[Check]:
+def _flights() -> list[GpuCheck]:
     """Every engine, device planner, policy, allocation and shipped scenario."""
     reef: dict[str, Any] = {"worlds": 16, "time": FAST}
     brief: dict[str, Any] = {"worlds": 8, "time": {**FAST, "horizon_s": 40.0}}
@@ -115,9 +115,9 @@ def _flights() -> list[Check]:
     ]
 
 
-def _workloads() -> list[Check]:
+def _workloads() -> list[GpuCheck]:
     return [
-        Check(
+        GpuCheck(
             name=f"bench/{name}",
             run=partial(workloads.end, name),
             covers=frozenset({f"workload:{name}"}),
@@ -127,7 +127,7 @@ def _workloads() -> list[Check]:
     ]
 
 
-CHECKS: dict[str, Check] = {
+CHECKS: dict[str, GpuCheck] = {
     check.name: check for check in (*_flights(), *_workloads(), *_kernels())
 }
 """Those that compile longest come first."""

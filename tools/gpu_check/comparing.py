@@ -7,7 +7,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bound:
+class ErrorBound:
     """Agreement that a pair of arrays must reach."""
 
     atol: float = 0.0
@@ -24,13 +24,13 @@ class Bound:
     """Array whose rows must agree for a row of this one to be compared."""
 
 
-EXACT = Bound()
+EXACT = ErrorBound()
 
 
 def differences(
     device: Mapping[str, np.ndarray],
     reference: Mapping[str, np.ndarray],
-    bounds: Mapping[str, Bound],
+    bounds: Mapping[str, ErrorBound],
 ) -> tuple[list[str], list[str]]:
     """Compare two sets of arrays by name.
 
@@ -57,7 +57,9 @@ def differences(
     return faults, notes
 
 
-def _compare(name: str, ours: np.ndarray, theirs: np.ndarray, bound: Bound) -> tuple[str, bool]:
+def _compare(
+    name: str, ours: np.ndarray, theirs: np.ndarray, bound: ErrorBound
+) -> tuple[str, bool]:
     """Describe the disagreement of one pair of arrays, empty if none; and whether it is a fault."""
     if ours.shape != theirs.shape:
         return f"{name}: shape {ours.shape}, on the CPU {theirs.shape}", True
@@ -88,7 +90,7 @@ def _apart(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
     return np.where(equal, 0.0, np.where(np.isnan(apart), np.inf, apart))
 
 
-def _agreement(ours: np.ndarray, theirs: np.ndarray, bound: Bound) -> np.ndarray:
+def _agreement(ours: np.ndarray, theirs: np.ndarray, bound: ErrorBound) -> np.ndarray:
     """Return which rows agree in all of their elements, bool with the axes of the rows."""
     if ours.shape != theirs.shape:
         return np.zeros(ours.shape[: bound.axes], bool)

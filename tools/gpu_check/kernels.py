@@ -69,7 +69,7 @@ def costs_to_goal() -> Arrays:
 def shortest_ways() -> Arrays:
     """Return path lengths [pair, world] in cells, as `world.difficulty` computes them."""
     from angler_kernels.bit_grid import pack
-    from angler_mjx.world.difficulty import shortest_ways as lengths
+    from angler_mjx.world.difficulty import shortest_paths as lengths
 
     random = np.random.default_rng(11)
     shape, n_world, n_pair = (7, 5, 9), 6, 4

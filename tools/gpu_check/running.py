@@ -27,7 +27,7 @@ REFERENCE_FLAGS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class CheckOutcome:
     """Result of one check."""
 
     name: str
@@ -102,13 +102,13 @@ def compute(machine: Machine, name: str, platform: str, out: Path) -> str | None
     return "" if process.returncode == 0 else _tail(log, process.returncode)
 
 
-def run_check(machine: Machine, name: str) -> Outcome:
+def run_check(machine: Machine, name: str) -> CheckOutcome:
     """Compute one check on both platforms at once, and compare."""
     begun, check = time.monotonic(), CHECKS[name]
 
-    def ended(status: str, reason: str = "") -> Outcome:
+    def ended(status: str, reason: str = "") -> CheckOutcome:
         seconds = round(time.monotonic() - begun, 1)
-        return Outcome(name=name, status=status, seconds=seconds, reason=reason)
+        return CheckOutcome(name=name, status=status, seconds=seconds, reason=reason)
 
     if missing := [package for package in check.needs if not importlib.util.find_spec(package)]:
         return ended("skipped", f"{', '.join(missing)} is not installed")
@@ -134,7 +134,7 @@ def run_check(machine: Machine, name: str) -> Outcome:
     return ended("failed" if faults else "passed", "; ".join(faults or notes))
 
 
-def run_tests(machine: Machine) -> Outcome:
+def run_tests(machine: Machine) -> CheckOutcome:
     """Run the tests that are marked for a GPU."""
     begun = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -154,9 +154,9 @@ def run_tests(machine: Machine) -> Outcome:
         text = _tail(log, process.returncode)
     seconds = round(time.monotonic() - begun, 1)
     if not in_time:
-        return Outcome(name=TESTS, status="unfinished", seconds=seconds, reason="time was up")
+        return CheckOutcome(name=TESTS, status="unfinished", seconds=seconds, reason="time was up")
     status, reason = judge_tests(process.returncode, text)
-    return Outcome(name=TESTS, status=status, seconds=seconds, reason=reason)
+    return CheckOutcome(name=TESTS, status=status, seconds=seconds, reason=reason)
 
 
 def judge_tests(code: int, text: str) -> tuple[str, str]:
@@ -173,7 +173,7 @@ def judge_tests(code: int, text: str) -> tuple[str, str]:
 
 
 def run_side_by_side(
-    machine: Machine, names: Sequence[str], jobs: int, report: Callable[[Outcome], None]
+    machine: Machine, names: Sequence[str], jobs: int, report: Callable[[CheckOutcome], None]
 ) -> None:
     """Run checks, ``jobs`` processes at once; none begins after the deadline.
 
@@ -201,7 +201,7 @@ def run_side_by_side(
                 report(future.result())
 
 
-def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> Outcome:
+def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> CheckOutcome:
     """Measure the rate of a workload alone, and judge it by the stored row."""
     from tools.gpu_check.workloads import judge
 
@@ -212,11 +212,11 @@ def run_rate(machine: Machine, name: str, known: Mapping[str, Any] | None) -> Ou
         row = json.loads(out.read_text()) if text == "" else {}
     seconds = round(time.monotonic() - begun, 1)
     if text is None:
-        return Outcome(name=name, status="unfinished", seconds=seconds, reason="time was up")
+        return CheckOutcome(name=name, status="unfinished", seconds=seconds, reason="time was up")
     if text:
-        return Outcome(name=name, status="failed", seconds=seconds, reason=text)
+        return CheckOutcome(name=name, status="failed", seconds=seconds, reason=text)
     status, reason = judge(row, dict(known) if known else None)
-    return Outcome(name=name, status=status, seconds=seconds, reason=reason, row=row)
+    return CheckOutcome(name=name, status=status, seconds=seconds, reason=reason, row=row)
 
 
 def _tail(log: Path, code: int) -> str:

@@ -5,20 +5,20 @@ from typing import Any
 import jax
 import numpy as np
 
-from tools.gpu_check.comparing import Bound
+from tools.gpu_check.comparing import ErrorBound
 
 ROUNDING = "float32 rounds differently, and near ties and near misses are decided by it"
 
 TIES = "of routes that cost the same, rounding decides which is flown"
 
 BOUNDS = {
-    "start_m": Bound(atol=1e-4, why=ROUNDING),
-    "goal_m": Bound(atol=1e-4, why=ROUNDING),
-    "planned": Bound(fraction=0.95, axes=2, why=ROUNDING),
-    "plan_m": Bound(atol=1e-2, fraction=0.5, axes=2, why=TIES),
-    "plan_s": Bound(rtol=0.02, fraction=0.9, why=TIES),
-    "early_m": Bound(atol=1e-2, fraction=0.95, axes=2, why=ROUNDING, equal="plan_m"),
-    "outcome": Bound(fraction=0.85, axes=2, why=ROUNDING),
+    "start_m": ErrorBound(atol=1e-4, why=ROUNDING),
+    "goal_m": ErrorBound(atol=1e-4, why=ROUNDING),
+    "planned": ErrorBound(fraction=0.95, axes=2, why=ROUNDING),
+    "plan_m": ErrorBound(atol=1e-2, fraction=0.5, axes=2, why=TIES),
+    "plan_s": ErrorBound(rtol=0.02, fraction=0.9, why=TIES),
+    "early_m": ErrorBound(atol=1e-2, fraction=0.95, axes=2, why=ROUNDING, equal="plan_m"),
+    "outcome": ErrorBound(fraction=0.85, axes=2, why=ROUNDING),
 }
 """Of robots [world, robot]; cells must be equal. Of durations of plans the mean of each world's
 team counts: which robot of a team waits for another can be a tie."""

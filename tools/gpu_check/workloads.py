@@ -35,14 +35,14 @@ def measure(workload: str) -> dict[str, Any]:
 
     from angler_mjx.runs.provenance import describe_environment
     from angler_mjx.studies.speed import measuring
-    from angler_mjx.studies.speed.workloads import Request, cases
+    from angler_mjx.studies.speed.workloads import SpeedRequest, cases
 
     backend = jax.default_backend()
     is_cpu = backend == "cpu"
     worlds = TINY if is_cpu else SIZES.get(workload, WORLDS)
     robots = (1,) if is_cpu else ()
     with tempfile.TemporaryDirectory() as folder:
-        request = Request(
+        request = SpeedRequest(
             workloads=(workload,),
             scenarios=(COMPILED[backend],) if workload == "compile" else (),
             worlds=(worlds,),

@@ -28,7 +28,7 @@ FOLDERS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class MutantOptions:
     """Small faults, one at a time, put to the tests that can know of them.
 
     What is known already is not tried again: a run that was stopped goes on where it was.
@@ -62,7 +62,7 @@ class Options:
     """Only report what is known of the sample."""
 
 
-def main(options: Options) -> int:
+def main(options: MutantOptions) -> int:
     """Run as told."""
     if options.workers < 1:
         return _refuse(f"--workers {options.workers}: must be at least 1")
@@ -87,7 +87,7 @@ def main(options: Options) -> int:
     return 0
 
 
-def _mutants(options: Options) -> tuple[Sequence[str], list[Mutant], list[str]]:
+def _mutants(options: MutantOptions) -> tuple[Sequence[str], list[Mutant], list[str]]:
     """Return the folders of the report, the mutants, and the rows of a list that are gone.
 
     Raises:
@@ -115,12 +115,12 @@ def _refuse(why: str) -> int:
     return 2
 
 
-def _known(options: Options) -> dict[str, dict[str, Any]]:
+def _known(options: MutantOptions) -> dict[str, dict[str, Any]]:
     """The last result of each mutant."""
     return {row["mutant"]: row for row in trying.read(options.out / "results.jsonl")}
 
 
-def _try(options: Options, mutants: Sequence[Mutant]) -> None:
+def _try(options: MutantOptions, mutants: Sequence[Mutant]) -> None:
     """Put to the tests what is not known yet, or survived and is to be tried again."""
     known = _known(options)
     todo = [
@@ -154,7 +154,7 @@ def _try(options: Options, mutants: Sequence[Mutant]) -> None:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main(tyro.cli(Options)))
+        sys.exit(main(tyro.cli(MutantOptions)))
     except KeyboardInterrupt:
         print("mutants: stopped; the same command goes on from here", file=sys.stderr)
         sys.exit(130)

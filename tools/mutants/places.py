@@ -18,7 +18,7 @@ _TRIES = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Place:
+class _CodePosition:
     file: str
     family: str
     start: tuple[int, int]
@@ -55,7 +55,9 @@ def sample(root: Path, folders: Sequence[str], count: int, seed: int) -> list[Mu
     return mutants
 
 
-def _places(operators: dict[str, dict[str, Operator]], file: str, code: str) -> Iterator[_Place]:
+def _places(
+    operators: dict[str, dict[str, Operator]], file: str, code: str
+) -> Iterator[_CodePosition]:
     """All places of a file, in the order of the operators' families and then of the file."""
     nodes = list(ast_nodes(get_ast(code)))
     # The bare stars and strokes of parameters are no products: a call by name is the same.
@@ -69,11 +71,11 @@ def _places(operators: dict[str, dict[str, Operator]], file: str, code: str) -> 
                 at.setdefault(start, []).append((name, occurrence))
         for start, choices in sorted(at.items()):
             if not any(low <= start < high for low, high in spared):
-                yield _Place(file=file, family=family, start=start, choices=tuple(choices))
+                yield _CodePosition(file=file, family=family, start=start, choices=tuple(choices))
 
 
 def _mutant(
-    known: dict[str, Operator], root: Path, place: _Place, rng: random.Random
+    known: dict[str, Operator], root: Path, place: _CodePosition, rng: random.Random
 ) -> Mutant | None:
     before = (root / place.file).read_text()
     for _ in range(_TRIES):

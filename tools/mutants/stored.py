@@ -24,7 +24,7 @@ class ListError(ValueError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stored:
+class StoredMutant:
     """Mutants of a list."""
 
     rooms: tuple[str, ...]
@@ -34,7 +34,7 @@ class Stored:
     """``file:line`` of the rows whose lines no longer stand in their file."""
 
 
-def load(root: Path, file: Path, folders: Sequence[str] | None = None) -> Stored:
+def load(root: Path, file: Path, folders: Sequence[str] | None = None) -> StoredMutant:
     """Apply each diff of a list to its file as it stands.
 
     Args:
@@ -57,7 +57,7 @@ def load(root: Path, file: Path, folders: Sequence[str] | None = None) -> Stored
         else:
             mutants.append(mutant)
     rooms = tuple(dict.fromkeys(row["room"] for row in rows))
-    return Stored(rooms=rooms, mutants=mutants, gone=gone)
+    return StoredMutant(rooms=rooms, mutants=mutants, gone=gone)
 
 
 def _rows(file: Path) -> list[dict[str, Any]]:

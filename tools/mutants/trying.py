@@ -28,7 +28,7 @@ TOGETHER_S = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Result:
+class MutantResult:
     """What became of a mutant."""
 
     mutant: str
@@ -59,7 +59,7 @@ def read(file: Path) -> list[dict[str, Any]]:
     return found
 
 
-class Book:
+class MutantLog:
     """A file of JSON lines that several threads write."""
 
     def __init__(self, file: Path) -> None:
@@ -118,7 +118,7 @@ def measure(trees: Sequence[Tree], files: Sequence[str], folder: Path) -> dict[s
     What fails without a fault, or takes more than 15 minutes, tells nothing and is left out.
     Times are kept, and taken again only for files that changed or failed.
     """
-    kept, book = folder / "tests.jsonl", Book(folder / "tests.jsonl")
+    kept, book = folder / "tests.jsonl", MutantLog(folder / "tests.jsonl")
     root = trees[0].root
     stamp = {file: hash_of(root / file) for file in files}
     known = {row["file"]: row for row in read(kept)}
@@ -148,7 +148,7 @@ def hash_of(file: Path) -> str:
 
 def attempt(
     tree: Tree, mutant: Mutant, files: Sequence[str], seconds: Mapping[str, float], limit_s: float
-) -> Result:
+) -> MutantResult:
     """Run the tests of one mutant, the nearest first.
 
     Args:
@@ -181,8 +181,8 @@ def attempt(
     return replace(result, seconds=round(time.monotonic() - began, 1))
 
 
-def _untried(mutant: Mutant, files: int) -> Result:
-    return Result(
+def _untried(mutant: Mutant, files: int) -> MutantResult:
+    return MutantResult(
         mutant=mutant.name,
         file=mutant.file,
         line=mutant.line,
@@ -217,7 +217,7 @@ def try_all(
         limit_s: for one mutant.
         until: `time.monotonic` after which none is begun.
     """
-    book = Book(folder / "results.jsonl")
+    book = MutantLog(folder / "results.jsonl")
 
     def one(tree: Tree, mutant: Mutant) -> None:
         if time.monotonic() > until:

@@ -66,7 +66,7 @@ def make(
 
     with telling(shared):
         config = find_shipped(config, "angler_mjx.learning.datasets", "dataset file")
-        asked = making.ask(config, episodes)
+        asked = making.read_request(config, episodes)
     place = out or Path("datasets") / asked.config.name
     with PartsBar(quiet=shared.index > 0) as bar:
         made = making.make(

@@ -12,7 +12,7 @@ from angler_mjx.errors import ConfigError, RunError
 
 if TYPE_CHECKING:
     from angler_mjx.planning.host.pool import Pool
-    from angler_mjx.studies.benchmark.again import Comparison
+    from angler_mjx.studies.benchmark.again import FolderComparison
 
 
 def benchmark(
@@ -106,7 +106,7 @@ def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
     return local if address is None else remote
 
 
-def _told(compared: "Comparison") -> str:
+def _told(compared: "FolderComparison") -> str:
     lines = ["the same" if compared.same else "not the same"]
     for label, one in compared.planners.items():
         slower = "" if one.slower is None else f"; {one.slower:.2f} times its planning time"
@@ -125,7 +125,7 @@ def _told(compared: "Comparison") -> str:
 
 
 class _Bar:
-    """A progress bar on stderr; a `studies.benchmark.running.Told`."""
+    """A progress bar on stderr; a `studies.benchmark.running.BenchmarkProgress`."""
 
     def __init__(self) -> None:
         from rich.console import Console

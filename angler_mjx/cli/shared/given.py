@@ -54,9 +54,9 @@ def knows_given(text: str | None) -> dict[str, str] | None:
     """
     if text is None:
         return None
-    from angler_mjx.sim.knowledge import Knows, Level
+    from angler_mjx.sim.knowledge import Information, InformationLevel
 
-    levels, things = get_args(Level.__value__), [one.name for one in fields(Knows)]
+    levels, things = get_args(InformationLevel.__value__), [one.name for one in fields(Information)]
     made: dict[str, str] = {}
     for part in text.split(","):
         thing, _, level = (word.strip() for word in part.partition("="))

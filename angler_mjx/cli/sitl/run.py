@@ -12,7 +12,7 @@ from angler_mjx.errors import ConfigError
 
 if TYPE_CHECKING:
     from angler_mjx.teleop.opening import Opener
-    from angler_sitl.missions.flight import Flight
+    from angler_sitl.missions.flight import MissionFlight
 
 type Level = Literal["thrusters", "guided", "poshold", "althold", "manual"]
 type Source = Literal["vision", "vicon", "gps"]
@@ -75,7 +75,7 @@ def run(
     motion.compute_inline()
     loaded = scenario_given(scenario, seed=seed)
     chosen = scenario_of(loaded, robots)
-    settings = mission.Settings(
+    settings = mission.MissionSettings(
         out=out or Path("runs") / f"{chosen.name}-sitl",
         world=world,
         level=level,
@@ -126,7 +126,7 @@ def opener(*, level: Level, source: Source, gcs: str | None, ardusub: Path | Non
     return of_autopilots(level=level, source=source, gcs=gcs, binary=ardusub)
 
 
-def _report(flight: "Flight") -> None:
+def _report(flight: "MissionFlight") -> None:
     """How it went, in a line for all and a line for each robot."""
     print(
         f"{flight.scene_s:.2f} s of the scene in {flight.wall_s:.2f} s "

@@ -71,10 +71,10 @@ def spotcheck(
     from angler_sitl.scene.motion import compute_inline
     from angler_sitl.spotcheck import checking, page
     from angler_sitl.spotcheck import dataset as of_dataset
-    from angler_sitl.spotcheck.found import Settings
+    from angler_sitl.spotcheck.found import SpotcheckSettings
 
     compute_inline()
-    settings = Settings(
+    settings = SpotcheckSettings(
         episodes=episodes,
         stratify=stratify,
         seed=seed,
@@ -152,19 +152,19 @@ class _Bar(Shown):
         self._done = 0.0
 
     def start(self, flights: int, done: int) -> None:
-        """See `angler_sitl.spotcheck.checking.Progress`."""
+        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
         self._done = float(done)
         self._bar.reset(self._all, total=flights, completed=done)
 
     def doing(self, what: str) -> None:
-        """See `angler_sitl.spotcheck.checking.Progress`."""
+        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
         self._bar.update(self._all, description=what)
 
     def at(self, share: float) -> None:
-        """See `angler_sitl.spotcheck.checking.Progress`."""
+        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
         self._bar.update(self._all, completed=self._done + share)
 
     def flown(self) -> None:
-        """See `angler_sitl.spotcheck.checking.Progress`."""
+        """See `angler_sitl.spotcheck.checking.SpotcheckProgress`."""
         self._done += 1.0
         self._bar.update(self._all, completed=self._done)

@@ -14,7 +14,7 @@ from angler_mjx.errors import RunError
 from angler_mjx.runs.session.interface import Observation
 from angler_mjx.teleop.loop import Watcher
 from angler_sitl.missions import standing
-from angler_sitl.missions.standing import Standing
+from angler_sitl.missions.standing import MissionStatus
 from angler_sitl.session import SitlSession
 
 PAINT_S = 0.25
@@ -93,7 +93,7 @@ class _Lines:
             self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def table(time_s: float, rows: Sequence[Standing]) -> Table:
+def table(time_s: float, rows: Sequence[MissionStatus]) -> Table:
     """All robots at one time."""
     made = Table(title=f"{time_s:.2f} s", title_justify="left")
     for name in ("robot", "mode", "armed", "EKF", "off m", "clear m", "outcome", "remark"):

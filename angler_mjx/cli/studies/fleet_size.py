@@ -116,7 +116,7 @@ def _report(found: dict[str, Any], place: Path, *, as_json: bool) -> None:
 
 
 class _Bar(Shown):
-    """What is flown, and the answer so far, on stderr; a `fleet_size.running.Told`."""
+    """What is flown, and the answer so far, on stderr; a `fleet_size.running.StudyProgress`."""
 
     def __init__(self, *, quiet: bool) -> None:
         super().__init__(
@@ -131,15 +131,15 @@ class _Bar(Shown):
         self._said: dict[str, str] = {}
 
     def tell(self, text: str) -> None:
-        """See `angler_mjx.studies.fleet_size.running.Told`."""
+        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
         self._bar.console.print(text, highlight=False, markup=False)
 
     def begin(self, condition: str, size: int) -> None:
-        """See `angler_mjx.studies.fleet_size.running.Told`."""
+        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
         self._bar.update(self._task, description=f"{condition}, {size} robots")
 
     def flown(self, condition: str, worlds: int, so_far: str) -> None:
-        """See `angler_mjx.studies.fleet_size.running.Told`."""
+        """See `angler_mjx.studies.fleet_size.running.StudyProgress`."""
         self._bar.advance(self._task, worlds)
         if self._said.get(condition) != so_far:
             self._said[condition] = so_far

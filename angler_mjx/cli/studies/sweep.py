@@ -84,7 +84,7 @@ def sweep(
             tile=tile,
             time={"record_hz": record_hz},
         )
-        asked = sweeping.ask(loaded, axes, scenario)
+        asked = sweeping.build_request(loaded, axes, scenario)
     place = out or Path("runs") / f"{loaded.name}-sweep"
     with PartsBar(quiet=json or shared.index > 0) as bar:
         found = sweeping.make(

@@ -12,12 +12,12 @@ import pyarrow as pa
 
 from angler_mjx.learning.datasets.config import DatasetConfig
 from angler_mjx.learning.datasets.manifest import ArrayEntry, Manifest, PartEntry
-from angler_mjx.learning.datasets.parts import Part
+from angler_mjx.learning.datasets.parts import DatasetPart
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.storage import folder, inputs, layout
 
 
-def describe(config: DatasetConfig, parts: Sequence[Part], place: Path) -> Manifest:
+def describe(config: DatasetConfig, parts: Sequence[DatasetPart], place: Path) -> Manifest:
     """The manifest of a dataset, but for what its index counts and the sums of its files.
 
     Args:

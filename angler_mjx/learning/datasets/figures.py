@@ -228,7 +228,7 @@ def flights(place: Path, manifest: Manifest, table: pa.Table) -> Figure:
     return figure
 
 
-def _map(panel: Axes, one: scene.Scene) -> None:
+def _map(panel: Axes, one: scene.ReplayScene) -> None:
     low, high = one.bounds_m
     ground.bounds(panel, one, ground.ABOVE)
     ground.rock(panel, one.environment.grid, ground.ABOVE, Normalize(low[2], high[2]))

@@ -14,14 +14,14 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets import card, describing, index, manifest, sums
 from angler_mjx.learning.datasets import parts as flown
 from angler_mjx.learning.datasets.config import DatasetConfig
-from angler_mjx.learning.datasets.parts import Part
+from angler_mjx.learning.datasets.parts import DatasetPart
 from angler_mjx.learning.datasets.sampling import CROSSED
 from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
-from angler_mjx.runs.several import Told
+from angler_mjx.runs.several import RunsProgress
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.recorder import Shape
 from angler_mjx.world.config import resolve
 
@@ -31,7 +31,7 @@ and a GPU is as fast with half its tile."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class DatasetRequest:
     """What a person asked for."""
 
     config: DatasetConfig
@@ -41,7 +41,7 @@ class Asked:
     source: str
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[DatasetPart, ...]:
         """To be flown; see `parts.parts`."""
         return flown.parts(self.config, self.table, self.episodes, self.source)
 
@@ -54,7 +54,7 @@ class Asked:
         }
 
 
-def ask(path: Path, episodes: int) -> Asked:
+def read_request(path: Path, episodes: int) -> DatasetRequest:
     """What is to be made of a dataset file.
 
     Raises:
@@ -63,14 +63,14 @@ def ask(path: Path, episodes: int) -> Asked:
     if episodes < 1:
         raise ConfigError(f"--episodes {episodes}: must be at least 1")
     config, table = flown.read(path)
-    return Asked(config=config, table=table, episodes=episodes, source=str(path))
+    return DatasetRequest(config=config, table=table, episodes=episodes, source=str(path))
 
 
 def make(
-    asked: Asked,
+    asked: DatasetRequest,
     out: Path,
     *,
-    told: Told,
+    told: RunsProgress,
     resume: bool = False,
     devices: int | None = None,
     workers: int | None = None,
@@ -102,7 +102,12 @@ def make(
 
 
 def _make(
-    asked: Asked, out: Path, told: Told, together: Processes, resume: bool, how: Mapping[str, Any]
+    asked: DatasetRequest,
+    out: Path,
+    told: RunsProgress,
+    together: Processes,
+    resume: bool,
+    how: Mapping[str, Any],
 ) -> Path | None:
     parts = asked.parts
     _require_one_recording(parts, asked.source)
@@ -130,7 +135,7 @@ def _make(
     return out
 
 
-def _require_one_recording(parts: Sequence[Part], source: str) -> None:
+def _require_one_recording(parts: Sequence[DatasetPart], source: str) -> None:
     """Refuse parts that are recorded at different rates, or in different steps."""
     first = parts[0].scenario
     if first.time.record_hz == 0.0:
@@ -147,7 +152,7 @@ def _require_one_recording(parts: Sequence[Part], source: str) -> None:
                 )
 
 
-def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str) -> None:
+def _require_crossings(config: DatasetConfig, parts: Sequence[DatasetPart], source: str) -> None:
     """Refuse crossings where no two robots are."""
     if not all(part.robots < 2 for part in parts if part.split is None):
         return
@@ -159,7 +164,7 @@ def _require_crossings(config: DatasetConfig, parts: Sequence[Part], source: str
             )
 
 
-def tile_of(part: Part) -> int:
+def tile_of(part: DatasetPart) -> int:
     """Worlds in one device call: the file's, or as many as memory is to hold of them."""
     scenario = part.scenario
     if scenario.tile is not None:
@@ -178,7 +183,7 @@ def tile_of(part: Part) -> int:
     return min(default_tile(scenario.worlds), 1 << (fits.bit_length() - 1))
 
 
-def _close(asked: Asked, parts: Sequence[Part], claimed: Claim) -> None:
+def _close(asked: DatasetRequest, parts: Sequence[DatasetPart], claimed: OutputLock) -> None:
     """Index, sums, card and, last, the manifest; then the folder gets its name."""
     place = claimed.building
     try:

@@ -18,7 +18,7 @@ from angler_mjx.studies.benchmark.questions import with_team
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class DatasetPart:
     """A run of a dataset."""
 
     path: str
@@ -48,7 +48,7 @@ def read(path: Path) -> tuple[DatasetConfig, dict[str, Any]]:
 
 def parts(
     config: DatasetConfig, table: Mapping[str, Any], episodes: int, source: str
-) -> tuple[Part, ...]:
+) -> tuple[DatasetPart, ...]:
     """What is to be flown.
 
     Args:
@@ -108,7 +108,7 @@ def _part(
     worlds: int,
     number: int,
     source: str,
-) -> Part:
+) -> DatasetPart:
     scene, team, expert, _ = cell
     about = f"{source} (scene {scene.name}, expert {expert.title})"
     whole = merged(merged(table, config.set), scene.set)
@@ -128,7 +128,7 @@ def _part(
         raise ConfigError(f"{named(about)}: {error}") from error
     robots = len(made.members())
     label = re.sub(r"[^A-Za-z0-9_-]+", "_", expert.title).strip("_")
-    return Part(
+    return DatasetPart(
         path=f"{RUNS}/{number:03d}_{scene.name}_{robots}_{label}",
         scene=scene.name,
         expert=expert.title,

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.current.pace import Swimmer, pace
+from angler_mjx.planning.current.pace import PowerModel, pace
 from angler_mjx.planning.current.search import STEPS
-from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, Layout, Terrain, free_space
+from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, LatticeLayout, Terrain, free_space
 
 type Flow = Callable[[jax.Array], jax.Array]
 """Velocity [3] m/s of the water at a point [3]."""
@@ -16,7 +16,7 @@ _LOOKS = (0.25, 0.75)
 """Where the water is looked at, as shares of a step."""
 
 
-def step_costs(land: Terrain, team: Swimmer, clearance_m: jax.Array, flow: Flow) -> jax.Array:
+def step_costs(land: Terrain, team: PowerModel, clearance_m: jax.Array, flow: Flow) -> jax.Array:
     """Cost of each of `STEPS` from each cell, metres of still water.
 
     Args:
@@ -41,7 +41,7 @@ def step_costs(land: Terrain, team: Swimmer, clearance_m: jax.Array, flow: Flow)
         # The water is the same for all robots: looked at once, whatever the compiler would prefer.
         water = jax.lax.optimization_barrier([jax.vmap(flow)(place) for place in looks])
 
-        def of_robot(robot: Swimmer) -> jax.Array:
+        def of_robot(robot: PowerModel) -> jax.Array:
             along = jnp.broadcast_to(step / length, centre.shape)
             total = sum(pace(robot, along, seen)[0] for seen in water)
             return (total * (length * cell_m / len(_LOOKS))).astype(jnp.float16)
@@ -52,7 +52,7 @@ def step_costs(land: Terrain, team: Swimmer, clearance_m: jax.Array, flow: Flow)
     return jnp.where(free, cost, jnp.inf)
 
 
-def _free_steps(layout: Layout, free: FreeSpace) -> jax.Array:
+def _free_steps(layout: LatticeLayout, free: FreeSpace) -> jax.Array:
     """Whether each step from each cell is free, bool [26, nx, ny, nz]."""
     shape = layout.shape
     at = layout.guard + layout.row * jnp.arange(shape[0])[:, None] + jnp.arange(shape[1])

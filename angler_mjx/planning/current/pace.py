@@ -27,7 +27,7 @@ _SLOWEST = 0.1
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Swimmer:
+class PowerModel:
     """What swimming takes one robot: p_0 + k_i v_i^n_i along each axis of its body alone."""
 
     cruise_mps: jax.Array
@@ -46,13 +46,13 @@ class Swimmer:
     objective: Objective = field(metadata={"static": True})
 
 
-def swimmer(
+def power_model(
     cruise_mps: jax.Array,
     terminal_mps: jax.Array,
     power_w: jax.Array,
     share: float,
     objective: Objective,
-) -> Swimmer:
+) -> PowerModel:
     """The robot of a row of powers.
 
     Args:
@@ -81,7 +81,7 @@ def swimmer(
     exponent = jnp.clip(jnp.log(two / one) / jnp.log(1.5), 1.0, 4.0)
     factor = one / first**exponent
     ahead = factor[0] * cruise_mps ** exponent[0]
-    return Swimmer(
+    return PowerModel(
         cruise_mps=cruise_mps,
         limit_mps=jnp.where(can, share * terminal_mps, 1e-3),
         rest_w=rest,
@@ -92,7 +92,7 @@ def swimmer(
     )
 
 
-def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Array, jax.Array]:
+def pace(robot: PowerModel, direction: jax.Array, flow: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Cost of a metre, and the speed over ground at which it costs least.
 
     Args:
@@ -139,7 +139,7 @@ def pace(robot: Swimmer, direction: jax.Array, flow: jax.Array) -> tuple[jax.Arr
     return least, chosen
 
 
-def _power(robot: Swimmer, axes: tuple[jax.Array, ...]) -> jax.Array:
+def _power(robot: PowerModel, axes: tuple[jax.Array, ...]) -> jax.Array:
     """Power [...] at speeds [...] along the three axes of the body.
 
     Thrusters' power goes with about the 1.5th power of their thrust. Thrusts for two axes add up in

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from angler_kernels.programs import on_gpu
 from angler_mjx.planning.current import search, search_kernel
 from angler_mjx.planning.current.map import step_costs
-from angler_mjx.planning.current.pace import Objective, Swimmer, swimmer
+from angler_mjx.planning.current.pace import Objective, PowerModel, power_model
 from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
 from angler_mjx.planning.current.timetable import scheduled
 from angler_mjx.planning.priority import planner as priority
@@ -24,7 +24,7 @@ from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import Terrain, terrain
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
+from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 AT_ONCE = 4096
@@ -86,8 +86,8 @@ class CurrentPlanner:
 def plan(
     environments: Environment,
     teams: Team,
-    current: KnownCurrent,
-    obstacles: KnownObstacles,
+    current: CurrentInformation,
+    obstacles: ObstacleInformation,
     seeds: jax.Array,
     config: CurrentConfig,
 ) -> Trajectory:
@@ -123,8 +123,8 @@ def plan(
 def _in_parts(
     environments: Environment,
     teams: Team,
-    current: KnownCurrent,
-    obstacles: KnownObstacles,
+    current: CurrentInformation,
+    obstacles: ObstacleInformation,
     config: CurrentConfig,
 ) -> Trajectory:
     worlds, robots = teams.radius_m.shape
@@ -150,16 +150,16 @@ def _in_parts(
 def _batch(
     environments: Environment,
     teams: Team,
-    current: KnownCurrent,
-    obstacles: KnownObstacles,
+    current: CurrentInformation,
+    obstacles: ObstacleInformation,
     config: CurrentConfig,
 ) -> Trajectory:
     worlds, robots = teams.radius_m.shape
     settings = config.settings
     lands = jax.vmap(terrain)(environments)
 
-    def of_team(team: Team) -> Swimmer:
-        return jax.vmap(swimmer, in_axes=(0, 0, 0, None, None))(
+    def of_team(team: Team) -> PowerModel:
+        return jax.vmap(power_model, in_axes=(0, 0, 0, None, None))(
             team.cruise_speed_mps,
             team.terminal_speed_mps,
             team.power_w,
@@ -170,7 +170,9 @@ def _batch(
     swimmers = jax.vmap(of_team)(teams)
     clearance = teams.radius_m + config.margin_m
 
-    def costs(land: Terrain, team: Swimmer, clear: jax.Array, known: KnownCurrent) -> jax.Array:
+    def costs(
+        land: Terrain, team: PowerModel, clear: jax.Array, known: CurrentInformation
+    ) -> jax.Array:
         zero = jnp.zeros((), clear.dtype)
         return step_costs(land, team, clear, lambda p: known.velocity(p, zero))
 
@@ -183,8 +185,8 @@ def _batch(
     def of_robot(
         land: Terrain,
         floor_z_m: jax.Array,
-        known: KnownCurrent,
-        one: Swimmer,
+        known: CurrentInformation,
+        one: PowerModel,
         clear: jax.Array,
         cost: jax.Array,
         value: jax.Array,
@@ -195,10 +197,10 @@ def _batch(
     def of_world(
         land: Terrain,
         floor_z_m: jax.Array,
-        known: KnownCurrent,
-        bodies: KnownObstacles,
+        known: CurrentInformation,
+        bodies: ObstacleInformation,
         team: Team,
-        one: Swimmer,
+        one: PowerModel,
         clear: jax.Array,
         cost: jax.Array,
         value: jax.Array,
@@ -249,8 +251,8 @@ def _cells(land: Terrain, place: jax.Array) -> jax.Array:
 def _ways(
     land: Terrain,
     floor_z_m: jax.Array,
-    known: KnownCurrent,
-    robot: Swimmer,
+    known: CurrentInformation,
+    robot: PowerModel,
     clearance_m: jax.Array,
     cost: jax.Array,
     value: jax.Array,

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import Program
+from angler_kernels.programs import BlockProgram
 from angler_mjx.planning.current.search import FAR, STEPS, most_sweeps
 
 _LANES = 1024
@@ -30,7 +30,7 @@ def costs_to_goal(cost: jax.Array, goal: jax.Array, *, interpret: bool = False) 
         float32 [nx, ny, nz].
     """
     shape = (cost.shape[1], cost.shape[2], cost.shape[3])
-    kernel = _Kernel(shape, Program.of(min(_LANES, cost[0].size), interpret=interpret))
+    kernel = _Kernel(shape, BlockProgram.of(min(_LANES, cost[0].size), interpret=interpret))
     value, _ = kernel.program.run(
         kernel,
         [goal.astype(jnp.int32), cost.reshape(-1)],
@@ -45,7 +45,7 @@ def costs_to_goal(cost: jax.Array, goal: jax.Array, *, interpret: bool = False) 
 @dataclass(frozen=True)
 class _Kernel:
     shape: tuple[int, int, int]
-    program: Program
+    program: BlockProgram
 
     __name__ = "costs_to_goal"
 

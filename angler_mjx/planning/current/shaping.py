@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.current.pace import Swimmer, pace
+from angler_mjx.planning.current.pace import PowerModel, pace
 from angler_mjx.planning.ways.lattice import Terrain, line_of_sight
 
 type Flow = Callable[[jax.Array, jax.Array], jax.Array]
@@ -36,7 +36,7 @@ class Leg:
     """[n] time."""
 
 
-def legs(robot: Swimmer, points: jax.Array, flow: Flow, begin_s: jax.Array, stays: bool) -> Leg:
+def legs(robot: PowerModel, points: jax.Array, flow: Flow, begin_s: jax.Array, stays: bool) -> Leg:
     """What legs of a way cost, and how long each takes.
 
     Args:
@@ -90,7 +90,7 @@ class _Descent:
 
 def shortened(
     land: Terrain,
-    robot: Swimmer,
+    robot: PowerModel,
     points: jax.Array,
     clearance_m: jax.Array,
     flow: Flow,
@@ -166,7 +166,7 @@ def evened(points: jax.Array, count: int) -> jax.Array:
 
 def descended(
     land: Terrain,
-    robot: Swimmer,
+    robot: PowerModel,
     points: jax.Array,
     clearance_m: jax.Array,
     floor_z_m: jax.Array,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from angler_mjx.planning.ways.bodies import STANDS_S
 from angler_mjx.planning.ways.pulling import keeps_clear
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import Traffic, met_by
+from angler_mjx.planning.ways.traffic import GridTraffic, met_by
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDS = 3
@@ -19,7 +19,7 @@ def scheduled(
     ways: Trajectory,
     held: Trajectory,
     radius_m: jax.Array,
-    bodies: Traffic | None,
+    bodies: GridTraffic | None,
     margin_m: float,
     horizon_s: float,
 ) -> Trajectory:
@@ -47,7 +47,7 @@ def scheduled(
         state: tuple[Trajectory, jax.Array, jax.Array], robot: jax.Array
     ) -> tuple[tuple[Trajectory, jax.Array, jax.Array], None]:
         plans, done, found = state
-        traffic = Traffic(
+        traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
             reach_m=reach[robot],
@@ -86,7 +86,7 @@ def scheduled(
     return best
 
 
-def _clear_of_bodies(ways: Trajectory, bodies: Traffic | None, by_m: jax.Array) -> jax.Array:
+def _clear_of_bodies(ways: Trajectory, bodies: GridTraffic | None, by_m: jax.Array) -> jax.Array:
     """Which ways [H] of a robot are there, and clear of bodies until they are over, bool [H]."""
     if bodies is None:
         return ways.found

@@ -13,11 +13,11 @@ import pinocchio as pin
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host import scenery
-from angler_mjx.planning.host.robots import Robot, build, owner, team
+from angler_mjx.planning.host.robots import PlannedRobot, build, owner, team
 from angler_mjx.planning.problem import Problem
 
 
-class Nearest(NamedTuple):
+class NearestObstacle(NamedTuple):
     """The two bodies that come nearest to each other."""
 
     distance_m: float
@@ -43,7 +43,7 @@ class TeamModel:
     model: Any
     geometry: Any
 
-    def __init__(self, robots: Sequence[Robot], problem: Problem) -> None:
+    def __init__(self, robots: Sequence[PlannedRobot], problem: Problem) -> None:
         """Build the model.
 
         Args:
@@ -149,10 +149,10 @@ class TeamModel:
         )
 
     def clearance(self, q: np.ndarray) -> float:
-        """Least distance of any robot to anything, m; see `Nearest`."""
+        """Least distance of any robot to anything, m; see `NearestObstacle`."""
         return self.nearest(q).distance_m
 
-    def nearest(self, q: np.ndarray) -> Nearest:
+    def nearest(self, q: np.ndarray) -> NearestObstacle:
         """What comes nearest to what at q.
 
         Pairs are worked out in the order of a lower bound of their distance, until that is no less
@@ -162,9 +162,9 @@ class TeamModel:
         buried = self._buried()
         if buried is not None:
             here = self._centre[buried].copy()
-            return Nearest(-np.inf, here, here, self._names[buried], "rock")
+            return NearestObstacle(-np.inf, here, here, self._names[buried], "rock")
         bounds = self._bounds()
-        best = Nearest(np.inf, np.full(3, np.nan), np.full(3, np.nan), "", "")
+        best = NearestObstacle(np.inf, np.full(3, np.nan), np.full(3, np.nan), "", "")
         for flat in np.argsort(bounds, axis=None):
             i, j = divmod(int(flat), bounds.shape[1])
             if bounds[i, j] >= best.distance_m:
@@ -173,7 +173,7 @@ class TeamModel:
             distance = coal.distance(self._objects[i], self._objects[j], _request(), found)
             if distance < best.distance_m:
                 points = (np.array(found.getNearestPoint1()), np.array(found.getNearestPoint2()))
-                best = Nearest(distance, *points, self._names[i], self._names[j])
+                best = NearestObstacle(distance, *points, self._names[i], self._names[j])
         return best
 
     def _surround(self) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
+class PlannedRobot:
     """The bodies of one robot."""
 
     capsule_a_m: np.ndarray
@@ -50,12 +50,12 @@ class Robot:
         )
 
 
-def team(problem: Problem) -> list[Robot]:
+def team(problem: Problem) -> list[PlannedRobot]:
     """The hulls of the team of a problem."""
     given = problem.team
     rows = zip(given.capsule_a_m, given.capsule_b_m, given.capsule_r_m, strict=True)
     return [
-        Robot(
+        PlannedRobot(
             capsule_a_m=np.asarray(a, float),
             capsule_b_m=np.asarray(b, float),
             capsule_r_m=np.asarray(r, float),
@@ -64,7 +64,7 @@ def team(problem: Problem) -> list[Robot]:
     ]
 
 
-def build(robots: Sequence[Robot]) -> tuple[Any, Any, list[int]]:
+def build(robots: Sequence[PlannedRobot]) -> tuple[Any, Any, list[int]]:
     """Model and geometry model of a team, and where each robot's numbers begin in q.
 
     Bodies are named ``robot_N_capsule_M``, and those of arms ``robot_N_`` and their own name.

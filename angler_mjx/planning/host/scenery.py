@@ -12,7 +12,7 @@ from angler_mjx.planning.problem import Problem
 _WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
 
-class Body(NamedTuple):
+class SceneryBody(NamedTuple):
     """Something that is no robot."""
 
     name: str
@@ -35,17 +35,19 @@ def enclosed(occupied: np.ndarray) -> np.ndarray:
     return inside
 
 
-def cells(problem: Problem) -> Iterator[Body]:
+def cells(problem: Problem) -> Iterator[SceneryBody]:
     """Boxes of the rock that can be touched: ``cell_I_J_K``."""
     grid = problem.grid
     edge, origin = float(grid.cell_m), np.asarray(grid.origin_m, float)
     rock = np.asarray(grid.occupied, bool)
     for index in np.argwhere(rock & ~enclosed(rock)):
         name = "cell_" + "_".join(str(i) for i in index)
-        yield Body(name, coal.Box(edge, edge, edge), np.eye(3), origin + edge * (index + 0.5))
+        yield SceneryBody(
+            name, coal.Box(edge, edge, edge), np.eye(3), origin + edge * (index + 0.5)
+        )
 
 
-def walls(problem: Problem) -> Iterator[Body]:
+def walls(problem: Problem) -> Iterator[SceneryBody]:
     """Boxes around the cube, the floor among them, each as thick as the cube is wide."""
     grid = problem.grid
     low = np.asarray(grid.origin_m, float).copy()
@@ -58,10 +60,10 @@ def walls(problem: Problem) -> Iterator[Body]:
         extent, centre = size + 2.0 * thick, 0.5 * (low + high)
         extent[axis] = thick
         centre[axis] = high[axis] + 0.5 * thick if upper else low[axis] - 0.5 * thick
-        yield Body(name, coal.Box(*extent), np.eye(3), centre)
+        yield SceneryBody(name, coal.Box(*extent), np.eye(3), centre)
 
 
-def obstacles(problem: Problem) -> Iterator[Body]:
+def obstacles(problem: Problem) -> Iterator[SceneryBody]:
     """Bodies that are known to exist, where they are at t = 0: ``obstacle_N``."""
     known = problem.obstacles
     for row in np.flatnonzero(known.exists):
@@ -71,7 +73,7 @@ def obstacles(problem: Problem) -> Iterator[Body]:
             coal.Box(*(2.0 * size)),
             coal.Capsule(size[0], 2.0 * size[1]),
         )[int(known.kind[row])]
-        yield Body(f"obstacle_{row}", shape, *pose(problem, int(row), 0.0))
+        yield SceneryBody(f"obstacle_{row}", shape, *pose(problem, int(row), 0.0))
 
 
 def pose(problem: Problem, row: int, time_s: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
-from angler_mjx.world.acoustics.channel import Others
+from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
+from angler_mjx.world.acoustics.channel import HeardRobots
 
 NOBODY_M = -1e3
 """Reach of what is not there."""
 
 
-def flow(known: KnownCurrent | None, way_m: jax.Array, ahead_s: jax.Array) -> jax.Array:
+def flow(known: CurrentInformation | None, way_m: jax.Array, ahead_s: jax.Array) -> jax.Array:
     """Velocity [H, 3] of the water in W, as far as it is known, along a way [H, 3] at times [H]."""
     if known is None:
         return jnp.zeros_like(way_m)
@@ -18,7 +18,9 @@ def flow(known: KnownCurrent | None, way_m: jax.Array, ahead_s: jax.Array) -> ja
     return found
 
 
-def straight(others: Others, time_s: jax.Array, ahead_s: jax.Array, robot: jax.Array) -> jax.Array:
+def straight(
+    others: HeardRobots, time_s: jax.Array, ahead_s: jax.Array, robot: jax.Array
+) -> jax.Array:
     """Places [H, R, 3] of robots at times [H] from now, as far as one of them has heard.
 
     Args:
@@ -31,7 +33,7 @@ def straight(others: Others, time_s: jax.Array, ahead_s: jax.Array, robot: jax.A
     return here + velocity * ahead_s[:, None, None]
 
 
-def obstacles(known: KnownObstacles | None, ahead_s: jax.Array) -> tuple[jax.Array, jax.Array]:
+def obstacles(known: ObstacleInformation | None, ahead_s: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Places [n, H, 3] at times [H] from now, and bounding radii [n].
 
     On lines between places that are told, held after the last; straight on where one is told. What

@@ -33,7 +33,7 @@ class Weights:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Bodies:
+class CostBodies:
     """What moves, over the horizon."""
 
     centre_m: jax.Array
@@ -58,7 +58,7 @@ def danger(
         p: [3, S] in W.
         clear_m: [S] gap to rock, faces and floor.
         centre_m: [n, 3] of bodies, in W.
-        reach_m: [n] as in `Bodies`.
+        reach_m: [n] as in `CostBodies`.
     """
     away = centre_m[..., None] - p
     apart = jnp.sqrt(jnp.sum(away**2, axis=1)) - reach_m[:, None]

@@ -14,7 +14,7 @@ from angler_mjx.robot.control.stack import ControlParams
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Hull:
+class DragHull:
     """Numbers of one robot at a heading."""
 
     heading: jax.Array
@@ -39,14 +39,14 @@ class Hull:
 
 def hull(
     params: ControlParams, yaw_rad: jax.Array, density_kgpm3: float, gravity_mps2: float
-) -> Hull:
+) -> DragHull:
     """The numbers of one robot as its controllers know it.
 
     A vehicle without thrust in some direction is taken to turn its bow there.
     """
     vehicle = params.known
     speed = vehicle.terminal_speed_mps
-    return Hull(
+    return DragHull(
         heading=jnp.stack([jnp.cos(yaw_rad), jnp.sin(yaw_rad)]),
         inertia_kg=vehicle.mass_kg + jnp.diagonal(vehicle.M_A)[:3],
         linear=vehicle.D_l[:3],
@@ -59,30 +59,30 @@ def hull(
     )
 
 
-def to_body(hull: Hull, x: jax.Array) -> jax.Array:
+def to_body(hull: DragHull, x: jax.Array) -> jax.Array:
     """Vectors [3, S] of W along the robot's axes."""
     c, s = hull.heading[0], hull.heading[1]
     return jnp.stack([c * x[0] + s * x[1], c * x[1] - s * x[0], x[2]])
 
 
-def to_world(hull: Hull, x: jax.Array) -> jax.Array:
+def to_world(hull: DragHull, x: jax.Array) -> jax.Array:
     """Vectors [3, S] along the robot's axes, in W."""
     c, s = hull.heading[0], hull.heading[1]
     return jnp.stack([c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]])
 
 
-def resistance(hull: Hull, through: jax.Array) -> jax.Array:
+def resistance(hull: DragHull, through: jax.Array) -> jax.Array:
     """Drag [3, S] over velocity, N s/m, of velocities [3, S] through the water."""
     return hull.linear[:, None] + hull.quadratic[:, None] * jnp.abs(through)
 
 
-def lift(hull: Hull) -> jax.Array:
+def lift(hull: DragHull) -> jax.Array:
     """Buoyancy less weight, a force [3, 1] along the robot's axes."""
     up = jnp.array([0.0, 0.0, 1.0], hull.lift_n.dtype)
     return (hull.lift_n * up)[:, None]
 
 
-def reachable(hull: Hull, through: jax.Array) -> jax.Array:
+def reachable(hull: DragHull, through: jax.Array) -> jax.Array:
     """Velocities [3, S] through the water, shortened to what thrust can hold.
 
     Surge and sway take the same thrusters: at each half of what it can do alone, forces add up.
@@ -96,7 +96,7 @@ def reachable(hull: Hull, through: jax.Array) -> jax.Array:
     )
 
 
-def thrusts(hull: Hull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
+def thrusts(hull: DragHull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
     """What thrusters can do of forces [3, S] along the robot's axes.
 
     Surge and sway are cut by one factor, heave by its own, so that no thruster runs past its end by
@@ -113,7 +113,7 @@ def thrusts(hull: Hull, force: jax.Array) -> tuple[jax.Array, jax.Array]:
     return given, level * of_level + heave * of_heave
 
 
-def power(hull: Hull, thrust_n: jax.Array) -> jax.Array:
+def power(hull: DragHull, thrust_n: jax.Array) -> jax.Array:
     """Power [S] of thrusts [n_thruster, S], over that of cruising ahead through still water.
 
     A propeller takes power as the 3/2 of its thrust.

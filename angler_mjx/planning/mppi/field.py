@@ -19,7 +19,7 @@ FAR = 1e6
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class DistanceField:
     """Numbers at the nodes of one world."""
 
     values: jax.Array
@@ -153,7 +153,7 @@ def _upwind(value: jax.Array, h: jax.Array) -> jax.Array:
     return jnp.where(found > c, three, found)
 
 
-def read(field: Field, p: tuple[jax.Array, jax.Array, jax.Array]) -> list[jax.Array]:
+def read(field: DistanceField, p: tuple[jax.Array, jax.Array, jax.Array]) -> list[jax.Array]:
     """Numbers at points, by trilinear interpolation; held beyond the border.
 
     Args:

@@ -1,8 +1,8 @@
 """How a robot answers the velocities that it is asked for, in samples; two models of one step.
 
-`Lag` takes the velocity loop of the controllers as a lag of first order, towards the velocity that
-thrust can hold in the current. `Forces` works out the forces of thrusters, within their limits, and
-moves the robot by its mass, added mass, drag and net weight.
+`ThrusterLag` takes the velocity loop of the controllers as a lag of first order, towards the
+velocity that thrust can hold in the current. `Forces` works out the forces of thrusters, within
+their limits, and moves the robot by its mass, added mass, drag and net weight.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.mppi import drag
-from angler_mjx.planning.mppi.drag import Hull
+from angler_mjx.planning.mppi.drag import DragHull
 
 
 class Model(Protocol):
@@ -37,10 +37,10 @@ class Model(Protocol):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Lag:
+class ThrusterLag:
     """The velocity loop as a lag of first order."""
 
-    hull: Hull
+    hull: DragHull
     response_s: jax.Array | float
 
     def step(
@@ -61,7 +61,7 @@ class Lag:
 class Forces:
     """Thrusters' forces on a mass in water; heading and attitude are held, whatever that takes."""
 
-    hull: Hull
+    hull: DragHull
     response_s: jax.Array | float
 
     def step(

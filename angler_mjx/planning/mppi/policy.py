@@ -13,15 +13,15 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.mppi import ahead, drag, outputs
 from angler_mjx.planning.mppi import field as fields
-from angler_mjx.planning.mppi.costs import Bodies, Weights
-from angler_mjx.planning.mppi.models import Forces, Lag
-from angler_mjx.planning.mppi.sampling import Scene, improve, shifted
+from angler_mjx.planning.mppi.costs import CostBodies, Weights
+from angler_mjx.planning.mppi.models import Forces, ThrusterLag
+from angler_mjx.planning.mppi.sampling import RolloutScene, improve, shifted
 from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
-from angler_mjx.sim.knowledge import Knows
-from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.policy import Policy, PolicyInput
 
 type Output = Literal["twist", "wrench"]
 """What robots are commanded by."""
@@ -32,10 +32,10 @@ ROOM_M = 0.1
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class MppiMemory:
     """What it keeps of one world; [R] leads but for the time."""
 
-    field: fields.Field
+    field: fields.DistanceField
     knots: jax.Array
     """[R, K, 3]."""
     way_m: jax.Array
@@ -61,7 +61,7 @@ class Mppi(Policy):
     dt_s: float = field(default=0.1, metadata={"static": True})
     knots: int = field(default=8, metadata={"static": True})
     period: int = field(default=1, metadata={"static": True})
-    knows: Knows = field(default_factory=Knows, metadata={"static": True})
+    knows: Information = field(default_factory=Information, metadata={"static": True})
     looks: int = field(default=1, metadata={"static": True})
     ahead_s: float = field(default=3.0, metadata={"static": True})
 
@@ -70,20 +70,20 @@ class Mppi(Policy):
         """Of a sample."""
         return round(self.horizon_s / self.dt_s)
 
-    def reset(self, known: Known, key: jax.Array) -> Memory:
+    def reset(self, known: PolicyInput, key: jax.Array) -> MppiMemory:
         """See `Policy.reset`."""
         grid, floor = known.grid, known.floor_z_m
         if grid is None or floor is None:
             raise ConfigError("policy Mppi: is told no map; give it knows = Knows()")
         gap, h = fields.gap(grid, floor), 0.5 * grid.cell_m
 
-        def of_robot(goal: jax.Array, radius: jax.Array) -> fields.Field:
+        def of_robot(goal: jax.Array, radius: jax.Array) -> fields.DistanceField:
             left = fields.way_left(gap >= radius + ROOM_M, goal, grid.origin_m, h)
             values = jnp.stack([gap, left], axis=-1)
-            return fields.Field(values=values, origin_m=grid.origin_m, spacing_m=h)
+            return fields.DistanceField(values=values, origin_m=grid.origin_m, spacing_m=h)
 
         p = known.belief.p
-        return Memory(
+        return MppiMemory(
             field=jax.vmap(of_robot)(known.goal_m, known.params.known.radius_m),
             knots=jnp.zeros((p.shape[0], self.knots, 3), p.dtype),
             way_m=jnp.repeat(p[:, None], self.steps, axis=1),
@@ -91,7 +91,7 @@ class Mppi(Policy):
             time_s=known.time_s,
         )
 
-    def act(self, carry: Memory, known: Known, key: jax.Array, step: jax.Array) -> Any:
+    def act(self, carry: MppiMemory, known: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
         """See `Policy.act`."""
         since, believed = known.time_s - carry.time_s, known.belief
         others = jax.vmap(lambda way: shifted(way, since, self.horizon_s - self.dt_s))(carry.way_m)
@@ -109,13 +109,13 @@ class Mppi(Policy):
             return jnp.concatenate([heard, moving], axis=1)
 
         def one(
-            i: jax.Array, params: ControlParams, seen: fields.Field, knots: jax.Array
+            i: jax.Array, params: ControlParams, seen: fields.DistanceField, knots: jax.Array
         ) -> tuple[jax.Array, jax.Array, jax.Array]:
             radius, q = params.known.radius_m, believed.q[i]
             of_robots = jnp.where(robots == i, ahead.NOBODY_M, radius + radii)
-            scene = Scene(
+            scene = RolloutScene(
                 field=seen,
-                bodies=Bodies(
+                bodies=CostBodies(
                     centre_m=about(i), reach_m=jnp.concatenate([of_robots, radius + reach])
                 ),
                 flow_mps=ahead.flow(known.current, others[i], ahead_s),
@@ -124,7 +124,7 @@ class Mppi(Policy):
                 limit_mps=params.cruise_speed_mps,
             )
             hull = drag.hull(params, quaternion.yaw(q), self.density_kgpm3, self.gravity_mps2)
-            kind = Lag if self.output == "twist" else Forces
+            kind = ThrusterLag if self.output == "twist" else Forces
             v = quaternion.rotate(q, believed.nu[i, :3])
             knots, way = improve(
                 self.weights,
@@ -140,13 +140,13 @@ class Mppi(Policy):
             return knots, way, scene.flow_mps[0]
 
         knots, way, flow = jax.vmap(one)(robots, known.params, carry.field, carry.knots)
-        after = Memory(
+        after = MppiMemory(
             field=carry.field, knots=knots, way_m=way, yaw_rad=carry.yaw_rad, time_s=known.time_s
         )
         return after, self._commands(known, knots[:, 0], flow, carry.yaw_rad)
 
     def _commands(
-        self, known: Known, asked: jax.Array, flow: jax.Array, yaw: jax.Array
+        self, known: PolicyInput, asked: jax.Array, flow: jax.Array, yaw: jax.Array
     ) -> BodyTwist | BodyWrench:
         """Of all robots, for velocities over ground [R, 3] in the currents [R, 3] there."""
 

@@ -11,8 +11,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.mppi.costs import Bodies, Weights, danger
-from angler_mjx.planning.mppi.field import Field, read
+from angler_mjx.planning.mppi.costs import CostBodies, Weights, danger
+from angler_mjx.planning.mppi.field import DistanceField, read
 from angler_mjx.planning.mppi.models import Model
 
 type Lanes = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
@@ -21,12 +21,12 @@ type Lanes = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class RolloutScene:
     """What one robot flies in, over the horizon."""
 
-    field: Field
+    field: DistanceField
     """Of gap and way left, in this order."""
-    bodies: Bodies
+    bodies: CostBodies
     flow_mps: jax.Array
     """[H, 3] velocity of the water, in W, where the robot meant to be."""
     goal_m: jax.Array
@@ -49,7 +49,7 @@ def shifted(knots: jax.Array, by_s: jax.Array | float, horizon_s: float) -> jax.
 def improve(
     weights: Weights,
     model: Model,
-    scene: Scene,
+    scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
     knots: jax.Array,
@@ -85,7 +85,7 @@ def improve(
 def costs(
     weights: Weights,
     model: Model,
-    scene: Scene,
+    scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
     knots: jax.Array,
@@ -113,7 +113,7 @@ def costs(
 
 
 def places(
-    model: Model, scene: Scene, p: jax.Array, v: jax.Array, knots: jax.Array, dt_s: float
+    model: Model, scene: RolloutScene, p: jax.Array, v: jax.Array, knots: jax.Array, dt_s: float
 ) -> jax.Array:
     """Places [H, 3] to which knots [K, 3] lead, at the end of each step."""
 
@@ -127,7 +127,7 @@ def places(
 
 def _moved(
     model: Model,
-    scene: Scene,
+    scene: RolloutScene,
     p: jax.Array,
     v: jax.Array,
     knots: jax.Array,

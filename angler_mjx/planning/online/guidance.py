@@ -6,13 +6,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.online.order import Order, Seen, limits
+from angler_mjx.planning.online.order import PassingOrder, Seen, limits
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.commands import Estimate, PoseTarget
 from angler_mjx.robot.control.laws import follow
 from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.world.acoustics.channel import Others
+from angler_mjx.world.acoustics.channel import HeardRobots
 
 SLACK_M = 0.2
 """How far a robot may be from its place on the plan and still count as there; order keeps it free
@@ -29,7 +29,7 @@ LEAST_SPEED_MPS = 0.05
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class PlanStatus:
     """Since when robots [R] of a team get no further on their plans though they could."""
 
     passed_s: jax.Array
@@ -40,7 +40,7 @@ class Standing:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Progress:
+class PlanProgress:
     """Of robots [R] along their plans: what they tell each other."""
 
     passed_s: jax.Array
@@ -51,14 +51,14 @@ class Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class Heard:
-    """What robots have heard of each other's `Progress`, and when that is looked at."""
+    """What robots have heard of each other's `PlanProgress`, and when that is looked at."""
 
-    others: Others
-    """Its words are `Progress`, [R, R] leading."""
+    others: HeardRobots
+    """Its words are `PlanProgress`, [R, R] leading."""
     time_s: jax.Array
     """[] now."""
 
-    def seen(self, own: Progress, at_m: jax.Array, speed_mps: jax.Array) -> Seen:
+    def seen(self, own: PlanProgress, at_m: jax.Array, speed_mps: jax.Array) -> Seen:
         """What each takes the others for; what it knows of itself, [R], needs no packet."""
         others, said = self.others, self.others.words
         itself = jnp.eye(at_m.shape[0], dtype=bool)
@@ -72,12 +72,12 @@ class Heard:
         )
 
 
-def moving(clock_s: jax.Array) -> Standing:
+def moving(clock_s: jax.Array) -> PlanStatus:
     """Robots [R] so far along their plans, none of which stands yet."""
-    return Standing(passed_s=clock_s, for_s=jnp.zeros_like(clock_s))
+    return PlanStatus(passed_s=clock_s, for_s=jnp.zeros_like(clock_s))
 
 
-def begun_anew(standing: Standing, before_s: jax.Array, after_s: jax.Array) -> Standing:
+def begun_anew(standing: PlanStatus, before_s: jax.Array, after_s: jax.Array) -> PlanStatus:
     """The same when clocks [R] are set from one time to another, as for new plans."""
     return replace(standing, passed_s=standing.passed_s + after_s - before_s)
 
@@ -99,12 +99,12 @@ def step(
     carry: FollowCarry,
     estimate: Estimate,
     plan: Plan,
-    order: Order | None,
+    order: PassingOrder | None,
     cruise_mps: jax.Array,
     dt: float,
-    standing: Standing | None = None,
+    standing: PlanStatus | None = None,
     heard: Heard | None = None,
-) -> tuple[FollowCarry, PoseTarget, Standing | None]:
+) -> tuple[FollowCarry, PoseTarget, PlanStatus | None]:
     """One control step of a team; [R] leads.
 
     Args:
@@ -149,17 +149,17 @@ def passed_s(
     return carry.clock_s - behind / jnp.maximum(cruise_mps, LEAST_SPEED_MPS)
 
 
-def progress(passed: jax.Array, standing: Standing | None) -> Progress:
+def progress(passed: jax.Array, standing: PlanStatus | None) -> PlanProgress:
     """What robots so far along [R] tell each other."""
     nobody = jnp.zeros_like(passed, bool)
     stands = nobody if standing is None else standing.for_s > PATIENCE_S
-    return Progress(passed_s=passed, stands=stands)
+    return PlanProgress(passed_s=passed, stands=stands)
 
 
-def seen(standing: Standing, passed_s: jax.Array, waits: jax.Array, dt: float) -> Standing:
+def seen(standing: PlanStatus, passed_s: jax.Array, waits: jax.Array, dt: float) -> PlanStatus:
     """Who stands one control step later; ``waits`` [R] for others who get on."""
     gets_on = waits | (passed_s > standing.passed_s + FURTHER_S)
-    return Standing(
+    return PlanStatus(
         passed_s=jnp.where(gets_on, passed_s, standing.passed_s),
         for_s=jnp.where(gets_on, 0.0, standing.for_s + dt),
     )

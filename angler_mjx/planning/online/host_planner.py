@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 if TYPE_CHECKING:
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class HostAnew:
+class HostReplanner:
     """A planner with ``plan``."""
 
-    reference: Reference
+    reference: PlannerReference
     settings: tuple[tuple[str, Any], ...]
     points: int
     """Rows of its plans; who gives more is refused."""
@@ -40,7 +40,7 @@ class HostAnew:
         return plans
 
 
-def _plan(anew: HostAnew, problem: Problem) -> Trajectory:
+def _plan(anew: HostReplanner, problem: Problem) -> Trajectory:
     """Asks the process; a robot without a plan stays at its start."""
     asked: Problem = jax.tree.map(np.asarray, problem)
     workers = _workers(anew)
@@ -75,11 +75,11 @@ def take_failures() -> list[tuple[str, int]]:
     return found
 
 
-_PROCESSES: "dict[HostAnew, Workers]" = {}
+_PROCESSES: "dict[HostReplanner, Workers]" = {}
 """One process for each planner that was asked; they end with this one, or by `close`."""
 
 
-def _workers(anew: HostAnew) -> "Workers":
+def _workers(anew: HostReplanner) -> "Workers":
     if anew not in _PROCESSES:
         from angler_mjx.planning.host.workers import Workers
 

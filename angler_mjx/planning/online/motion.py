@@ -5,12 +5,12 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.traffic import Traffic, clear_of
+from angler_mjx.planning.ways.traffic import GridTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 
-def later(known: KnownObstacles, delay_s: float) -> KnownObstacles:
+def later(known: ObstacleInformation, delay_s: float) -> ObstacleInformation:
     """What is known of obstacles, its times counted from ``delay_s`` after the observation."""
     time, where = known.time_s, known.p_m
     if delay_s == 0.0:
@@ -22,9 +22,9 @@ def later(known: KnownObstacles, delay_s: float) -> KnownObstacles:
     return replace(known, p_m=moved)
 
 
-def plan_rows(plan: Trajectory, radius_m: jax.Array, counts: jax.Array) -> Traffic:
+def plan_rows(plan: Trajectory, radius_m: jax.Array, counts: jax.Array) -> GridTraffic:
     """Plans [R] as traffic; ``counts`` [R] which of them do."""
-    return Traffic(
+    return GridTraffic(
         time_s=plan.time_s,
         position_m=plan.position_m,
         reach_m=radius_m,
@@ -32,7 +32,7 @@ def plan_rows(plan: Trajectory, radius_m: jax.Array, counts: jax.Array) -> Traff
     )
 
 
-def is_clear(path: Trajectory, traffic: Traffic, horizon_s: float) -> jax.Array:
+def is_clear(path: Trajectory, traffic: GridTraffic, horizon_s: float) -> jax.Array:
     """Whether the path of one robot keeps the reach of all traffic until the horizon, bool []."""
     begin, end = path.time_s, jnp.append(path.time_s[1:], jnp.maximum(path.time_s[-1], horizon_s))
     after = jnp.concatenate([path.position_m[1:], path.position_m[-1:]])

@@ -31,7 +31,7 @@ current."""
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class PassingOrder:
     """Of the robots of one world."""
 
     time_s: jax.Array
@@ -46,7 +46,7 @@ class Order:
     """[b, K, a] between a's centre and the place; nearer ones are in each other's way."""
 
 
-def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
+def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> PassingOrder:
     """The order of a team's plans.
 
     Args:
@@ -74,7 +74,7 @@ def of(plan: Plan, reach_m: jax.Array, samples: int = SAMPLES) -> Order:
     robots = jnp.arange(reach_m.shape[0])
     _, needs = jax.lax.scan(of_robot, None, robots)
     itself = jnp.eye(reach_m.shape[0], dtype=bool)
-    return Order(
+    return PassingOrder(
         time_s=time,
         half_s=half,
         needs_s=jnp.where(itself[:, None], -jnp.inf, needs),
@@ -99,7 +99,7 @@ class Seen:
 
 
 def limits(
-    order: Order,
+    order: PassingOrder,
     clock_s: jax.Array,
     stands: jax.Array | None = None,
     at_m: jax.Array | None = None,

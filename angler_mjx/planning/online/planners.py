@@ -13,16 +13,16 @@ from angler_mjx.planning.current import planner as current
 from angler_mjx.planning.current.planner import CurrentConfig
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC, Obstacles
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridAnew:
+class GridReplanner:
     """The grid planner."""
 
     config: WayConfig
@@ -40,7 +40,7 @@ class GridAnew:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PriorityAnew:
+class PriorityReplanner:
     """The planner priority."""
 
     config: WayConfig
@@ -64,7 +64,7 @@ class PriorityAnew:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CurrentAnew:
+class CurrentReplanner:
     """The planner current."""
 
     config: CurrentConfig
@@ -84,10 +84,10 @@ class CurrentAnew:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatchAnew:
+class BatchReplanner:
     """A planner with ``plan_batch``, made once in a process."""
 
-    reference: Reference
+    reference: PlannerReference
     settings: tuple[tuple[str, Any], ...]
 
     def __call__(self, problem: Problem) -> Trajectory:
@@ -108,7 +108,7 @@ class BatchAnew:
 
 
 @cache
-def _made(anew: BatchAnew) -> Any:
+def _made(anew: BatchReplanner) -> Any:
     return PlannerSpec(reference=anew.reference, settings=dict(anew.settings)).make()
 
 
@@ -118,7 +118,7 @@ def _alone[Leaves](tree: Leaves) -> Leaves:
     return made
 
 
-def _moving(known: KnownObstacles) -> KnownObstacles | None:
+def _moving(known: ObstacleInformation) -> ObstacleInformation | None:
     """Obstacles, where there are any."""
     return known if known.radius_m.shape[0] else None
 
@@ -142,7 +142,7 @@ def _environment(problem: Problem) -> Environment:
     )
 
 
-def _standing(known: KnownObstacles) -> Obstacles:
+def _standing(known: ObstacleInformation) -> Obstacles:
     """Obstacles that do not move; what only motion asks for is zero."""
     rows = known.radius_m.shape[0]
     one, six = jnp.zeros(rows), jnp.zeros((rows, 6))

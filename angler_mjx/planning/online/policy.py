@@ -6,30 +6,30 @@ import jax
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.online import guidance, order, replanning
-from angler_mjx.planning.online.guidance import Heard, Progress, Standing
-from angler_mjx.planning.online.order import Order
-from angler_mjx.planning.online.replanning import Plans, Replanning
+from angler_mjx.planning.online.guidance import Heard, PlanProgress, PlanStatus
+from angler_mjx.planning.online.order import PassingOrder
+from angler_mjx.planning.online.replanning import FleetPlans, Replanning
 from angler_mjx.robot.control.commands import Estimate, PoseTarget
 from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import Knows
-from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.policy import Policy, PolicyInput
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class ReplanningMemory:
     """Of one world."""
 
     clocks: FollowCarry
     """[R]"""
-    order: Order | None
-    standing: Standing | None
+    order: PassingOrder | None
+    standing: PlanStatus | None
     """Who is waited for no longer, where order is kept."""
-    plans: Plans | None
+    plans: FleetPlans | None
     """Where they are made anew; otherwise the world's own are flown."""
-    progress: Progress | None = None
+    progress: PlanProgress | None = None
     """Of each, for others to hear, where order is kept by acoustics."""
 
 
@@ -44,11 +44,11 @@ class Online(Policy):
     keeps_order: bool = field(default=False, metadata={"static": True})
     """Whether robots wait for those who are to pass first."""
     replanning: Replanning | None = field(default=None, metadata={"static": True})
-    knows: Knows | None = field(default=None, metadata={"static": True})
+    knows: Information | None = field(default=None, metadata={"static": True})
     looks: int = field(default=1, metadata={"static": True})
     ahead_s: float = field(default=0.0, metadata={"static": True})
 
-    def reset(self, known: Known, key: jax.Array) -> Memory:
+    def reset(self, known: PolicyInput, key: jax.Array) -> ReplanningMemory:
         """See `Policy.reset`.
 
         Raises:
@@ -64,7 +64,7 @@ class Online(Policy):
             plans = replanning.begin(self.replanning, known)
         path = known.path if plans is None else plans.now
         clocks = guidance.begin(known.belief.q)
-        return Memory(
+        return ReplanningMemory(
             clocks=clocks,
             order=self._order(path, known),
             standing=guidance.moving(clocks.clock_s) if self.keeps_order else None,
@@ -72,7 +72,7 @@ class Online(Policy):
             progress=self._begun(known, clocks),
         )
 
-    def _begun(self, known: Known, clocks: FollowCarry) -> Progress | None:
+    def _begun(self, known: PolicyInput, clocks: FollowCarry) -> PlanProgress | None:
         if known.others is None:
             return None
         if self.replanning is not None:
@@ -84,13 +84,13 @@ class Online(Policy):
             return None
         return guidance.progress(clocks.clock_s, None)
 
-    def says(self, carry: Memory) -> Progress | None:
+    def says(self, carry: ReplanningMemory) -> PlanProgress | None:
         """See `Policy.says`."""
         return carry.progress
 
     def act(
-        self, carry: Memory, known: Known, key: jax.Array, step: jax.Array
-    ) -> tuple[Memory, PoseTarget]:
+        self, carry: ReplanningMemory, known: PolicyInput, key: jax.Array, step: jax.Array
+    ) -> tuple[ReplanningMemory, PoseTarget]:
         """See `Policy.act`."""
         if self.replanning is not None:
             carry = self._anew(self.replanning, carry, known, key, step)
@@ -116,27 +116,32 @@ class Online(Policy):
             said = guidance.progress(passed, carry.standing)
         return replace(carry, clocks=clocks, standing=standing, progress=said), target
 
-    def flown(self, carry: Memory, path: Plan) -> tuple[Plan, jax.Array]:
+    def flown(self, carry: ReplanningMemory, path: Plan) -> tuple[Plan, jax.Array]:
         """See `Policy.flown`."""
         return path if carry.plans is None else carry.plans.now, carry.clocks.clock_s
 
-    def _order(self, path: Plan, known: Known) -> Order | None:
+    def _order(self, path: Plan, known: PolicyInput) -> PassingOrder | None:
         if not self.keeps_order:
             return None
         return order.of(path, guidance.reach_m(known.params.known.radius_m))
 
     def _anew(
-        self, settings: Replanning, carry: Memory, known: Known, key: jax.Array, step: jax.Array
-    ) -> Memory:
+        self,
+        settings: Replanning,
+        carry: ReplanningMemory,
+        known: PolicyInput,
+        key: jax.Array,
+        step: jax.Array,
+    ) -> ReplanningMemory:
         """Make plans, and take them up, in the steps in which that is due."""
         makes, takes = replanning.due(settings, step)
         cruise = known.params.cruise_speed_mps
 
-        def make(carry: Memory) -> Memory:
+        def make(carry: ReplanningMemory) -> ReplanningMemory:
             plans = replanning.make(settings, _of(carry), carry.clocks, known, key)
             return replace(carry, plans=plans)
 
-        def take(carry: Memory) -> Memory:
+        def take(carry: ReplanningMemory) -> ReplanningMemory:
             plans, clocks = replanning.take_up(_of(carry), carry.clocks, cruise)
             order, standing = self._order(plans.now, known), carry.standing
             if standing is not None:
@@ -150,7 +155,7 @@ class Online(Policy):
         return carry
 
 
-def _of(carry: Memory) -> Plans:
+def _of(carry: ReplanningMemory) -> FleetPlans:
     if carry.plans is None:
         raise RuntimeError("plans are made anew by a policy that keeps none")
     return carry.plans

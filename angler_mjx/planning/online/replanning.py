@@ -18,11 +18,11 @@ from angler_mjx.planning.online.joining import joined, padded, remainder
 from angler_mjx.planning.online.motion import is_clear, later, plan_rows
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.ways.bodies import bodies_traffic
-from angler_mjx.planning.ways.traffic import Traffic, beside
+from angler_mjx.planning.ways.traffic import GridTraffic, beside
 from angler_mjx.robot.control.laws.follow import FollowCarry
 from angler_mjx.robot.control.trajectory import Trajectory, sample
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
-from angler_mjx.sim.policy import OF_RESET, Known
+from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.policy import OF_RESET, PolicyInput
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Replanning:
     """Rows of the plans that it gives."""
     margin_m: float
     """Kept beside the radii."""
-    knows: Knows
+    knows: Information
     horizon_s: float
     goal_tolerance_m: float
     deadline_s: float
@@ -54,7 +54,7 @@ class Replanning:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Plans:
+class FleetPlans:
     """Of the robots of one world."""
 
     now: Trajectory
@@ -72,7 +72,7 @@ class Plans:
         return jnp.sum(self.failed_s < until_s[..., None], axis=-1, dtype=jnp.int32)
 
 
-def begin(settings: Replanning, known: Known) -> Plans:
+def begin(settings: Replanning, known: PolicyInput) -> FleetPlans:
     """Plans at t = 0: those that were made before the start.
 
     Args:
@@ -91,7 +91,7 @@ def begin(settings: Replanning, known: Known) -> Plans:
     nobody = jnp.zeros(rows, bool)
     times = max(round(settings.horizon_s / settings.dt_s) - 1, 0) // settings.every
     never = jnp.full((rows, times), jnp.inf, known.goal_m.dtype)
-    return Plans(now=now, soon=soon, take=nobody, failed_s=never)
+    return FleetPlans(now=now, soon=soon, take=nobody, failed_s=never)
 
 
 def due(settings: Replanning, step: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -102,8 +102,8 @@ def due(settings: Replanning, step: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 def make(
-    settings: Replanning, plans: Plans, clocks: FollowCarry, known: Known, key: jax.Array
-) -> Plans:
+    settings: Replanning, plans: FleetPlans, clocks: FollowCarry, known: PolicyInput, key: jax.Array
+) -> FleetPlans:
     """Plan anew.
 
     Args:
@@ -143,7 +143,9 @@ def make(
     return replace(plans, soon=soon, take=new.found | ~clear, failed_s=failed_s)
 
 
-def take_up(plans: Plans, clocks: FollowCarry, cruise_mps: jax.Array) -> tuple[Plans, FollowCarry]:
+def take_up(
+    plans: FleetPlans, clocks: FollowCarry, cruise_mps: jax.Array
+) -> tuple[FleetPlans, FollowCarry]:
     """Go over to the plans that were made; all clocks begin anew, headings go on."""
     here, _ = jax.vmap(sample)(plans.now, clocks.clock_s)
     new = jax.vmap(joined)(here, plans.soon, cruise_mps)
@@ -161,20 +163,20 @@ def _clear(
     old: Trajectory,
     new: Trajectory,
     radius_m: jax.Array,
-    obstacles: KnownObstacles,
+    obstacles: ObstacleInformation,
 ) -> jax.Array:
     """Whether what is left of each robot's plan is clear of obstacles and new plans, bool [R]."""
     bodies = bodies_traffic(obstacles, settings.horizon_s)
     traffic = beside(bodies, plan_rows(new, radius_m, new.found))
 
     def one(path: Trajectory, radius: jax.Array) -> jax.Array:
-        grown: Traffic = replace(traffic, reach_m=traffic.reach_m + radius + settings.margin_m)
+        grown: GridTraffic = replace(traffic, reach_m=traffic.reach_m + radius + settings.margin_m)
         return is_clear(path, grown, settings.horizon_s)
 
     return jax.vmap(one)(old, radius_m)
 
 
-def _later(known: KnownCurrent, delay_s: float) -> KnownCurrent:
+def _later(known: CurrentInformation, delay_s: float) -> CurrentInformation:
     if known.stays or known.begin_s is None:
         return known
     return replace(known, begin_s=known.begin_s + delay_s)

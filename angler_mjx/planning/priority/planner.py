@@ -10,12 +10,12 @@ import jax
 
 from angler_mjx.planning.priority import team
 from angler_mjx.planning.priority.queue import work_off
-from angler_mjx.planning.priority.team import Task
+from angler_mjx.planning.priority.team import PriorityTask
 from angler_mjx.planning.ways.bodies import bodies_traffic
 from angler_mjx.planning.ways.lattice import terrain
 from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 ROOM_M = 0.8
@@ -64,7 +64,7 @@ def plan(
     seeds: jax.Array,
     config: WayConfig,
     budget: int,
-    known: KnownObstacles | None = None,
+    known: ObstacleInformation | None = None,
     slots: int = SLOTS,
     first: Trajectory | None = None,
 ) -> Trajectory:
@@ -92,10 +92,10 @@ def plan(
         radius: jax.Array,
         speed: jax.Array,
         seed: jax.Array,
-        known: KnownObstacles | None,
+        known: ObstacleInformation | None,
         first: Trajectory | None,
-    ) -> Task:
-        return Task(
+    ) -> PriorityTask:
+        return PriorityTask(
             land=terrain(environment),
             start_m=environment.start_m,
             goal_m=environment.goal_m,

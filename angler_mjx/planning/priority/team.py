@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from angler_mjx.planning.ways.lattice import Terrain
 from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import Others, Traffic, met_by
+from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic, met_by
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 _NEVER = 2**31 - 1
@@ -36,7 +36,7 @@ _LEAST_ROOM = 0.25
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class PriorityTask:
     """One team to be planned; [R] leads but for the land."""
 
     land: Terrain
@@ -44,7 +44,7 @@ class Task:
     goal_m: jax.Array
     radius_m: jax.Array
     speed_mps: jax.Array
-    bodies: Traffic | None
+    bodies: GridTraffic | None
     """Obstacles that move, as far as they are known."""
     seed: jax.Array
     """uint32 []."""
@@ -71,7 +71,7 @@ class Search:
     """int32 [] searches so far."""
 
 
-def begin(task: Task, config: WayConfig) -> Search:
+def begin(task: PriorityTask, config: WayConfig) -> Search:
     """Who has no path yet and needs longest is first."""
     n_robot = task.radius_m.shape[0]
     held = hold(task.start_m, config.n_point)
@@ -96,7 +96,7 @@ def ended(search: Search, budget: int) -> jax.Array:
     return settled | (search.used >= budget * search.tries.shape[0])
 
 
-def step(task: Task, search: Search, config: WayConfig) -> Search:
+def step(task: PriorityTask, search: Search, config: WayConfig) -> Search:
     """Search one robot a way."""
     planned = search.plans.found
     waits = ~planned & ~search.hopeless
@@ -117,7 +117,7 @@ def step(task: Task, search: Search, config: WayConfig) -> Search:
     clearance = task.radius_m[i] + config.margin_m
     path = plan_one(
         task.land,
-        Others(robots=shown, bodies=grown(task.bodies, clearance)),
+        PlannedTraffic(robots=shown, bodies=grown(task.bodies, clearance)),
         task.start_m[i],
         task.goal_m[i],
         clearance,
@@ -140,7 +140,7 @@ def step(task: Task, search: Search, config: WayConfig) -> Search:
     )
 
 
-def to_fly(task: Task, best: Trajectory, config: WayConfig) -> Trajectory:
+def to_fly(task: PriorityTask, best: Trajectory, config: WayConfig) -> Trajectory:
     """Of the best paths [R] those that meet no start of a robot that stays there."""
     reach = task.radius_m[:, None] + task.radius_m + config.margin_m
 
@@ -152,8 +152,8 @@ def to_fly(task: Task, best: Trajectory, config: WayConfig) -> Trajectory:
     return replace(only(found, best, hold(task.start_m, config.n_point)), found=found)
 
 
-def _traffic(plans: Trajectory, reach_m: jax.Array, until_s: jax.Array) -> Traffic:
-    return Traffic(
+def _traffic(plans: Trajectory, reach_m: jax.Array, until_s: jax.Array) -> GridTraffic:
+    return GridTraffic(
         time_s=plans.time_s,
         position_m=plans.position_m,
         reach_m=reach_m,

@@ -55,7 +55,7 @@ SLIP_S = 0.5
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Bodies:
+class AvoidedBodies:
     """What one robot must not touch; [n] rows."""
 
     p_m: jax.Array
@@ -70,7 +70,7 @@ class Bodies:
 
 def choose(
     routes: Routes,
-    bodies: Bodies,
+    bodies: AvoidedBodies,
     p: jax.Array,
     v: jax.Array,
     wanted: jax.Array,
@@ -114,7 +114,7 @@ def choose(
     return jnp.stack([each[best] for each in tried])
 
 
-def make_way(bodies: Bodies, p: jax.Array) -> jax.Array:
+def make_way(bodies: AvoidedBodies, p: jax.Array) -> jax.Array:
     """Where to a robot with nowhere to go leaves others room, [3]: at most 1 long, 0 to stay."""
     apart = p - bodies.p_m
     far = jnp.sqrt(jnp.sum(apart**2, axis=-1) + 1e-12)
@@ -123,7 +123,7 @@ def make_way(bodies: Bodies, p: jax.Array) -> jax.Array:
     return away / jnp.maximum(jnp.sqrt(jnp.sum(away**2) + 1e-12), 1.0)
 
 
-def doubted(bodies: Bodies, p: jax.Array, doubt_m: jax.Array) -> Bodies:
+def doubted(bodies: AvoidedBodies, p: jax.Array, doubt_m: jax.Array) -> AvoidedBodies:
     """Bodies that may be somewhere else by [n] m, but not so that the robot were too near now."""
     far = jnp.sqrt(jnp.sum((bodies.p_m - p) ** 2, axis=-1) + 1e-12)
     least = jnp.maximum(bodies.reach_m, (1.0 - SLIP) * far)
@@ -157,7 +157,9 @@ def candidates(wanted: jax.Array, speed_mps: jax.Array) -> list[jax.Array]:
     return found
 
 
-def contact_s(bodies: Bodies, p: jax.Array, v: jax.Array, tried: Sequence[jax.Array]) -> jax.Array:
+def contact_s(
+    bodies: AvoidedBodies, p: jax.Array, v: jax.Array, tried: Sequence[jax.Array]
+) -> jax.Array:
     """Times [n, m] to the first contact with each body at velocities x, y, z [m]; inf for none.
 
     With a body that is nearer than its reach: until the distance is less by `SLIP`, unless the

@@ -11,15 +11,15 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning.routes import guidance
 from angler_mjx.planning.routes.avoidance import (
     STANDS_MPS,
-    Bodies,
+    AvoidedBodies,
     choose,
     doubted,
     make_way,
 )
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.control.laws.model import wrap
-from angler_mjx.sim.knowledge import KnownObstacles, Knows
-from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.knowledge import Information, ObstacleInformation
+from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.world.routes import Routes
 
 NEAR_PER_S = 0.8
@@ -37,7 +37,7 @@ MOVES_MPS = 0.1
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class RoutesMemory:
     """What it keeps of one world; [R] leads."""
 
     stay_m: jax.Array
@@ -53,7 +53,7 @@ class Memory:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class AlongRoutes(Policy):
-    """Flies each robot to its place along the field of `Known.routes`, clear of what moves."""
+    """Flies each robot to its goal along `PolicyInput.routes`, clear of moving bodies."""
 
     dt_s: float = 0.05
     """Control period."""
@@ -66,19 +66,19 @@ class AlongRoutes(Policy):
     routes_margin_m: float = field(default=0.1, metadata={"static": True})
     period: int = field(default=5, metadata={"static": True})
     looks: int = field(default=5, metadata={"static": True})
-    knows: Knows = field(default=Knows(obstacles="observed"), metadata={"static": True})
+    knows: Information = field(default=Information(obstacles="observed"), metadata={"static": True})
 
-    def reset(self, known: Known, key: jax.Array) -> Memory:
+    def reset(self, known: PolicyInput, key: jax.Array) -> RoutesMemory:
         """See `Policy.reset`."""
         _, place = _told(known)
-        return Memory(
+        return RoutesMemory(
             stay_m=known.belief.p,
             stays=jnp.zeros(place.shape, bool),
             yaw_rad=jax.vmap(quaternion.yaw)(known.belief.q),
             held_up=jnp.zeros(place.shape, known.belief.p.dtype),
         )
 
-    def act(self, carry: Memory, known: Known, key: jax.Array, step: jax.Array) -> Any:
+    def act(self, carry: RoutesMemory, known: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
         """See `Policy.act`."""
         routes, place = _told(known)
         p = known.belief.p
@@ -109,7 +109,7 @@ class AlongRoutes(Policy):
         def one(i: jax.Array) -> tuple[jax.Array, jax.Array]:
             there, goes = robots_of(i)
             reach = radius[i] + radius + self.margin_m
-            team = Bodies(
+            team = AvoidedBodies(
                 p_m=there,
                 v_mps=goes,
                 reach_m=jnp.where(robots == i, -1.0, reach),
@@ -135,10 +135,10 @@ class AlongRoutes(Policy):
         yaw = _turned(carry.yaw_rad, chosen, self.yaw_rate_radps * hold_s)
         # The loop of position adds what is left to the point; half the time that it holds.
         command = PoseTarget(position_m=p + 0.5 * hold_s * chosen, velocity_mps=chosen, yaw_rad=yaw)
-        return Memory(stay_m=stay, stays=stays, yaw_rad=yaw, held_up=held_up), command
+        return RoutesMemory(stay_m=stay, stays=stays, yaw_rad=yaw, held_up=held_up), command
 
 
-def _told(known: Known) -> tuple[Routes, jax.Array]:
+def _told(known: PolicyInput) -> tuple[Routes, jax.Array]:
     """Routes of the world, and the robots' places."""
     if known.routes is None or known.place is None:
         raise ConfigError(
@@ -157,12 +157,12 @@ def _turned(yaw: jax.Array, velocity: jax.Array, most: jax.Array | float) -> jax
     return jnp.where(moves, wrap(yaw + jnp.clip(wrap(course - yaw), -most, most)), yaw)
 
 
-def _obstacles(known: KnownObstacles | None) -> Bodies:
+def _obstacles(known: ObstacleInformation | None) -> AvoidedBodies:
     """Those that move, as bounding spheres; those that stand are rock to the routes already."""
     if known is None:
         none = jnp.zeros((0, 3))
-        return Bodies(p_m=none, v_mps=none, reach_m=none[:, 0], yields=jnp.zeros(0, bool))
-    return Bodies(
+        return AvoidedBodies(p_m=none, v_mps=none, reach_m=none[:, 0], yields=jnp.zeros(0, bool))
+    return AvoidedBodies(
         p_m=known.p_m[:, 0],
         v_mps=known.velocity_mps,
         reach_m=jnp.where(known.exists & known.moves, known.radius_m, -1.0),

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.ways.traffic import Traffic
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.planning.ways.traffic import GridTraffic
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 STANDS_S = 2.0
 """How long a robot's goal must stay clear of bodies once it is there: then its way is over, and
@@ -19,7 +19,7 @@ _EVERY = 4
 """Of the places that are told."""
 
 
-def bodies_traffic(known: KnownObstacles, horizon_s: float) -> Traffic:
+def bodies_traffic(known: ObstacleInformation, horizon_s: float) -> GridTraffic:
     """Moving bodies of one world; ``reach_m`` is the radius of each, to be grown by the robot's.
 
     What was only observed goes straight on.
@@ -37,7 +37,7 @@ def bodies_traffic(known: KnownObstacles, horizon_s: float) -> Traffic:
         kept = np.append(np.arange(0, known.time_s.shape[0] - 1, _EVERY), known.time_s.shape[0] - 1)
         time, place = known.time_s[kept], known.p_m[:, kept]
         left_out = _left_out(known.p_m, kept)
-    return Traffic(
+    return GridTraffic(
         time_s=jnp.broadcast_to(time, place.shape[:2]),
         position_m=place,
         reach_m=known.radius_m + left_out,

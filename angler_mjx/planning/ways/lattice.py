@@ -63,7 +63,7 @@ BLOCKS = tuple(dict.fromkeys(edge.block for edge in EDGES))
 
 
 @dataclass(frozen=True)
-class Layout:
+class LatticeLayout:
     """Where the word of column (i, j) of a grid stands: guard + i row + j."""
 
     shape: tuple[int, int, int]
@@ -150,7 +150,7 @@ class Terrain:
     a static obstacle; None where the world can have none."""
     cell_gap_m: jax.Array | None
     """[nx, ny, nz] the same for the cell's centre."""
-    layout: Layout = field(metadata={"static": True})
+    layout: LatticeLayout = field(metadata={"static": True})
 
 
 @jax.tree_util.register_dataclass
@@ -168,7 +168,7 @@ def terrain(environment: Environment) -> Terrain:
     """Build the part of the planner's world that all robots share."""
     grid, obstacles = environment.grid, environment.obstacles
     shape = grid.occupied.shape
-    layout = Layout(shape=(shape[0], shape[1], shape[2]))
+    layout = LatticeLayout(shape=(shape[0], shape[1], shape[2]))
     centre = _cell_centres(grid, layout.shape)
     floor = centre[..., 2] - environment.floor_z_m
     cell_gap = edge_gap = None

@@ -15,7 +15,7 @@ from angler_mjx.planning.ways.batching import least_of_batch
 from angler_mjx.planning.ways.bodies import STANDS_S
 from angler_mjx.planning.ways.lattice import Terrain, line_of_sight
 from angler_mjx.planning.ways.tracing import Route
-from angler_mjx.planning.ways.traffic import Others, Traffic, clear_of
+from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
 
 
@@ -56,7 +56,7 @@ class _Knot:
 
 def pull(
     land: Terrain,
-    others: Others,
+    others: PlannedTraffic,
     route: Route,
     clearance_m: jax.Array,
     speed_mps: jax.Array,
@@ -119,7 +119,7 @@ def pull(
     return replace(path, found=path.found & route.whole & clear)
 
 
-def keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
+def keeps_clear(traffic: GridTraffic, path: Trajectory, until_s: jax.Array) -> jax.Array:
     """Whether a whole path keeps clear, and then its end until ``until_s``.
 
     The timetable's own legs were proved by the search; this proves all of them once more, exactly.
@@ -134,7 +134,7 @@ def keeps_clear(traffic: Traffic, path: Trajectory, until_s: jax.Array) -> jax.A
 
 def _lengthen(
     land: Terrain,
-    others: Others,
+    others: PlannedTraffic,
     clearance_m: jax.Array,
     speed_mps: jax.Array,
     string: _String,
@@ -149,7 +149,7 @@ def _lengthen(
     # Each way is a motion followed by standing at its end: four motions in one test.
     goals = jnp.broadcast_to(goal, (2, 3))
 
-    def all_clear(traffic: Traffic, until: jax.Array) -> jax.Array:
+    def all_clear(traffic: GridTraffic, until: jax.Array) -> jax.Array:
         clear = jax.vmap(clear_of, in_axes=(None, 0, 0, 0, 0))(
             traffic,
             jnp.concatenate([starts, goals]),

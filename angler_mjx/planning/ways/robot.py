@@ -12,7 +12,7 @@ from angler_mjx.planning.ways.bodies import STANDS_S
 from angler_mjx.planning.ways.lattice import FreeSpace, Terrain, free_space
 from angler_mjx.planning.ways.pulling import pull
 from angler_mjx.planning.ways.tracing import Route, trace_back
-from angler_mjx.planning.ways.traffic import Balls, Others, Traffic, balls
+from angler_mjx.planning.ways.traffic import Balls, GridTraffic, PlannedTraffic, balls
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 MOST_LAYERS = 1024
@@ -48,14 +48,14 @@ def layers(horizon_s: float, speed_mps: float, cell_m: float) -> int:
     return min(max(needed, WayConfig.n_layer), MOST_LAYERS)
 
 
-def grown(bodies: Traffic | None, by_m: jax.Array) -> Traffic | None:
+def grown(bodies: GridTraffic | None, by_m: jax.Array) -> GridTraffic | None:
     """Bodies with ``by_m`` [] more to keep from each."""
     return None if bodies is None else replace(bodies, reach_m=bodies.reach_m + by_m)
 
 
 def plan_one(
     land: Terrain,
-    others: Others,
+    others: PlannedTraffic,
     start_m: jax.Array,
     goal_m: jax.Array,
     clearance_m: jax.Array,

@@ -16,7 +16,14 @@ import jax
 import jax.numpy as jnp
 
 from angler_mjx.planning.ways.batching import least_of_batch
-from angler_mjx.planning.ways.lattice import BLOCKS, EDGES, FreeSpace, Layout, Terrain, span_bits
+from angler_mjx.planning.ways.lattice import (
+    BLOCKS,
+    EDGES,
+    FreeSpace,
+    LatticeLayout,
+    Terrain,
+    span_bits,
+)
 from angler_mjx.planning.ways.traffic import Balls
 
 QUARTER = {axes: 0.25 * axes**0.5 for axes in (0, 1, 2, 3)}
@@ -110,7 +117,7 @@ def reachable(
     return end.history, jnp.maximum(end.arrival, 0), end.arrival >= 0
 
 
-def _no_lines(layout: Layout) -> Lines:
+def _no_lines(layout: LatticeLayout) -> Lines:
     """The lines before the first layer: nothing reached, nothing taken."""
 
     def zeros(*lead: int) -> jax.Array:
@@ -144,7 +151,7 @@ def _shift(
     )
 
 
-def _advance(layout: Layout, free: FreeSpace, lines: Lines) -> jax.Array:
+def _advance(layout: LatticeLayout, free: FreeSpace, lines: Lines) -> jax.Array:
     """Cells [inner] that are reached one layer after the last of ``lines``."""
     taken = (
         lines.middle[0][0] | lines.middle[0][1],

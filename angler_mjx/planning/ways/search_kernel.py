@@ -12,8 +12,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.programs import Program
-from angler_mjx.planning.ways.lattice import BLOCKS, EDGES, FreeSpace, Layout, Terrain, span_bits
+from angler_kernels.programs import BlockProgram
+from angler_mjx.planning.ways.lattice import (
+    BLOCKS,
+    EDGES,
+    FreeSpace,
+    LatticeLayout,
+    Terrain,
+    span_bits,
+)
 from angler_mjx.planning.ways.search import QUARTER
 from angler_mjx.planning.ways.traffic import Balls
 
@@ -90,7 +97,7 @@ def reachable(
     layout = land.layout
     around = cylinders(land, _whole_groups(balls))
     n_layer, n_ball, _ = around.place.shape
-    program = Program.of(layout.shape[0] * layout.shape[1], interpret=interpret)
+    program = BlockProgram.of(layout.shape[0] * layout.shape[1], interpret=interpret)
     x, y = layout.centres(land.grid)
     half = 0.5 * land.grid.cell_m
     cell, first = start
@@ -144,8 +151,8 @@ type _Words = Any
 
 @dataclass(frozen=True)
 class _Kernel:
-    layout: Layout
-    program: Program
+    layout: LatticeLayout
+    program: BlockProgram
     n_layer: int
     n_ball: int
 

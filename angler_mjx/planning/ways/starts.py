@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.traffic import Traffic, clear_of
+from angler_mjx.planning.ways.traffic import GridTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDING_M = 1e-3
@@ -23,7 +23,7 @@ def meets_starts(
     """
 
     def one(start: jax.Array, reach: jax.Array) -> jax.Array:
-        alone = Traffic(
+        alone = GridTraffic(
             time_s=path.time_s[None],
             position_m=path.position_m[None],
             reach_m=reach[None] - _ROUNDING_M,

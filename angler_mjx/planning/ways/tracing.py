@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, Layout, Terrain
+from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, LatticeLayout, Terrain
 from angler_mjx.planning.ways.search import QUARTER
 from angler_mjx.planning.ways.traffic import Balls
 
@@ -161,7 +161,7 @@ def _back(
 
 
 def _was_reached(
-    layout: Layout, history: jax.Array, cells: jax.Array, layers: jax.Array
+    layout: LatticeLayout, history: jax.Array, cells: jax.Array, layers: jax.Array
 ) -> jax.Array:
     """Whether each of ``cells`` [n, 3] is in the reached set of its layer [n], bool [n]."""
     inside = jnp.all((cells >= 0) & (cells < jnp.array(layout.shape)), axis=-1) & (layers >= 0)
@@ -170,7 +170,7 @@ def _was_reached(
     return inside & (((words >> jnp.maximum(cells[:, 2], 0).astype(jnp.uint32)) & 1) == 1)
 
 
-def _edges_to(layout: Layout, free: FreeSpace, cell: jax.Array) -> jax.Array:
+def _edges_to(layout: LatticeLayout, free: FreeSpace, cell: jax.Array) -> jax.Array:
     """Whether the edges of the 26 steps to ``cell`` [3] are free, bool [26]; guards are not."""
     low = cell + np.minimum(0, -_STEPS)
     word = layout.guard + low[:, 0] * layout.row + low[:, 1]

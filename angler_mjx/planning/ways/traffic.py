@@ -10,7 +10,7 @@ from angler_mjx.robot.control.trajectory import Trajectory
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Traffic:
+class GridTraffic:
     """Timed paths of robots, or of other bodies, as one robot has to respect them."""
 
     time_s: jax.Array
@@ -25,11 +25,11 @@ class Traffic:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Others:
+class PlannedTraffic:
     """All that moves beside one robot."""
 
-    robots: Traffic
-    bodies: Traffic | None
+    robots: GridTraffic
+    bodies: GridTraffic | None
     """Obstacles; None where none is known of."""
 
 
@@ -45,7 +45,7 @@ class Balls:
     does not count."""
 
 
-def balls(traffic: Traffic, layer_s: jax.Array, n_layer: int) -> Balls:
+def balls(traffic: GridTraffic, layer_s: jax.Array, n_layer: int) -> Balls:
     """Balls that hold the traffic during layers of ``layer_s`` [] from time 0 on.
 
     Within a layer a robot cannot be farther from where it is at the middle than the length of path
@@ -67,25 +67,25 @@ def balls(traffic: Traffic, layer_s: jax.Array, n_layer: int) -> Balls:
     return Balls(centre_m=point[:, 0] + walked, radius_m=jnp.where(counts, radius, -1.0))
 
 
-def beside(a: Traffic, b: Traffic) -> Traffic:
+def beside(a: GridTraffic, b: GridTraffic) -> GridTraffic:
     """Two sets of rows as one; shorter ones repeat their last point."""
     points = max(a.time_s.shape[1], b.time_s.shape[1])
 
-    def long(rows: Traffic) -> Traffic:
+    def long(rows: GridTraffic) -> GridTraffic:
         extra = points - rows.time_s.shape[1]
-        return Traffic(
+        return GridTraffic(
             time_s=jnp.pad(rows.time_s, ((0, 0), (0, extra)), mode="edge"),
             position_m=jnp.pad(rows.position_m, ((0, 0), (0, extra), (0, 0)), mode="edge"),
             reach_m=rows.reach_m,
             until_s=rows.until_s,
         )
 
-    both: Traffic = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), long(a), long(b))
+    both: GridTraffic = jax.tree.map(lambda x, y: jnp.concatenate([x, y]), long(a), long(b))
     return both
 
 
 def clear_of(
-    traffic: Traffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
+    traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
     """Whether steady motion from a [3] at t_a [] to b [3] at t_b >= t_a keeps the reach; exact.
 
@@ -98,7 +98,7 @@ def clear_of(
     return ~jnp.any(_meetings(traffic, a, t_a, b, t_b))
 
 
-def met_by(path: Trajectory, traffic: Traffic) -> jax.Array:
+def met_by(path: Trajectory, traffic: GridTraffic) -> jax.Array:
     """Whom of the traffic a path meets, its end held for ever; exact.
 
     Returns:
@@ -115,7 +115,7 @@ def met_by(path: Trajectory, traffic: Traffic) -> jax.Array:
 
 
 def _meetings(
-    traffic: Traffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
+    traffic: GridTraffic, a: jax.Array, t_a: jax.Array, b: jax.Array, t_b: jax.Array
 ) -> jax.Array:
     """Whether steady motion comes within reach of each leg of the traffic, bool [R, P]."""
     begin = traffic.time_s

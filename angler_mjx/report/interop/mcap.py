@@ -27,8 +27,8 @@ from angler_mjx.runs.storage.results import end_time_s
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 from angler_mjx.world.slices import Slices, through
-from angler_mjx.world.tasks.faces import Faces, surface
-from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.faces import SurfaceQuads, surface
+from angler_mjx.world.tasks.history import TaskHistory
 
 MAP = "map"
 """Frame of all worlds."""
@@ -69,9 +69,9 @@ class _World:
     """[T, n, 4]."""
     outcome: list[str]
     """[robot]"""
-    task: History | None
+    task: TaskHistory | None
     """None: each robot has its goal."""
-    surface: Faces | None
+    surface: SurfaceQuads | None
     """What a survey sees; None where there is none."""
     flow: Slices | None
     """None where the water is still."""

@@ -4,8 +4,8 @@ import numpy as np
 
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.tasks.faces import Faces
-from angler_mjx.world.tasks.history import Goods, History
+from angler_mjx.world.tasks.faces import SurfaceQuads
+from angler_mjx.world.tasks.history import Goods, TaskHistory
 
 _UNSEEN, _SEEN, _OPEN, _GOODS = (
     (0.78, 0.40, 0.25, 1.0),
@@ -21,9 +21,9 @@ _PLACE_M, _BOX_M, _LINE_M, _TEXT_M = 0.4, 0.44, 0.03, 0.5
 
 
 def markers(
-    task: History,
+    task: TaskHistory,
     environment: Environment,
-    found: Faces | None,
+    found: SurfaceQuads | None,
     p_m: np.ndarray,
     frame: str,
     sample: int,
@@ -51,7 +51,9 @@ def markers(
     return made
 
 
-def doing(task: History, robot: int, frame: str, outcome: str, sample: int) -> list[ros.Message]:
+def doing(
+    task: TaskHistory, robot: int, frame: str, outcome: str, sample: int
+) -> list[ros.Message]:
     """What a robot does, as text above it, where that is new.
 
     Args:
@@ -77,7 +79,9 @@ def _changed(rows: np.ndarray, sample: int) -> bool:
     return sample == 0 or bool((rows[sample] != rows[sample - 1]).any())
 
 
-def _words(task: History, environment: Environment, head: ros.Message, sample: int) -> ros.Message:
+def _words(
+    task: TaskHistory, environment: Environment, head: ros.Message, sample: int
+) -> ros.Message:
     """How far the task is, above the middle of the cells."""
     grid = environment.grid
     size = float(grid.cell_m) * np.array(grid.occupied.shape)
@@ -88,7 +92,7 @@ def _words(task: History, environment: Environment, head: ros.Message, sample: i
 
 
 def _surface(
-    task: History, head: ros.Message, found: Faces, cell_m: float, sample: int
+    task: TaskHistory, head: ros.Message, found: SurfaceQuads, cell_m: float, sample: int
 ) -> list[ros.Message]:
     """Lists of faces, one for each axis that some are square to."""
     tint = np.array([_UNSEEN, _SEEN])[task.seen[sample][found.cell].astype(int)]
@@ -101,7 +105,7 @@ def _surface(
     return made
 
 
-def _places(task: History, head: ros.Message, sample: int) -> list[ros.Message]:
+def _places(task: TaskHistory, head: ros.Message, sample: int) -> list[ros.Message]:
     """Places, viewpoints, or where goods go: white until they are done."""
     there = np.flatnonzero(task.exists)
     ends = task.spec.jobs if task.spec.kind == "deliver" else 0
@@ -111,7 +115,7 @@ def _places(task: History, head: ros.Message, sample: int) -> list[ros.Message]:
     return [ros.marker(head, "places", 0, *args, colors=tint)]
 
 
-def _goods(task: History, head: ros.Message, p_m: np.ndarray, sample: int) -> ros.Message:
+def _goods(task: TaskHistory, head: ros.Message, p_m: np.ndarray, sample: int) -> ros.Message:
     """Goods where they are; lost ones are gone."""
     at_m = task.goods_m(p_m)[sample]
     there = np.isfinite(at_m).all(axis=1)
@@ -122,7 +126,7 @@ def _goods(task: History, head: ros.Message, p_m: np.ndarray, sample: int) -> ro
     return ros.marker(head, "goods", 0, *args, colors=tint)
 
 
-def _to(task: History, head: ros.Message, p_m: np.ndarray, sample: int) -> ros.Message:
+def _to(task: TaskHistory, head: ros.Message, p_m: np.ndarray, sample: int) -> ros.Message:
     """Lines from robots to where they are to go."""
     goes = task.goes[sample] & np.isfinite(p_m).all(axis=1)
     ends = np.stack([p_m, task.place_m[np.maximum(task.target[sample], 0)]], axis=1)[goes]

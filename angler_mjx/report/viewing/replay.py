@@ -104,14 +104,14 @@ def _root(world: int) -> str:
     return f"world_{world}"
 
 
-def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.Scene]) -> None:
+def _log(recording: "rr.RecordingStream", scenes: Sequence[scene.ReplayScene]) -> None:
     from angler_mjx.report.viewing.replay_world import log_world
 
     for one in scenes:
         log_world(recording, one, _root(one.world))
 
 
-def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
+def _blueprint(scenes: Sequence[scene.ReplayScene]) -> "rrb.Blueprint":
     """One tab a world; the run plays at once and again when it is over."""
     import rerun.blueprint as rrb
 
@@ -126,7 +126,7 @@ def _blueprint(scenes: Sequence[scene.Scene]) -> "rrb.Blueprint":
     return window.layout(rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0], panel)
 
 
-def _tab(one: scene.Scene) -> "rrb.Horizontal":
+def _tab(one: scene.ReplayScene) -> "rrb.Horizontal":
     """The world in space; beside it the fleet's table, distances to goal or progress, events."""
     import rerun.blueprint as rrb
 

@@ -10,15 +10,15 @@ import rerun as rr
 from angler_mjx.report.viewing import entities
 from angler_mjx.report.viewing.entities import task as of_task
 from angler_mjx.report.viewing.entities.water import log_flow
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.robot.vehicles import library
-from angler_mjx.world.tasks.history import Doing, Goods, History
+from angler_mjx.world.tasks.history import Doing, Goods, TaskHistory
 
 _TRAIL_POINTS = 2_000_000
 """Points in all growing trails of a world, at most: 24 MB."""
 
 
-def log_world(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+def log_world(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
     """Log one world.
 
     Args:
@@ -50,7 +50,7 @@ def log_world(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
     _events(recording, scene, f"{root}/events")
 
 
-def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root: str) -> None:
+def _robot(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, root: str) -> None:
     name = f"robot_{robot.index}"
     space, times = f"{root}/space/{name}", [entities.times(scene.time_s)]
     entities.log_still(
@@ -80,7 +80,7 @@ def _robot(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, root:
     recording.send_columns(series, times, rr.Scalars.columns(scalars=away))
 
 
-def _trail(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
+def _trail(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str) -> None:
     """The way taken so far: a line that grows about once a second."""
     flown = scene.way_taken(robot)
     count = len(flown)
@@ -96,7 +96,7 @@ def _trail(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
     )
 
 
-def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path: str) -> None:
+def _label(recording: rr.RecordingStream, scene: ReplayScene, robot: RobotTrack, path: str) -> None:
     """The robot's number above it, with the outcome once it is known; a crowd's failures alone."""
     few = len(scene.robots) <= entities.MOST_NAMED
     at, words = [0.0], [str(robot.index)]
@@ -118,7 +118,7 @@ def _label(recording: rr.RecordingStream, scene: Scene, robot: RobotTrack, path:
     )
 
 
-def _phases(task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
+def _phases(task: TaskHistory, robot: RobotTrack) -> tuple[list[float], list[str]]:
     """Times at which a robot begins to do something else, and its label from then on."""
     words = [
         str(robot.index) if doing == Doing.GOES else f"{robot.index}: {task.does(k, robot.index)}"
@@ -128,7 +128,7 @@ def _phases(task: History, robot: RobotTrack) -> tuple[list[float], list[str]]:
     return task.time_s[at].tolist(), [words[k] for k in at]
 
 
-def _events(recording: rr.RecordingStream, scene: Scene, path: str) -> None:
+def _events(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> None:
     told = [] if scene.task is None else _jobs(scene.task)
     for robot in scene.robots:
         text = f"robot {robot.index} {scene.ended(robot)}"
@@ -141,7 +141,7 @@ def _events(recording: rr.RecordingStream, scene: Scene, path: str) -> None:
     recording.reset_time()
 
 
-def _jobs(task: History) -> list[tuple[float, str, str]]:
+def _jobs(task: TaskHistory) -> list[tuple[float, str, str]]:
     """Times, texts and levels of what was done of a task; viewpoints of a survey are too many."""
     told = []
     for job in np.flatnonzero(task.exists).tolist():
@@ -158,7 +158,7 @@ def _jobs(task: History) -> list[tuple[float, str, str]]:
     return told
 
 
-def _handled(task: History, job: int) -> list[tuple[float, str, str]]:
+def _handled(task: TaskHistory, job: int) -> list[tuple[float, str, str]]:
     """When goods were taken up, and lost or back where they were, as far as samples tell."""
     where, told = task.goods[:, job], []
     for k in (np.flatnonzero(where[1:] != where[:-1]) + 1).tolist():
@@ -172,7 +172,9 @@ def _handled(task: History, job: int) -> list[tuple[float, str, str]]:
     return told
 
 
-def _progress(recording: rr.RecordingStream, scene: Scene, task: History, root: str) -> None:
+def _progress(
+    recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
+) -> None:
     """The share of a task over time; and its words with a table of what each robot does."""
     share = f"{root}/progress/share"
     line = rr.SeriesLines(colors=[of_task.SEEN], names=["share"], widths=[2])
@@ -193,7 +195,7 @@ def _progress(recording: rr.RecordingStream, scene: Scene, task: History, root: 
     )
 
 
-def _task_table(scene: Scene, task: History, sample: int) -> str:
+def _task_table(scene: ReplayScene, task: TaskHistory, sample: int) -> str:
     def does(robot: RobotTrack) -> str:
         return task.does(sample, robot.index) or scene.ended(robot)
 
@@ -206,7 +208,7 @@ def _task_table(scene: Scene, task: History, sample: int) -> str:
     return "\n".join(lines)
 
 
-def _fleet_table(scene: Scene) -> rr.TextDocument:
+def _fleet_table(scene: ReplayScene) -> rr.TextDocument:
     lines = ["| | vehicle | set | end | after |", "|---|---|---|---|---|"]
     lines += [
         f"| **{robot.index}** | {robot.vehicle} | {robot.parameter_set} "

@@ -17,7 +17,7 @@ from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.runs.storage.results import end_time_s
 from angler_mjx.world import currents
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.history import TaskHistory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class RobotTrack:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class ReplayScene:
     """One world of a run."""
 
     world: int
@@ -71,7 +71,7 @@ class Scene:
     """[T, n, 4]."""
     replan_hz: float = 0.0
     """How often plans were made anew in flight; those that are shown are the first ones."""
-    task: History | None = None
+    task: TaskHistory | None = None
     """What the team does together, and how far it was when; None: each robot has its goal."""
 
     @property
@@ -101,7 +101,7 @@ class Scene:
         return np.asarray(field(self.environment.current, points, time))
 
 
-def read(run: Run, world: int) -> Scene:
+def read(run: Run, world: int) -> ReplayScene:
     """One world of a run.
 
     Args:
@@ -118,7 +118,7 @@ def read(run: Run, world: int) -> Scene:
         return _read(run, world, rows)
 
 
-def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
+def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> ReplayScene:
     stored: Any = run.trajectories
     files = {label: run.vehicle_file(label) for label in {row["vehicle"] for row in rows}}
     environment = store.read(stored["environment"], world)
@@ -146,7 +146,7 @@ def _read(run: Run, world: int, rows: list[dict[str, Any]]) -> Scene:
         for i, row in enumerate(rows)
     )
     moving = "obstacle_p_m" in stored
-    return Scene(
+    return ReplayScene(
         world=world,
         time_s=time[:count],
         environment=environment,

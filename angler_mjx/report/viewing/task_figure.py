@@ -12,7 +12,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from angler_mjx.report.viewing import style
 from angler_mjx.report.viewing.maps import ground
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
 from angler_mjx.sim.record import TASK
@@ -20,7 +20,7 @@ from angler_mjx.sim.record import TASK
 SEEN, UNSEEN = "#9fd0a5", "#e8a39b"
 
 
-def draw(run: Run, scene: Scene) -> Figure:
+def draw(run: Run, scene: ReplayScene) -> Figure:
     """Map from above with all places, and progress over time.
 
     Args:
@@ -51,7 +51,7 @@ def draw(run: Run, scene: Scene) -> Figure:
     return figure
 
 
-def _map(axes: Axes, scene: Scene, task: dict[str, np.ndarray]) -> None:
+def _map(axes: Axes, scene: ReplayScene, task: dict[str, np.ndarray]) -> None:
     low, high = scene.bounds_m
     ground.bounds(axes, scene, ground.ABOVE)
     if "cells" in task:
@@ -90,7 +90,7 @@ def _places(axes: Axes, places: np.ndarray, by: np.ndarray, marker: str) -> None
     )
 
 
-def _cells(axes: Axes, scene: Scene, cells: np.ndarray) -> None:
+def _cells(axes: Axes, scene: ReplayScene, cells: np.ndarray) -> None:
     """Columns of a survey by the share of their cells that was seen; those with none stay water."""
     grid = scene.environment.grid
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
@@ -132,7 +132,7 @@ def _progress(
     )
 
 
-def _signs(scene: Scene, task: dict[str, np.ndarray]) -> list[Line2D | Patch]:
+def _signs(scene: ReplayScene, task: dict[str, np.ndarray]) -> list[Line2D | Patch]:
     done = task["by"]
     handles: list[Line2D | Patch] = [
         Line2D(

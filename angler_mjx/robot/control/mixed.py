@@ -19,7 +19,14 @@ from angler_mjx.robot.control import allocation, plans, stack
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, PoseTarget
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.stack import Action, ControlParams, Given, Memory, Stage, Stages
+from angler_mjx.robot.control.stack import (
+    Action,
+    ControlMemory,
+    ControlParams,
+    Stage,
+    StageInput,
+    Stages,
+)
 from angler_mjx.robot.control.trajectory import Trajectory
 
 
@@ -47,7 +54,7 @@ def last_approach_s(mixed: Mixed, goal_m: jax.Array, tolerance_m: float) -> jax.
     return begin
 
 
-def progress_s(stages: Stages, memory: Memory, mixed: Mixed) -> jax.Array:
+def progress_s(stages: Stages, memory: ControlMemory, mixed: Mixed) -> jax.Array:
     """Return `stack.progress_s` [] s of one robot's command; zero unless it is a plan."""
     progress: Any = 0.0
     for k, command in enumerate(mixed.commands):
@@ -61,7 +68,7 @@ def step(
     stages: Stages,
     gains: Sequence[Any],
     params: ControlParams,
-    memory: Memory,
+    memory: ControlMemory,
     estimate: Estimate,
     mixed: Mixed,
     dt: float,
@@ -110,7 +117,7 @@ def step(
             continue
         new = mixed.fresh > i
         before = _select(new, stage.reset(estimate, yaw), memory.stages[i])
-        given = Given(
+        given = StageInput(
             params=params,
             estimate=estimate,
             realised=_told_realised(stage, memory, new),
@@ -128,7 +135,7 @@ def step(
             below = command if below is None else _select(flag, command, below)
             demanded = jnp.where(flag, jnp.nan, demanded)
     return Action(
-        memory=Memory(
+        memory=ControlMemory(
             stages=tuple(carries),
             realised=None
             if memory.realised is None
@@ -145,7 +152,7 @@ def _through(
     stage: Stage,
     gains: Any,
     carry: Any,
-    given: Given,
+    given: StageInput,
     above: Any,
     entering: Sequence[tuple[jax.Array, Any]],
 ) -> tuple[Any, Any]:
@@ -164,7 +171,7 @@ def _through(
     return chosen
 
 
-def _told_realised(stage: Stage, memory: Memory, new: jax.Array) -> BodyWrench | None:
+def _told_realised(stage: Stage, memory: ControlMemory, new: jax.Array) -> BodyWrench | None:
     """What a stage is told of the wrench before; a stage that begins anew asked for none."""
     if not stage.wants_realised or memory.realised is None:
         return None

@@ -62,7 +62,7 @@ class ControlParams:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class StageInput:
     """What a stage is given beside its command."""
 
     params: ControlParams
@@ -93,7 +93,7 @@ class Stage:
     """Types of commands."""
     gives: type
     """Type of the command to the stage below."""
-    step: Callable[[Any, Any, Given, Any], tuple[Any, Any]]
+    step: Callable[[Any, Any, StageInput, Any], tuple[Any, Any]]
     """(gains, carry, given, command) -> (carry, command to the stage below); pure, of one robot."""
     reset: Callable[[Estimate, jax.Array], Any]
     """(estimate, heading [] rad at the start) -> carry."""
@@ -117,7 +117,7 @@ type Stages = tuple[Stage, ...]
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class ControlMemory:
     """Memory of a stack of one robot."""
 
     stages: tuple[Any, ...]
@@ -133,7 +133,7 @@ class Memory:
 class Action:
     """What came of one control step of a stack."""
 
-    memory: Memory
+    memory: ControlMemory
     target_m: jax.Array
     """[3] position that was aimed at, in W; where no stage aimed at one, the robot's own."""
     pwm: ThrusterPwm
@@ -180,7 +180,7 @@ def check_command(stages: Stages, command: Command, lead: tuple[int, ...], thrus
     command_checks.check_arrays(command, lead, thrusters)
 
 
-def progress_s(stages: Stages, memory: Memory, plan: Any) -> jax.Array:
+def progress_s(stages: Stages, memory: ControlMemory, plan: Any) -> jax.Array:
     """Return the time [] s along its plan that a robot has come to.
 
     Args:
@@ -203,10 +203,10 @@ def wants_flow(stages: Stages) -> bool:
     return any(stage.wants_flow for stage in stages)
 
 
-def reset(stages: Stages, estimate: Estimate, yaw_rad: jax.Array) -> Memory:
+def reset(stages: Stages, estimate: Estimate, yaw_rad: jax.Array) -> ControlMemory:
     """Memory of a robot that begins with an estimate and a heading []."""
     wanted = any(stage.wants_realised for stage in stages)
-    return Memory(
+    return ControlMemory(
         stages=tuple(stage.reset(estimate, yaw_rad) for stage in stages),
         realised=BodyWrench(tau=jnp.zeros_like(estimate.nu)) if wanted else None,
     )
@@ -216,7 +216,7 @@ def step(
     stages: Stages,
     gains: Sequence[Any],
     params: ControlParams,
-    memory: Memory,
+    memory: ControlMemory,
     estimate: Estimate,
     command: Any,
     dt: float,
@@ -245,7 +245,7 @@ def step(
     demanded = command if isinstance(command, BodyWrench) else None
     for i in range(first, len(stages)):
         stage = stages[i]
-        given = Given(
+        given = StageInput(
             params=params,
             estimate=estimate,
             realised=memory.realised if stage.wants_realised else None,
@@ -258,7 +258,7 @@ def step(
         demanded = command if isinstance(command, BodyWrench) else demanded
         told |= stage.wants_realised
     return Action(
-        memory=Memory(
+        memory=ControlMemory(
             stages=tuple(carries),
             # Of a step in which those who want it had no say they would learn nothing.
             realised=allocation.realised(params.allocation, command) if told else memory.realised,

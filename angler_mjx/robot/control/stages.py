@@ -32,7 +32,7 @@ from angler_mjx.robot.control.laws import (
 )
 from angler_mjx.robot.control.laws.ardusub import law as ardusub
 from angler_mjx.robot.control.laws.targets import TrackingTarget
-from angler_mjx.robot.control.stack import Given, Stage, Stages
+from angler_mjx.robot.control.stack import Stage, StageInput, Stages
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _PATHS = (Trajectory, JointTrajectory)
@@ -53,7 +53,7 @@ def _of_law(
 ) -> Stage:
     """A stage of a law that knows its vehicle and the water."""
 
-    def step(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+    def step(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
         more: dict[str, Any] = {}
         if flow:
             more["flow"] = given.estimate.flow
@@ -95,11 +95,11 @@ def _nothing(_: Estimate, __: jax.Array) -> tuple[()]:
     return ()
 
 
-def _follow(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+def _follow(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
     return follow.step(gains, carry, given.estimate, command, given.dt)
 
 
-def _track(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+def _track(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
     return follow.track(gains, carry, given.estimate, command, given.dt)
 
 
@@ -107,7 +107,7 @@ def _clock(carry: follow.FollowCarry, _: Any) -> jax.Array:
     return carry.clock_s
 
 
-def _pose(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+def _pose(gains: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
     params = given.params
     return carry, pose.step(gains, params.known, params.cruise_speed_mps, given.estimate, command)
 
@@ -115,7 +115,7 @@ def _pose(gains: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]
 def _allocation(name: str, allocate: Callable[..., ThrusterPwm]) -> Stage:
     """A stage that allocates a wrench."""
 
-    def step(_: Any, carry: Any, given: Given, command: Any) -> tuple[Any, Any]:
+    def step(_: Any, carry: Any, given: StageInput, command: Any) -> tuple[Any, Any]:
         return carry, allocate(given.params.allocation, command)
 
     return Stage(name=name, takes=(BodyWrench,), gives=ThrusterPwm, step=step, reset=_nothing)

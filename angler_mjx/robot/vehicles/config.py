@@ -49,7 +49,7 @@ class Base(FileModel):
     source: Source
 
 
-class Hull(FileModel):
+class HullTable(FileModel):
     """Outer shape: for distances, and for how buoyancy fades at the surface."""
 
     height_m: Positive
@@ -223,7 +223,7 @@ class VehicleConfig(FileModel):
     default_set: str
     """The parameter set that is used where none is named."""
     base: Base
-    hull: Hull
+    hull: HullTable
     thrusters: Thrusters
     rotor: Rotor
     visual: Visual

@@ -14,7 +14,7 @@ type Source = Annotated[str, Field(min_length=1)]
 """Where the numbers come from."""
 
 
-class Lag(FileModel):
+class LagTable(FileModel):
     """First-order lag of the rotors."""
 
     time_constant_s: Positive
@@ -62,7 +62,7 @@ class Rotor(FileModel):
     """Name of a shipped thruster file, or a path to one, relative to the vehicle file."""
     response: RotorResponse = "first_order"
     """What the rotors answer by where a fleet does not say otherwise."""
-    lag: Lag
+    lag: LagTable
     third_order: ThirdOrder | None = None
     reaction_torque: ReactionTorque
 

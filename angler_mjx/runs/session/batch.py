@@ -14,11 +14,11 @@ from angler_mjx.robot.control.commands import BodyWrench
 from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.runs.session import checks, fleet_facts, paths, presence
-from angler_mjx.runs.session.checks import Limits, Place
+from angler_mjx.runs.session.checks import CommandLimits, RobotPosition
 from angler_mjx.runs.session.interface import Floats, Observation, Order, RobotInfo
-from angler_mjx.runs.session.orders import PLAN, Orders
-from angler_mjx.runs.session.rejoin import Ways
-from angler_mjx.runs.session.view import View, Watched, believed, covariance, look, shown
+from angler_mjx.runs.session.orders import PLAN, CommandQueue
+from angler_mjx.runs.session.rejoin import RejoinPaths
+from angler_mjx.runs.session.view import StateView, Watched, believed, covariance, look, shown
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.scenario.task_table import refuse_task
@@ -119,7 +119,7 @@ class BatchSession:
         self._state, self._steps = self._rest, 0
         self._sample: Sample | None = None
         dtype = self._rest.vehicles.p.dtype
-        self._orders = Orders(self._simulator.spec.stages, self._facts, self._limits, dtype)
+        self._orders = CommandQueue(self._simulator.spec.stages, self._facts, self._limits, dtype)
         neutral = np.full((1, len(self.robots), self._facts.thrusters), NEUTRAL_US, dtype)
         self._view = self._seen = self._look(neutral)
         self._target_m: Floats = np.asarray(self._view.p)
@@ -164,7 +164,9 @@ class BatchSession:
         """See `Session.check`."""
         self._goes_on(robot)
         info, view = self.robots[robot], self._seen
-        place = Place(p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot]))
+        place = RobotPosition(
+            p=np.asarray(view.p[robot], float), yaw_rad=float(view.yaw_rad[robot])
+        )
         checks.check(info, place, self._limits, command, self._time_s)
 
     def resume_plan(self, robot: int) -> None:
@@ -203,7 +205,7 @@ class BatchSession:
         return (self._steps + 0.5) * self._dt_s
 
     @property
-    def _limits(self) -> Limits:
+    def _limits(self) -> CommandLimits:
         return self._facts.limits(self._points, self._start_tolerance)
 
     def _open(self) -> None:
@@ -225,9 +227,9 @@ class BatchSession:
         unasked = jax.device_put(np.full(nu.shape, np.nan, nu.dtype), nu.sharding)
         carry = replace(state.carry, demanded=BodyWrench(tau=unasked))
         self._rest: WorldState = replace(state, carry=carry)
-        self._ways = Ways(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
+        self._ways = RejoinPaths(jax.tree.map(lambda leaf: leaf[0], worlds.environment))
 
-    def _look(self, pwm_us: Any) -> View:
+    def _look(self, pwm_us: Any) -> StateView:
         watched, slots = None, self._orders.slots
         if JointTrajectory in slots.kinds:
             watched = Watched(
@@ -235,7 +237,7 @@ class BatchSession:
                 allowed=self._allowed,
                 before=jax.device_put(self._orders.results),
             )
-        view: View = jax.device_get(look(self._worlds, self._state, pwm_us, watched))
+        view: StateView = jax.device_get(look(self._worlds, self._state, pwm_us, watched))
         return view
 
 

@@ -35,7 +35,7 @@ SHARES: Any = np.linspace(0.0, 1.0, 9)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class RobotPosition:
     """Where a robot is, for what a command may ask of it."""
 
     p: Floats
@@ -49,7 +49,7 @@ class Place:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class CommandLimits:
     """What a session can take."""
 
     start_tolerance: float
@@ -64,7 +64,9 @@ class Limits:
         return self.points if kind is JointTrajectory else self.way_points
 
 
-def check(robot: RobotInfo, place: Place, limits: Limits, command: Any, now_s: float) -> None:
+def check(
+    robot: RobotInfo, place: RobotPosition, limits: CommandLimits, command: Any, now_s: float
+) -> None:
     """Refuse a command that a robot cannot follow.
 
     Args:
@@ -92,7 +94,7 @@ def check(robot: RobotInfo, place: Place, limits: Limits, command: Any, now_s: f
 
 
 def _check_goal(
-    robot: RobotInfo, place: Place, limits: Limits, goal: JointGoal, now_s: float
+    robot: RobotInfo, place: RobotPosition, limits: CommandLimits, goal: JointGoal, now_s: float
 ) -> None:
     surge, sway, heave = map(float, robot.max_speed_mps)
     level = max(surge, sway)  # a vehicle can turn the better side forward
@@ -112,12 +114,14 @@ def _check_goal(
         )
 
 
-def _pose_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[str]:
+def _pose_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
     faults = _arrays(command, {"position_m": (3,), "velocity_mps": (3,), "yaw_rad": ()})
     return faults or _velocity_faults(robot, "velocity_mps", command.velocity_mps)
 
 
-def _tracking_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[str]:
+def _tracking_faults(
+    robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any
+) -> list[str]:
     shapes = {"position_m": (3,), "velocity_mps": (3,), "acceleration_mps2": (3,), "yaw_rad": ()}
     faults = _arrays(command, {**shapes, "yaw_rate_radps": (), "yaw_acceleration_radps2": ()})
     return faults or [
@@ -126,7 +130,7 @@ def _tracking_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> li
     ]
 
 
-def _twist_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[str]:
+def _twist_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
     if faults := _arrays(command, {"nu": (6,)}):
         return faults
     nu = np.asarray(command.nu, float)
@@ -140,11 +144,11 @@ def _twist_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[
     return faults + _turn_faults(robot, "nu[3:]", float(np.linalg.norm(nu[3:])))
 
 
-def _wrench_faults(_: RobotInfo, __: Place, ___: Limits, command: Any) -> list[str]:
+def _wrench_faults(_: RobotInfo, __: RobotPosition, ___: CommandLimits, command: Any) -> list[str]:
     return _arrays(command, {"tau": (6,)})
 
 
-def _pwm_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[str]:
+def _pwm_faults(robot: RobotInfo, _: RobotPosition, __: CommandLimits, command: Any) -> list[str]:
     if faults := _arrays(command, {"pwm_us": (len(robot.thrusters),)}):
         return faults
     return [
@@ -156,7 +160,9 @@ def _pwm_faults(robot: RobotInfo, _: Place, __: Limits, command: Any) -> list[st
     ]
 
 
-def _path_faults(robot: RobotInfo, place: Place, limits: Limits, command: Any) -> list[str]:
+def _path_faults(
+    robot: RobotInfo, place: RobotPosition, limits: CommandLimits, command: Any
+) -> list[str]:
     time, point = np.asarray(command.time_s, float), np.asarray(command.position_m, float)
     if time.ndim != 1 or time.size < 1 or point.shape != (time.size, 3):
         return [f"time_s {time.shape} and position_m {point.shape}: must be [n] and [n, 3]"]
@@ -176,7 +182,9 @@ def _path_faults(robot: RobotInfo, place: Place, limits: Limits, command: Any) -
     return faults + _away_faults("position_m[0]", "", away, limits.start_tolerance)
 
 
-def _joint_faults(robot: RobotInfo, place: Place, limits: Limits, command: Any) -> list[str]:
+def _joint_faults(
+    robot: RobotInfo, place: RobotPosition, limits: CommandLimits, command: Any
+) -> list[str]:
     if command.joints != VEHICLE_JOINTS:
         return [f"joints = {command.joints}: must be {VEHICLE_JOINTS}; a JointGoal may name some"]
     time = np.asarray(command.time_s, float)
@@ -275,7 +283,7 @@ def _turn_faults(robot: RobotInfo, name: str, rate: float) -> list[str]:
     return [f"{name}: {rate:.3g} rad/s; {most:.3g} rad/s is the most that this vehicle can do"]
 
 
-_FAULTS: dict[type, Callable[[RobotInfo, Place, Limits, Any], list[str]]] = {
+_FAULTS: dict[type, Callable[[RobotInfo, RobotPosition, CommandLimits, Any], list[str]]] = {
     Trajectory: _path_faults,
     JointTrajectory: _joint_faults,
     TrackingTarget: _tracking_faults,

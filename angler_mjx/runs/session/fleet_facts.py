@@ -12,7 +12,7 @@ from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import of_robot
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.drive import full_force, terminal_speed
-from angler_mjx.runs.session.checks import Limits
+from angler_mjx.runs.session.checks import CommandLimits
 from angler_mjx.runs.session.interface import Floats, RobotInfo
 from angler_mjx.runs.session.plan import Plan
 from angler_mjx.runs.session.slots import kinds_of
@@ -24,7 +24,7 @@ WAY_BACK = 32
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows:
+class ControlRows:
     """Obstacles that are there."""
 
     which: NDArray[np.integer[Any]]
@@ -48,17 +48,17 @@ class Facts:
     """Of the planner's paths."""
     jointed: bool
     """Whether these are trajectories of joints."""
-    obstacles: Rows
+    obstacles: ControlRows
 
-    def limits(self, points: int, start_tolerance: float) -> Limits:
+    def limits(self, points: int, start_tolerance: float) -> CommandLimits:
         """What a session of this world can take: no less than its own plans.
 
         Args:
             points: of a JointTrajectory, as its caller wants it.
-            start_tolerance: see `Limits`.
+            start_tolerance: see `CommandLimits`.
         """
         most = self.way_points + WAY_BACK
-        return Limits(
+        return CommandLimits(
             start_tolerance=start_tolerance,
             points=max(points, most) if self.jointed else points,
             way_points=most,
@@ -86,7 +86,7 @@ def gather(simulator: Simulator, worlds: World) -> Facts:
         thrusters=worlds.control.vehicle.B.shape[-1],
         way_points=path.time_s.shape[-1],
         jointed=isinstance(path, JointTrajectory),
-        obstacles=Rows(
+        obstacles=ControlRows(
             which=rows,
             kind=np.asarray(given.kind)[0][rows],
             size_m=np.asarray(given.size_m)[0][rows],

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 from angler_mjx.errors import RunError
 from angler_mjx.runs.session.interface import Observation
-from angler_mjx.runs.session.online import Flyer, Scene
-from angler_mjx.runs.session.recording import Course
+from angler_mjx.runs.session.online import OnlineFlyer, OnlineScene
+from angler_mjx.runs.session.recording import RecordedCourse
 from angler_mjx.sim.state import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class SessionFlight:
     """How it went."""
 
     last: Observation
@@ -23,12 +23,12 @@ class Flown:
 
 
 def fly(
-    session: Scene,
+    session: OnlineScene,
     horizon_s: float,
     watch: Callable[[Observation], None] | None = None,
-    flyer: Flyer | None = None,
+    flyer: OnlineFlyer | None = None,
     stopped: Callable[[], bool] = lambda: False,
-) -> Flown:
+) -> SessionFlight:
     """Fly until no robot runs any more, or the horizon, or something breaks it off.
 
     Args:
@@ -41,7 +41,7 @@ def fly(
     Raises:
         ConfigError: the scenario asks for no policy.
     """
-    chosen = Flyer(session) if flyer is None else flyer
+    chosen = OnlineFlyer(session) if flyer is None else flyer
     seen, steps, broken, begun = session.observe(), 0, "", time.perf_counter()
     while steps < round(horizon_s / session.dt_s):
         if stopped():
@@ -57,12 +57,12 @@ def fly(
             watch(seen)
         if all(status.outcome is not Outcome.RUNNING for status in seen.status):
             break
-    return Flown(last=seen, steps=steps, wall_s=time.perf_counter() - begun, broken=broken)
+    return SessionFlight(last=seen, steps=steps, wall_s=time.perf_counter() - begun, broken=broken)
 
 
-def course(flown: Flown, compile_s: float) -> Course:
+def course(flown: SessionFlight, compile_s: float) -> RecordedCourse:
     """For the summary of a run folder."""
-    return Course(
+    return RecordedCourse(
         steps=flown.steps,
         wall_s=flown.wall_s,
         compile_s=compile_s,

@@ -71,7 +71,7 @@ class SceneObstacles:
     kind: NDArray[np.integer[Any]]
     """[n] a kind of `angler_mjx.world.obstacles.types`."""
     half_size_m: Floats
-    """[n, 3] as `angler_mjx.sim.knowledge.KnownObstacles.half_size_m`."""
+    """[n, 3] as `angler_mjx.sim.knowledge.ObstacleInformation.half_size_m`."""
 
     @property
     def size_m(self) -> Floats:

@@ -20,9 +20,9 @@ from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.runs.session.interface import Observation, Order, Session
 from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.aboard.here import Aboard
-from angler_mjx.sim.knowledge import Knows
-from angler_mjx.sim.knowledge import Observation as Seen
+from angler_mjx.sim.aboard.here import WorldContext
+from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.knowledge import SceneObservation as Seen
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome
@@ -31,14 +31,14 @@ from angler_mjx.world.acoustics.config import refuse_acoustics
 FLYING = (Outcome.RUNNING, Outcome.REACHED)
 
 
-class Scene(Session, Recordable, Protocol):
+class OnlineScene(Session, Recordable, Protocol):
     """A session of which the scene can be seen."""
 
 
-class Flyer:
+class OnlineFlyer:
     """A policy that commands the robots of a session."""
 
-    def __init__(self, session: Scene, policy: Policy | None = None) -> None:
+    def __init__(self, session: OnlineScene, policy: Policy | None = None) -> None:
         """Compile the policy and ask it to begin; the session stands at its reset.
 
         Args:
@@ -64,7 +64,7 @@ class Flyer:
         spec, stages = inside.simulator.spec, inside.simulator.spec.stages
 
         def known(world: Any, vehicles: Any, obstacles: Any, belief: Any, number: Any) -> Any:
-            here = Aboard(
+            here = WorldContext(
                 spec=spec,
                 policy=chosen,
                 world=world,
@@ -125,7 +125,7 @@ class Flyer:
         return scene, _belief(observation.estimate), number
 
 
-def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
+def problem_of(session: OnlineScene, knows: Information | None = None) -> Problem:
     """What a planner is asked at this time of a session.
 
     Robots begin where they are told that they are; time is counted from now.
@@ -140,7 +140,7 @@ def problem_of(session: Scene, knows: Knows | None = None) -> Problem:
     left_s = max(scenario.time.horizon_s - now.time_s, spec.control_dt_s)
     world, obstacles = _alone((inside.worlds, inside.state.obstacles))
     w, x, y, z = np.moveaxis(np.asarray(now.estimate.q, np.float32), -1, 0)
-    made = asking.ask_now(
+    made = asking.build_problem_now(
         world,
         jnp.uint32(scenario.seed),
         spec,

@@ -12,12 +12,12 @@ from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.plans import checked
 from angler_mjx.robot.control.stack import Stages
 from angler_mjx.runs.session import paths
-from angler_mjx.runs.session.checks import Limits
+from angler_mjx.runs.session.checks import CommandLimits
 from angler_mjx.runs.session.fleet_facts import Facts
 from angler_mjx.runs.session.interface import Order, RobotStatus
 from angler_mjx.runs.session.plan import Plan
 from angler_mjx.runs.session.slots import Sizes, Slots
-from angler_mjx.runs.session.view import View
+from angler_mjx.runs.session.view import StateView
 from angler_mjx.sim.state import Outcome
 
 PLAN = "plan"
@@ -25,7 +25,7 @@ PLAN = "plan"
 
 
 @dataclass(kw_only=True)
-class OrderState:
+class CommandState:
     """The order of one robot, and how it stands with it."""
 
     plan: Plan
@@ -41,14 +41,14 @@ class OrderState:
     """One that begins later."""
 
 
-class Orders:
+class CommandQueue:
     """Takes checked orders for robots, and refusals.
 
     Attributes:
         slots: what the controllers are told.
     """
 
-    def __init__(self, stages: Stages, facts: Facts, limits: Limits, dtype: Any) -> None:
+    def __init__(self, stages: Stages, facts: Facts, limits: CommandLimits, dtype: Any) -> None:
         """Every robot is told its plan.
 
         Raises:
@@ -64,13 +64,13 @@ class Orders:
                 way_points=limits.way_points,
             ),
         )
-        self._states = [OrderState(plan=plan) for plan in facts.plans]
+        self._states = [CommandState(plan=plan) for plan in facts.plans]
         for robot, plan in enumerate(facts.plans):
             self.resume(robot, plan)
             if not facts.found[robot]:
                 self._states[robot].note = "the planner found no way: it holds its start"
 
-    def __getitem__(self, robot: int) -> OrderState:
+    def __getitem__(self, robot: int) -> CommandState:
         """The order of a robot."""
         return self._states[robot]
 
@@ -99,7 +99,7 @@ class Orders:
             if state.waiting is not None and state.waiting.stamp_s <= now_s
         }
 
-    def tell(self, robot: int, order: Order, view: View, now_s: float) -> None:
+    def tell(self, robot: int, order: Order, view: StateView, now_s: float) -> None:
         """Give a robot an order that was checked."""
         if isinstance(order, JointGoal) and order.stamp_s > now_s:
             state = self._states[robot]
@@ -112,7 +112,7 @@ class Orders:
             state = self._states[robot]
             state.result, state.note = ResultCode.ACTIVE, ResultCode.ACTIVE.name
 
-    def refuse(self, robot: int, reason: str, view: View) -> None:
+    def refuse(self, robot: int, reason: str, view: StateView) -> None:
         """Refuse a robot's order: it holds; refused again, where it was refused first."""
         if not self._states[robot].refused:
             self._hold(robot, view)
@@ -120,11 +120,11 @@ class Orders:
 
     def resume(self, robot: int, plan: Plan) -> None:
         """Let a robot follow its plan from its beginning."""
-        self._states[robot] = OrderState(plan=plan)
+        self._states[robot] = CommandState(plan=plan)
         told = plan.padded(self._limits.rows(plan.kind), self._dtype)
         self.slots.put(robot, checked(self._stages, told))
 
-    def report(self, view: View) -> None:
+    def report(self, view: StateView) -> None:
         """Say how JointTrajectories stand; one that failed ends where the robot is."""
         for robot, state in enumerate(self._states):
             if state.result is not ResultCode.ACTIVE:
@@ -136,15 +136,15 @@ class Orders:
                 self._hold(robot, view)
             self._states[robot].note = note
 
-    def _hold(self, robot: int, view: View) -> None:
+    def _hold(self, robot: int, view: StateView) -> None:
         command = paths.hold(self.slots.kinds, view, robot, self._limits)
         self._put(robot, command, "hold", view)
 
-    def _put(self, robot: int, command: Any, name: str, view: View) -> None:
+    def _put(self, robot: int, command: Any, name: str, view: StateView) -> None:
         """Tell a robot something else than what it had."""
         state = self._states[robot]
         left = state.left_s
         if state.command == PLAN:
             left = paths.along(self._stages, state.plan, view, robot)
-        self._states[robot] = OrderState(plan=state.plan, command=name, left_s=left)
+        self._states[robot] = CommandState(plan=state.plan, command=name, left_s=left)
         self.slots.put(robot, command)

@@ -21,11 +21,11 @@ from angler_mjx.robot.control.joint_trajectory import (
 )
 from angler_mjx.robot.control.stack import Stages
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.session.checks import Limits
+from angler_mjx.runs.session.checks import CommandLimits
 from angler_mjx.runs.session.interface import Floats, Order
 from angler_mjx.runs.session.plan import Plan
 from angler_mjx.runs.session.slots import Slots
-from angler_mjx.runs.session.view import View
+from angler_mjx.runs.session.view import StateView
 from angler_mjx.scenario.scenario import Scenario
 
 SLACK_M = 1e-3
@@ -67,7 +67,9 @@ def start_of(order: Order) -> float:
     return order.stamp_s if isinstance(order, JointGoal) else 0.0
 
 
-def ready(slots: Slots, view: View, robot: int, order: Order, limits: Limits, now_s: float) -> Any:
+def ready(
+    slots: Slots, view: StateView, robot: int, order: Order, limits: CommandLimits, now_s: float
+) -> Any:
     """A checked order as slots take it: of fixed shapes, and joined to what goes on now."""
     if isinstance(order, JointGoal):
         return join(slots, view, robot, _without_past(order, now_s))
@@ -85,7 +87,9 @@ def ready(slots: Slots, view: View, robot: int, order: Order, limits: Limits, no
     return order
 
 
-def join(slots: Slots, view: View, robot: int, new: JointGoal | JointTrajectory) -> JointTrajectory:
+def join(
+    slots: Slots, view: StateView, robot: int, new: JointGoal | JointTrajectory
+) -> JointTrajectory:
     """A JointTrajectory joined to the reference of now."""
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     size = slot.time_s.shape[0]
@@ -102,7 +106,7 @@ def join(slots: Slots, view: View, robot: int, new: JointGoal | JointTrajectory)
     return joined
 
 
-def compile_joins(slots: Slots, view: View) -> None:
+def compile_joins(slots: Slots, view: StateView) -> None:
     """Have compiled now what `join` needs."""
     if JointTrajectory in slots.kinds:
         nothing = JointGoal(joint_names=("x",), points=(JointPoint(time_s=1.0, positions=(0.0,)),))
@@ -114,7 +118,7 @@ _join = jax.jit(replace_at)
 _sample = jax.jit(sample)
 
 
-def hold(kinds: tuple[type, ...], view: View, robot: int, limits: Limits) -> Any:
+def hold(kinds: tuple[type, ...], view: StateView, robot: int, limits: CommandLimits) -> Any:
     """A command to stay where a robot is; every stack takes a path, not every one a pose."""
     p, yaw = view.p[robot], view.yaw_rad[robot]
     if PoseTarget in kinds:
@@ -123,7 +127,7 @@ def hold(kinds: tuple[type, ...], view: View, robot: int, limits: Limits) -> Any
     return here.padded(limits.way_points, view.p.dtype)
 
 
-def along(stages: Stages, plan: Plan, view: View, robot: int) -> float:
+def along(stages: Stages, plan: Plan, view: StateView, robot: int) -> float:
     """How far along its plan a robot is, s of the plan's time."""
     if stages[0].name in ("follow", "reference"):
         return float(view.clock_s[robot])
@@ -132,7 +136,7 @@ def along(stages: Stages, plan: Plan, view: View, robot: int) -> float:
     return float(times[np.argmin(away)])
 
 
-def farthest(slots: Slots, view: View, robot: int) -> str:
+def farthest(slots: Slots, view: StateView, robot: int) -> str:
     """Which joint is farthest from where its JointTrajectory has it, in words."""
     slot = jax.tree.map(lambda leaf: leaf[robot], slots.slot(JointTrajectory))
     wanted = np.asarray(_sample(slot, view.clock_s[robot]).position, float)
@@ -153,7 +157,7 @@ def _without_past(goal: JointGoal, now_s: float) -> JointGoal:
     return replace(goal, points=tuple(points or [replace(goal.points[-1], time_s=0.0)]))
 
 
-def _moving(slots: Slots, view: View, robot: int) -> tuple[Floats, Floats]:
+def _moving(slots: Slots, view: StateView, robot: int) -> tuple[Floats, Floats]:
     """Joints [4] and their rates of what goes on: the path's where there is one, else measured."""
     if slots.kind(robot) is Trajectory:
         path = jax.tree.map(lambda leaf: leaf[robot], slots.slot(Trajectory))
@@ -163,7 +167,7 @@ def _moving(slots: Slots, view: View, robot: int) -> tuple[Floats, Floats]:
     return np.append(view.p[robot], view.yaw_rad[robot]), np.append(over_ground(view, robot), 0.0)
 
 
-def over_ground(view: View, robot: int) -> Floats:
+def over_ground(view: StateView, robot: int) -> Floats:
     """Velocity [3] in W."""
     w, axis = float(view.q[robot, 0]), np.asarray(view.q[robot, 1:], float)
     v = np.asarray(view.nu[robot, :3], float)

@@ -20,7 +20,7 @@ from angler_mjx.runs.session.batch import Inside
 from angler_mjx.runs.session.interface import Floats, Observation
 from angler_mjx.runs.storage import folder, harvest, results
 from angler_mjx.runs.storage import inputs as copies
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.harvest import FinishedTile
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.scenario.scenario import Scenario
@@ -36,7 +36,7 @@ class Recordable(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class FlownPath:
     """Where a robot was to be, at so many times."""
 
     time_s: Floats
@@ -65,7 +65,7 @@ class Way:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class RecordedCourse:
     """How a session went, for the summary of its run."""
 
     steps: int
@@ -108,9 +108,9 @@ class SessionRecording:
         self._every = scenario.time.steps_per_sample
         self._steps = 0
         self._samples: list[Sample] = []
-        self._ways: dict[int, Way] = {}
+        self._ways: dict[int, FlownPath] = {}
         self._inputs = tuple(inputs)
-        self._claimed: Claim | None = None
+        self._claimed: OutputLock | None = None
 
     def __enter__(self) -> Self:
         """Take the folder's name, so that nobody waits for an hour in vain, and copy the inputs."""
@@ -153,7 +153,7 @@ class SessionRecording:
         """Record a session from here on; it runs the same scenario."""
         self._session = session
 
-    def plan(self, robot: int, way: Way) -> None:
+    def plan(self, robot: int, way: FlownPath) -> None:
         """Keep this as a robot's plan, and not the planner's path."""
         self._ways[robot] = way
 
@@ -164,7 +164,7 @@ class SessionRecording:
             self._samples.append(jax.tree.map(np.asarray, sample))
         self._steps += 1
 
-    def close(self, course: Course) -> folder.Run | None:
+    def close(self, course: RecordedCourse) -> folder.Run | None:
         """Write the run.
 
         Returns:
@@ -258,7 +258,7 @@ class SessionRecording:
         recorder.write(tile.first, harvest.arrays(tile, shape.samples), environment)
         recorder.sync(tile.first)
 
-    def _summary(self, scenario: Scenario, course: Course) -> dict[str, Any]:
+    def _summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:
         """As of every run, and how it went."""
         steps = course.steps * scenario.time.physics_steps * len(scenario.members())
         broken = {"interrupted": course.interrupted} if course.interrupted else {}

@@ -24,7 +24,7 @@ SHARES = (1.0, 0.75, 0.5)
 may leave it at its own distance. Half a bounding sphere is more than half a hull's width."""
 
 
-class Ways:
+class RejoinPaths:
     """What a robot of one world can go past."""
 
     def __init__(self, environment: Environment) -> None:

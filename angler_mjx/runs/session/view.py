@@ -37,7 +37,7 @@ class Watched:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class View:
+class StateView:
     """A scene at one time; [R] leads."""
 
     p: jax.Array
@@ -61,7 +61,7 @@ class View:
 
 
 @jax.jit
-def look(worlds: World, state: WorldState, pwm_us: jax.Array, watched: Watched | None) -> View:
+def look(worlds: World, state: WorldState, pwm_us: jax.Array, watched: Watched | None) -> StateView:
     """Look at the first world of a tile.
 
     Args:
@@ -85,7 +85,7 @@ def look(worlds: World, state: WorldState, pwm_us: jax.Array, watched: Watched |
             )
     contact = detect(world.environment, world.control.vehicle, vehicles, now.obstacles)
     demanded = now.carry.demanded
-    return View(
+    return StateView(
         p=vehicles.p,
         q=vehicles.q,
         nu=vehicles.nu,
@@ -122,7 +122,7 @@ def _realised(vehicle: VehicleParams, pwm_us: jax.Array) -> jax.Array:
     return wrench
 
 
-def believed(view: View, belief: Belief | None) -> View:
+def believed(view: StateView, belief: Belief | None) -> StateView:
     """A scene as its robots' controllers know it: the one place where their estimate comes from.
 
     Args:
@@ -150,8 +150,8 @@ def covariance(belief: Belief | None) -> Floats | None:
 
 def shown(
     facts: Facts,
-    view: View,
-    seen: View,
+    view: StateView,
+    seen: StateView,
     *,
     time_s: float,
     covariance: Floats | None,

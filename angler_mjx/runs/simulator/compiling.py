@@ -78,7 +78,7 @@ class CompileTime:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class PendingProgram:
     """A program in the making."""
 
     written_s: float
@@ -111,13 +111,13 @@ class Together:
         """Wait; what has not begun is left out if something failed."""
         self._threads.shutdown(cancel_futures=error is not None)
 
-    def begin(self, function: Any, *example: Any) -> Program:
+    def begin(self, function: Any, *example: Any) -> PendingProgram:
         """Trace a jitted function for arguments of these shapes, and begin to compile it."""
         start = time.perf_counter()
         with _COLLECTION.paused():
             lowered = function.lower(*example)
         written_s = time.perf_counter() - start
-        return Program(written_s=written_s, made=self._threads.submit(_timed, lowered))
+        return PendingProgram(written_s=written_s, made=self._threads.submit(_timed, lowered))
 
 
 class _Collection:

@@ -80,7 +80,7 @@ def shards(tree: Any, count: int) -> list[Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Memory:
+class DeviceMemory:
     """What one device needs for its tile, in bytes."""
 
     prepare: int
@@ -94,7 +94,7 @@ class Memory:
         return max(self.prepare, self.segment)
 
 
-def analyse(prepare: Any, reset: Any, segment: Any) -> Memory | None:
+def analyse(prepare: Any, reset: Any, segment: Any) -> DeviceMemory | None:
     """Memory of the compiled functions by XLA's own account; None where it gives none."""
     parts = [function.memory_analysis() for function in (prepare, reset, segment)]
     if any(part is None for part in parts):
@@ -102,7 +102,9 @@ def analyse(prepare: Any, reset: Any, segment: Any) -> Memory | None:
     made, begun, run = parts
     worlds, state = made.output_size_in_bytes, begun.output_size_in_bytes
     sample = run.output_size_in_bytes - run.alias_size_in_bytes
-    return Memory(prepare=_total(made) + worlds + state + 2 * sample, segment=_total(run) + sample)
+    return DeviceMemory(
+        prepare=_total(made) + worlds + state + 2 * sample, segment=_total(run) + sample
+    )
 
 
 def limit_bytes(device: jax.Device) -> int:

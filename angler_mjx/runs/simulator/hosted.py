@@ -61,7 +61,7 @@ def one_by_one(problems: Problem, names: Sequence[Name]) -> list[Problem]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class SampledBatch:
     """A wave of worlds that is drawn, and may still be planned."""
 
     worlds: World

@@ -14,7 +14,7 @@ from angler_kernels.clearance import cell_neighbours
 from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
-from angler_mjx.planning.asking import ask
+from angler_mjx.planning.asking import build_problems
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
@@ -29,7 +29,7 @@ from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import drawn_places
 from angler_mjx.sim import fleet
-from angler_mjx.sim.knowledge import Knows, obstacles
+from angler_mjx.sim.knowledge import Information, obstacles
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import Factors, World
 from angler_mjx.world import currents, generate
@@ -37,7 +37,7 @@ from angler_mjx.world.config import WorldRecipe, resolve
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.routes import Routes
 from angler_mjx.world.tasks import drawing
-from angler_mjx.world.tasks.drawing import Places
+from angler_mjx.world.tasks.drawing import GoalSampling
 from angler_mjx.world.tasks.reach import reachable_cells
 from angler_mjx.world.tasks.spec import TaskWorld
 
@@ -133,7 +133,7 @@ def preparer(
 
 def ask_all(
     scenario: Scenario,
-    knows: Knows,
+    knows: Information,
     worlds: World,
     seed: jax.Array,
     first: jax.Array,
@@ -153,7 +153,7 @@ def ask_all(
     horizon_s, deadline_s = scenario.time.horizon_s, scenario.planner.deadline_s
 
     def one(world: World, number: jax.Array) -> Problem:
-        return ask(world, number, scenario.sim_spec(), knows, horizon_s, deadline_s)
+        return build_problems(world, number, scenario.sim_spec(), knows, horizon_s, deadline_s)
 
     return jax.vmap(one)(worlds, seeds)
 
@@ -315,7 +315,7 @@ def _task(
         return None
     margin_m = MARGIN_M if policy is None else policy.routes_margin_m or MARGIN_M
     clearance_m = jnp.max(control.vehicle.radius_m) + margin_m
-    places = [where for _, where, _ in drawn_places(scenario.task)] or [Places()]
+    places = [where for _, where, _ in drawn_places(scenario.task)] or [GoalSampling()]
     return drawing.draw(
         spec,
         places[0],

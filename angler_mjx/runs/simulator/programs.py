@@ -24,11 +24,11 @@ from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.runs.simulator import devices as on_devices
-from angler_mjx.runs.simulator.compiling import Compiled, CompileTime, Program, Together
+from angler_mjx.runs.simulator.compiling import Compiled, CompileTime, PendingProgram, Together
 from angler_mjx.runs.simulator.devices import (
     EACH,
     SAME,
-    Memory,
+    DeviceMemory,
     limit_bytes,
     placed,
     too_large,
@@ -39,7 +39,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.engines import base as engines
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import Outcome, SimSpec, World, WorldState
@@ -63,7 +63,7 @@ PLANNER_LABELS = {"name", "requested", "settings"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class ProgramSetup:
     """Everything from which the programs of a scenario are made."""
 
     scenario: Scenario
@@ -120,7 +120,7 @@ class Programs:
         pack: cells of worlds as the engine reads them; None where it reads them as they are.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: ProgramSetup) -> None:
         """Compile the vehicles and put the functions together; programs are not compiled yet.
 
         Raises:
@@ -138,8 +138,8 @@ class Programs:
         generate.check_fleet(resolve(scenario.world), radius)
         self.samples, self.steps_per_sample = _segment_size(scenario)
         self.engine = engines.by_name(scenario.engine, setup.kernels)
-        self.memory: Memory | None = None
-        self._problems: dict[Knows, Compiled] = {}
+        self.memory: DeviceMemory | None = None
+        self._problems: dict[Information, Compiled] = {}
         self._compiled, self._lock = False, threading.Lock()
         policy = setup.policy[0] if setup.policy else None
         sampling = preparer(scenario, setup.planner, setup.tile, shape=setup.paths, policy=policy)
@@ -162,7 +162,7 @@ class Programs:
         looked_up = scenario.engine == "fused"
         self.pack = self._spread(jax.vmap(cell_neighbours), EACH) if looked_up else None
 
-    def problem(self, knows: Knows) -> Compiled:
+    def problem(self, knows: Information) -> Compiled:
         """Return the program that makes problems of worlds at an information level."""
         if knows not in self._problems:
             build = partial(ask_all, self._setup.scenario, knows)
@@ -214,7 +214,7 @@ class Programs:
         except jax.errors.JaxRuntimeError as error:
             # There is no account yet of what the programs need: what they give is the least.
             least = (2 * tree_bytes(worlds) + tree_bytes(state)) // mesh.size
-            self.memory = Memory(prepare=least, segment=least)
+            self.memory = DeviceMemory(prepare=least, segment=least)
             self.explain(error)
             raise
         functions, seconds = zip(*made, strict=True)
@@ -233,7 +233,7 @@ class Programs:
             total_s=time.perf_counter() - start,
         )
 
-    def _begin_all(self) -> tuple[World, WorldState, list[Program]]:
+    def _begin_all(self) -> tuple[World, WorldState, list[PendingProgram]]:
         """Shapes of worlds and their states; prepare, reset and segment, compiled side by side."""
         mesh = self._setup.mesh
         kinds, number, firsts = self._seed_shapes()
@@ -305,7 +305,7 @@ _held: OrderedDict[Hashable, Programs] = OrderedDict()
 _lock = threading.Lock()
 
 
-def shared(setup: Setup) -> Programs:
+def shared(setup: ProgramSetup) -> Programs:
     """Return the programs of a setup: those of an equal setup if they are still held.
 
     Raises:

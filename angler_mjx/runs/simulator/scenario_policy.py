@@ -7,8 +7,13 @@ from typing import Any
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.mppi.costs import Weights
 from angler_mjx.planning.mppi.policy import Mppi
-from angler_mjx.planning.online.host_planner import HostAnew
-from angler_mjx.planning.online.planners import BatchAnew, CurrentAnew, GridAnew, PriorityAnew
+from angler_mjx.planning.online.host_planner import HostReplanner
+from angler_mjx.planning.online.planners import (
+    BatchReplanner,
+    CurrentReplanner,
+    GridReplanner,
+    PriorityReplanner,
+)
 from angler_mjx.planning.online.policy import Online
 from angler_mjx.planning.online.replanning import Replanning
 from angler_mjx.planning.problem import Problem
@@ -25,7 +30,7 @@ from angler_mjx.runs.simulator.on_device import (
 )
 from angler_mjx.scenario.policy_tables import default_knows
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.policy import Policy
 
 
@@ -93,7 +98,7 @@ def mppi(scenario: Scenario) -> Mppi:
     )
 
 
-def _knows(scenario: Scenario) -> Knows:
+def _knows(scenario: Scenario) -> Information:
     """Return the information level of the policy that the scenario names."""
     return (scenario.policy.knows or default_knows(scenario.policy, scenario.planner)).knows()
 
@@ -139,16 +144,16 @@ def _replanning(scenario: Scenario) -> Replanning | None:
 def _anew(scenario: Scenario) -> Callable[[Problem], Trajectory]:
     spec = scenario.planner.chosen()
     if spec.reference.name == CURRENT:
-        return CurrentAnew(config=current_config(scenario, spec))
+        return CurrentReplanner(config=current_config(scenario, spec))
     if spec.reference.on_device:
         config = ways_config(scenario, spec)
         if spec.reference.name == GRID:
-            return GridAnew(config=config)
-        return PriorityAnew(config=replace(config, room_m=0.0), budget=priority_budget(spec))
+            return GridReplanner(config=config)
+        return PriorityReplanner(config=replace(config, room_m=0.0), budget=priority_budget(spec))
     settings = tuple(sorted(spec.settings.items()))
     if _on_host(spec):
         return _of_host(scenario, spec, settings)
-    return BatchAnew(reference=spec.reference, settings=settings)
+    return BatchReplanner(reference=spec.reference, settings=settings)
 
 
 def _on_host(spec: PlannerSpec) -> bool:
@@ -159,7 +164,7 @@ def _on_host(spec: PlannerSpec) -> bool:
 
 def _of_host(
     scenario: Scenario, spec: PlannerSpec, settings: tuple[tuple[str, Any], ...]
-) -> HostAnew:
+) -> HostReplanner:
     name, rate = spec.reference.name, f"planner.replan_hz = {scenario.planner.replan_hz:g}"
     if scenario.tile != 1:
         raise ConfigError(
@@ -172,7 +177,9 @@ def _of_host(
             f"{rate}: planner {name} gives headings (JointTrajectory), and replanning goes on from "
             "way-points; leave out its heading, or replan_hz"
         )
-    return HostAnew(reference=spec.reference, settings=settings, points=scenario.planner.points)
+    return HostReplanner(
+        reference=spec.reference, settings=settings, points=scenario.planner.points
+    )
 
 
 def _deadline_s(scenario: Scenario) -> float:

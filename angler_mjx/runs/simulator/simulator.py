@@ -26,16 +26,16 @@ from angler_mjx.runs.simulator import cache, hosted, programs, scenario_policy
 from angler_mjx.runs.simulator import devices as on_devices
 from angler_mjx.runs.simulator.compiling import CompileTime
 from angler_mjx.runs.simulator.devices import EACH, SAME
-from angler_mjx.runs.simulator.hosted import Drawn, PlanNotes
+from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.prepare import key_number, with_paths
 from angler_mjx.runs.simulator.programs import Programs, Segment
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.admission import WorldValidator
 from angler_mjx.sim.engines import base as engines
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import SimSpec, World, WorldState
@@ -116,7 +116,7 @@ class Simulator:
         self.paths = paths or hosted.shape_of(self._spec_of_planner, points)
         self._planners = hosted.begin(self._spec_of_planner, self.paths, workers)
         self._driver: tuple[Policy, ...] = () if policy is None else (self._on_all(policy),)
-        setup = programs.Setup(
+        setup = programs.ProgramSetup(
             scenario=scenario,
             tile=self.tile,
             mesh=self._mesh,
@@ -129,7 +129,7 @@ class Simulator:
         self._programs = programs.shared(setup)
         self.samples = self._programs.samples
         self.steps_per_sample = self._programs.steps_per_sample
-        self._gate = Gate(self.fleet, take=self._programs.take, pack=self._programs.pack)
+        self._gate = WorldValidator(self.fleet, take=self._programs.take, pack=self._programs.pack)
 
     def _traces_a_planner(self) -> bool:
         """Whether code of a planner of somebody else is a part of the programs."""
@@ -238,7 +238,7 @@ class Simulator:
 
     def begin(
         self, firsts: Sequence[int], *, seed: int | None = None, kept: Sequence[int] | None = None
-    ) -> Drawn:
+    ) -> SampledBatch:
         """Begin with a wave: draw its worlds, and hand their problems to who plans on the host.
 
         Other arguments and errors as in `wave`. `finish` gives the worlds; in between the device
@@ -260,14 +260,16 @@ class Simulator:
         )
         worlds = self._gate.own(self._programs.prepare(self.fleet, *numbers))
         if self._planners is None:
-            return Drawn(worlds=worlds)
+            return SampledBatch(worlds=worlds)
         names = [self._name(int(run), first + i) for first in firsts for i in range(self.tile)]
         asked = hosted.one_by_one(self._programs.problem(self._knows)(worlds, *numbers), names)
         kept = [self.tile] * len(firsts) if kept is None else kept
         wanted = [t * self.tile + i for t, count in enumerate(kept) for i in range(count)]
-        return Drawn(worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted}))
+        return SampledBatch(
+            worlds=worlds, tickets=self._planners.begin({i: asked[i] for i in wanted})
+        )
 
-    def finish(self, drawn: Drawn) -> tuple[World, PlanNotes | None]:
+    def finish(self, drawn: SampledBatch) -> tuple[World, PlanNotes | None]:
         """The worlds of a wave that was begun, planned.
 
         Returns:
@@ -283,7 +285,7 @@ class Simulator:
         return self.with_paths(drawn.worlds, path), notes
 
     def asked(
-        self, first: int = 0, *, seed: int | None = None, knows: Knows | None = None
+        self, first: int = 0, *, seed: int | None = None, knows: Information | None = None
     ) -> tuple[World, Problem]:
         """A wave of worlds that nobody has planned, and what a planner is asked in them.
 
@@ -313,7 +315,7 @@ class Simulator:
         count: int = 1,
         *,
         seed: int | None = None,
-        knows: Knows | None = None,
+        knows: Information | None = None,
     ) -> list[Problem]:
         """What a planner is asked in worlds first, first + 1 and on, in arrays of NumPy.
 
@@ -346,7 +348,7 @@ class Simulator:
         return hosted.one_by_one(problems, [self._name(run, first + i) for i in range(count)])
 
     @property
-    def _knows(self) -> Knows:
+    def _knows(self) -> Information:
         return self.scenario.planner.knows.knows()
 
     def with_paths(self, worlds: World, path: Path) -> World:

@@ -18,7 +18,7 @@ XYZ, BODY = ("xyz",), ("uvwpqr",)
 
 
 @dataclass(frozen=True)
-class About:
+class ArrayMetadata:
     """An array of a file."""
 
     axes: tuple[str, ...]
@@ -32,51 +32,57 @@ class About:
 
 
 _BODIES = {
-    "kind": About((), "1", "0 sphere, 1 box, 2 capsule"),
-    "size_m": About(("size",), "m", HALF_SIZE),
-    "half_size_m": About(("size",), "m", HALF_SIZE),
-    "exists": About((), "1", "whether the row is an obstacle; else padding, or not known"),
-    "motion": About((), "1", "0 static, 1 drifting, 2 straight, 3 sine, 4 circle"),
-    "path": About(
+    "kind": ArrayMetadata((), "1", "0 sphere, 1 box, 2 capsule"),
+    "size_m": ArrayMetadata(("size",), "m", HALF_SIZE),
+    "half_size_m": ArrayMetadata(("size",), "m", HALF_SIZE),
+    "exists": ArrayMetadata((), "1", "whether the row is an obstacle; else padding, or not known"),
+    "motion": ArrayMetadata((), "1", "0 static, 1 drifting, 2 straight, 3 sine, 4 circle"),
+    "path": ArrayMetadata(
         ("column",),
         "m/s, m, rad/s or rad by motion and column",
         "of scripted motion; straight: velocity in columns 0 to 2; sine: amplitude in 0 to 2; "
         "circle: arm at angle 0 in 0 to 2, unit axis in 5 to 7; sine and circle: angular rate in "
         "3, angle at t = 0 in 4",
     ),
-    "p0": About(XYZ, "m", "centre at t = 0; of sine and circle the middle of the motion"),
-    "q0": About(("wxyz",), "1", "attitude at t = 0, body to world"),
-    "nu0": About(BODY, "m/s, rad/s", "velocity at t = 0 relative to the water, body frame"),
-    "mass_kg": About((), "kg", "mass"),
-    "inertia_kgm2": About(XYZ, "kg m^2", "principal moments about the centre, body axes"),
-    "volume_m3": About((), "m^3", "displaced volume"),
-    "M_A": About(BODY, "kg, kg m^2", "diagonal of the added mass, body axes"),
-    "D_l": About(BODY, "N s/m, N m s", "linear drag, body axes"),
-    "D_q": About(BODY, "N s^2/m^2, N m s^2", "quadratic drag, body axes"),
-    "radius_m": About((), "m", "sphere about the centre that holds the body, however it turns"),
-    "moves": About((), "1", "whether the obstacle moves"),
-    "velocity_mps": About(XYZ, "m/s", "when observed; 0 of still ones and where it is not known"),
-    "p_m": About(("time", "xyz"), "m", "centre at obstacles/time_s; held after the last"),
-    "q": About(("time", "wxyz"), "1", "attitude at obstacles/time_s, body to world"),
+    "p0": ArrayMetadata(XYZ, "m", "centre at t = 0; of sine and circle the middle of the motion"),
+    "q0": ArrayMetadata(("wxyz",), "1", "attitude at t = 0, body to world"),
+    "nu0": ArrayMetadata(BODY, "m/s, rad/s", "velocity at t = 0 relative to the water, body frame"),
+    "mass_kg": ArrayMetadata((), "kg", "mass"),
+    "inertia_kgm2": ArrayMetadata(XYZ, "kg m^2", "principal moments about the centre, body axes"),
+    "volume_m3": ArrayMetadata((), "m^3", "displaced volume"),
+    "M_A": ArrayMetadata(BODY, "kg, kg m^2", "diagonal of the added mass, body axes"),
+    "D_l": ArrayMetadata(BODY, "N s/m, N m s", "linear drag, body axes"),
+    "D_q": ArrayMetadata(BODY, "N s^2/m^2, N m s^2", "quadratic drag, body axes"),
+    "radius_m": ArrayMetadata(
+        (), "m", "sphere about the centre that holds the body, however it turns"
+    ),
+    "moves": ArrayMetadata((), "1", "whether the obstacle moves"),
+    "velocity_mps": ArrayMetadata(
+        XYZ, "m/s", "when observed; 0 of still ones and where it is not known"
+    ),
+    "p_m": ArrayMetadata(("time", "xyz"), "m", "centre at obstacles/time_s; held after the last"),
+    "q": ArrayMetadata(("time", "wxyz"), "1", "attitude at obstacles/time_s, body to world"),
 }
 """Of obstacles; [obstacle] leads."""
 
 _TEAM = {
-    "start_m": About(XYZ, "m", "start of the centre of mass"),
-    "start_yaw_rad": About((), "rad", "heading at the start, about z up, 0 = east"),
-    "goal_m": About(XYZ, "m", "goal of the centre of mass"),
-    "radius_m": About((), "m", "sphere about the centre of mass that holds the hull"),
-    "capsule_a_m": About(("capsule", "xyz"), "m", "one end of a hull capsule's axis, body frame"),
-    "capsule_b_m": About(("capsule", "xyz"), "m", "the other end, body frame"),
-    "capsule_r_m": About(("capsule",), "m", "radius of a hull capsule"),
-    "cruise_speed_mps": About((), "m/s", "speed over ground that no plan may exceed"),
-    "terminal_speed_mps": About(
+    "start_m": ArrayMetadata(XYZ, "m", "start of the centre of mass"),
+    "start_yaw_rad": ArrayMetadata((), "rad", "heading at the start, about z up, 0 = east"),
+    "goal_m": ArrayMetadata(XYZ, "m", "goal of the centre of mass"),
+    "radius_m": ArrayMetadata((), "m", "sphere about the centre of mass that holds the hull"),
+    "capsule_a_m": ArrayMetadata(
+        ("capsule", "xyz"), "m", "one end of a hull capsule's axis, body frame"
+    ),
+    "capsule_b_m": ArrayMetadata(("capsule", "xyz"), "m", "the other end, body frame"),
+    "capsule_r_m": ArrayMetadata(("capsule",), "m", "radius of a hull capsule"),
+    "cruise_speed_mps": ArrayMetadata((), "m/s", "speed over ground that no plan may exceed"),
+    "terminal_speed_mps": ArrayMetadata(
         ("surge_sway_heave",), "m/s", "at full thrust in still water; 0 where it cannot push"
     ),
-    "acceleration_mps2": About(
+    "acceleration_mps2": ArrayMetadata(
         ("surge_sway_heave",), "m/s^2", "from rest at full thrust, added mass included"
     ),
-    "power_w": About(
+    "power_w": ArrayMetadata(
         ("surge_sway_heave", "speed"),
         "W",
         "electrical, at speeds through the water of 0 to the terminal one in equal steps",
@@ -85,23 +91,31 @@ _TEAM = {
 """Of a problem's robots; [robot] leads."""
 
 _WORLD = {
-    "grid/occupied": About(("x", "y", "z"), "1", "whether each cell is rock"),
-    "grid/origin_m": About(XYZ, "m", "lower corner of cell (0, 0, 0)"),
-    "grid/cell_m": About((), "m", "edge of a cell"),
-    "floor_z_m": About((), "m", "height of the sea floor"),
-    "start_m": About(("robot", "xyz"), "m", _TEAM["start_m"].text),
-    "start_yaw_rad": About(("robot",), "rad", _TEAM["start_yaw_rad"].text),
-    "goal_m": About(("robot", "xyz"), "m", _TEAM["goal_m"].text),
-    "density": About((), "1", "fraction of cells that are rock"),
-    "path_ratio": About(("robot",), "1", "shortest free path over the straight line, at least 1"),
-    "line_free": About(("robot",), "1", "whether the straight line to the goal meets no rock"),
-    "redraws": About((), "1", "samples that were rejected before this world"),
-    "valid": About((), "1", "false where no sample could hold the fleet"),
-    "seed": About((), "1", "for the planner's random numbers"),
-    "obstacles/time_s": About(("time",), "s", "of obstacles/p_m and q, since the observation"),
-    "current/begin_s": About((), "s", "time of the observation since the start of the flight"),
+    "grid/occupied": ArrayMetadata(("x", "y", "z"), "1", "whether each cell is rock"),
+    "grid/origin_m": ArrayMetadata(XYZ, "m", "lower corner of cell (0, 0, 0)"),
+    "grid/cell_m": ArrayMetadata((), "m", "edge of a cell"),
+    "floor_z_m": ArrayMetadata((), "m", "height of the sea floor"),
+    "start_m": ArrayMetadata(("robot", "xyz"), "m", _TEAM["start_m"].text),
+    "start_yaw_rad": ArrayMetadata(("robot",), "rad", _TEAM["start_yaw_rad"].text),
+    "goal_m": ArrayMetadata(("robot", "xyz"), "m", _TEAM["goal_m"].text),
+    "density": ArrayMetadata((), "1", "fraction of cells that are rock"),
+    "path_ratio": ArrayMetadata(
+        ("robot",), "1", "shortest free path over the straight line, at least 1"
+    ),
+    "line_free": ArrayMetadata(
+        ("robot",), "1", "whether the straight line to the goal meets no rock"
+    ),
+    "redraws": ArrayMetadata((), "1", "samples that were rejected before this world"),
+    "valid": ArrayMetadata((), "1", "false where no sample could hold the fleet"),
+    "seed": ArrayMetadata((), "1", "for the planner's random numbers"),
+    "obstacles/time_s": ArrayMetadata(
+        ("time",), "s", "of obstacles/p_m and q, since the observation"
+    ),
+    "current/begin_s": ArrayMetadata(
+        (), "s", "time of the observation since the start of the flight"
+    ),
     **{
-        f"{group}/{name}": About((lead, *one.axes), one.unit, one.text)
+        f"{group}/{name}": ArrayMetadata((lead, *one.axes), one.unit, one.text)
         for group, lead, table in (("obstacles", "obstacle", _BODIES), ("team", "robot", _TEAM))
         for name, one in table.items()
     },
@@ -109,54 +123,60 @@ _WORLD = {
 """Of environments and problems, but for the current."""
 
 _EDDIES = {
-    "centre_m": About(("vortex", "xy"), "m", "vertical axis of each vortex"),
-    "circulation_m2ps": About(
+    "centre_m": ArrayMetadata(("vortex", "xy"), "m", "vertical axis of each vortex"),
+    "circulation_m2ps": ArrayMetadata(
         ("vortex",), "m^2/s", "outside the core, positive anticlockwise seen from above"
     ),
-    "core_m": About(("vortex",), "m", "radius of the core"),
+    "core_m": ArrayMetadata(("vortex",), "m", "radius of the core"),
 }
 _CURRENTS = {
-    "Uniform": {"velocity_mps": About(XYZ, "m/s", "velocity of the water")},
+    "Uniform": {"velocity_mps": ArrayMetadata(XYZ, "m/s", "velocity of the water")},
     "GaussMarkov": {
-        "knots_mps": About(("knot", "xyz"), "m/s", "velocity at each knot; held after the last"),
-        "knot_dt_s": About((), "s", "time between knots"),
+        "knots_mps": ArrayMetadata(
+            ("knot", "xyz"), "m/s", "velocity at each knot; held after the last"
+        ),
+        "knot_dt_s": ArrayMetadata((), "s", "time between knots"),
     },
     "Vortices": {
         **_EDDIES,
-        "core_m": About(("vortex",), "m", "radius a of the core exp(-r^2/a^2)"),
+        "core_m": ArrayMetadata(("vortex",), "m", "radius a of the core exp(-r^2/a^2)"),
     },
     "Rankine": _EDDIES,
     "DoubleGyre": {
-        "lo_m": About(("xy",), "m", "lower corner of the rectangle"),
-        "extent_m": About(("xy",), "m", "lengths of its sides"),
-        "stream_m2ps": About((), "m^2/s", "greatest value of the stream function"),
-        "epsilon": About((), "1", "how far the wall between the gyres sways"),
-        "period_s": About((), "s", "of the swaying"),
+        "lo_m": ArrayMetadata(("xy",), "m", "lower corner of the rectangle"),
+        "extent_m": ArrayMetadata(("xy",), "m", "lengths of its sides"),
+        "stream_m2ps": ArrayMetadata((), "m^2/s", "greatest value of the stream function"),
+        "epsilon": ArrayMetadata((), "1", "how far the wall between the gyres sways"),
+        "period_s": ArrayMetadata((), "s", "of the swaying"),
     },
     "DepthProfile": {
-        "depth_m": About(("knot",), "m", "of the knots below the surface"),
-        "knots_mps": About(("knot", "xy"), "m/s", "velocity at each knot"),
-        "slopes_1ps": About(("knot", "xy"), "1/s", "derivative of the velocity by depth"),
+        "depth_m": ArrayMetadata(("knot",), "m", "of the knots below the surface"),
+        "knots_mps": ArrayMetadata(("knot", "xy"), "m/s", "velocity at each knot"),
+        "slopes_1ps": ArrayMetadata(("knot", "xy"), "1/s", "derivative of the velocity by depth"),
     },
     "Tide": {
-        "speed_radps": About(("constituent",), "rad/s", "of the phase"),
-        "phase_rad": About(("constituent",), "rad", "at t = 0"),
-        "cosine_mps": About(("constituent", "xy"), "m/s", "velocity at phase 0"),
-        "sine_mps": About(("constituent", "xy"), "m/s", "velocity a quarter of a turn later"),
+        "speed_radps": ArrayMetadata(("constituent",), "rad/s", "of the phase"),
+        "phase_rad": ArrayMetadata(("constituent",), "rad", "at t = 0"),
+        "cosine_mps": ArrayMetadata(("constituent", "xy"), "m/s", "velocity at phase 0"),
+        "sine_mps": ArrayMetadata(
+            ("constituent", "xy"), "m/s", "velocity a quarter of a turn later"
+        ),
     },
     "Gridded": {
-        "knot": About(("yxdt",), "1", "knots of the file from which the world is counted"),
-        "rest": About(("yxdt",), "1", "fraction of a step of the file's axes beyond these knots"),
-        "rate": About(
+        "knot": ArrayMetadata(("yxdt",), "1", "knots of the file from which the world is counted"),
+        "rest": ArrayMetadata(
+            ("yxdt",), "1", "fraction of a step of the file's axes beyond these knots"
+        ),
+        "rate": ArrayMetadata(
             ("yxdt",), "1/m, 1/s", "steps of the file's axes by metre along y, x and z, by second"
         ),
-        "factor": About(XYZ, "1", "factor of the velocity"),
+        "factor": ArrayMetadata(XYZ, "1", "factor of the velocity"),
     },
 }
 """Of components of a current, by the names of their classes in the attribute ``current``."""
 
 
-def about(name: str, current: tuple[str, ...] = ()) -> About:
+def about(name: str, current: tuple[str, ...] = ()) -> ArrayMetadata:
     """Return what an array is.
 
     Args:
@@ -170,5 +190,5 @@ def about(name: str, current: tuple[str, ...] = ()) -> About:
     if "current" in head and number.isdecimal():
         kind = current[int(number)]
         one = _CURRENTS[kind][field]
-        return About(one.axes, one.unit, f"{kind}: {one.text}")
+        return ArrayMetadata(one.axes, one.unit, f"{kind}: {one.text}")
     return _WORLD[name]

@@ -28,7 +28,7 @@ RESUMABLE, BROKEN_OFF = "go on with it with --resume, or remove", "it cannot go 
 
 
 @dataclass(kw_only=True)
-class Claim:
+class OutputLock:
     """A folder that this process builds."""
 
     out: Path
@@ -89,13 +89,13 @@ def kept(building: Path) -> str | None:
     return RESUMABLE if any(path.name != LOCK for path in building.iterdir()) else None
 
 
-def claim(
+def acquire(
     out: Path,
     *,
     flag: str = "--out",
     what: str = "run",
     left: Callable[[Path], str | None] = kept,
-) -> Claim:
+) -> OutputLock:
     """Take a name and make the hidden folder.
 
     What a process that was killed left behind is taken away first where it is worth nothing.
@@ -138,7 +138,7 @@ def claim(
         ) from error
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
+    return OutputLock(out=out, building=building.absolute(), flag=flag, handle=handle)
 
 
 def require_none(
@@ -150,7 +150,7 @@ def require_none(
 ) -> None:
     """Refuse a name that is taken: by a link to nothing too, or by something unfinished of worth.
 
-    One that cannot be had is refused too; nothing is made. Arguments as of `claim`.
+    One that cannot be had is refused too; nothing is made. Arguments as of `acquire`.
 
     Raises:
         ConfigError: it is.
@@ -193,7 +193,9 @@ def _sweep(out: Path, building: Path, named: str, what: str) -> None:
         os.close(handle)
 
 
-def reclaim(out: Path, *, flag: str = "--resume", what: str = "run") -> Claim | None:
+def acquire_unfinished(
+    out: Path, *, flag: str = "--resume", what: str = "run"
+) -> OutputLock | None:
     """Take up the folder of a process that ended, or a folder that it had given its name.
 
     Returns:
@@ -216,7 +218,7 @@ def reclaim(out: Path, *, flag: str = "--resume", what: str = "run") -> Claim | 
             out.mkdir()
     except OSError as error:
         raise ConfigError(f"{flag} {out}: cannot be written ({error.strerror})") from error
-    return Claim(out=out, building=building.absolute(), flag=flag, handle=handle)
+    return OutputLock(out=out, building=building.absolute(), flag=flag, handle=handle)
 
 
 def require_name(out: Path, *, flag: str) -> None:

@@ -214,7 +214,7 @@ def _read(group: zarr.Group, index: int | slice) -> Environment:
     return environment
 
 
-def _field(group: zarr.Group, about: dict[str, str | None]) -> ocean.Field:
+def _field(group: zarr.Group, about: dict[str, str | None]) -> ocean.OceanField:
     """The field that worlds were made with: of the run's copy of its file, or of the file."""
     place, source = _place(group), str(about["file"])
     # Those of a run lie in its trajectories.
@@ -256,7 +256,7 @@ def make(
     """
     tile = min(tile, count)
     # What a process that was killed left cannot be gone on with: it is made anew.
-    claimed = claims.claim(path, what="file of environments", left=lambda building: None)
+    claimed = claims.acquire(path, what="file of environments", left=lambda building: None)
     invalid, done = 0, 0
     try:
         group = zarr.open_group(claimed.building, mode="a")

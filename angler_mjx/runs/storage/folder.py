@@ -24,7 +24,7 @@ import zarr
 from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.files import parse
 from angler_mjx.runs.storage import atomic, claims, environments, inputs, layout, results
-from angler_mjx.runs.storage.claims import Claim, partial_path
+from angler_mjx.runs.storage.claims import OutputLock, partial_path
 from angler_mjx.runs.storage.damage import read_table, reading
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
@@ -155,13 +155,13 @@ def require_none(out: Path) -> None:
     claims.require_none(out, left=left)
 
 
-def create(out: Path) -> Claim:
+def create(out: Path) -> OutputLock:
     """Take the name of a run and make the hidden folder in which it is built.
 
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    claimed = claims.claim(out, left=left)
+    claimed = claims.acquire(out, left=left)
     try:
         (claimed.building / PARTS).mkdir()
     except OSError as error:
@@ -203,7 +203,7 @@ def where(out: Path) -> Path:
     return building if building.exists() else out
 
 
-def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
+def reopen(out: Path, tell: Callable[[str], None]) -> OutputLock:
     """Make an interrupted run of ``out`` ready to go on; returns the folder to build in.
 
     Args:
@@ -226,7 +226,7 @@ def reopen(out: Path, tell: Callable[[str], None]) -> Claim:
     inputs.require_unchanged(place, flag=f"--resume {out}")
     if (place / inputs.FOLDER).resolve() in Path(scenario.planner.name).parents:
         tell(f"the planner's file is another one now; the run goes on with {scenario.planner.name}")
-    claimed = claims.reclaim(out)
+    claimed = claims.acquire_unfinished(out)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     try:
@@ -297,7 +297,7 @@ def holds_results(building: Path) -> bool:
     return (building / EPISODES).exists() or (parts.is_dir() and any(parts.iterdir()))
 
 
-def finish(claimed: Claim, episodes: pa.Table, summary: dict[str, Any]) -> Run:
+def finish(claimed: OutputLock, episodes: pa.Table, summary: dict[str, Any]) -> Run:
     """Close the run: results in place, the folder under its own name, parts gone.
 
     Raises:

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.planning.online.policy import Memory
-from angler_mjx.planning.online.replanning import Plans
+from angler_mjx.planning.online.policy import ReplanningMemory
+from angler_mjx.planning.online.replanning import FleetPlans
 from angler_mjx.robot.control.plans import points_m
 from angler_mjx.runs.simulator.hosted import PlanNotes
 from angler_mjx.runs.storage.layout import END, plan_arrays
 from angler_mjx.runs.storage.results import TaskResult, TileResult
-from angler_mjx.sim.record import FIELDS, STATES, TASK, Field, Sample
+from angler_mjx.sim.record import FIELDS, STATES, TASK, RecordedField, Sample
 from angler_mjx.sim.state import Factors, Outcome, Tally, World, WorldState
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.tasks.spec import TaskState, TaskWorld
@@ -69,7 +69,7 @@ class Last:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class End:
+class TileEnd:
     """What the host keeps of the last state of a tile; [tile] leads."""
 
     tally: Tally
@@ -92,7 +92,7 @@ class FinishedTile:
     kept: int
     """Worlds of the run in it: fewer than the tile at the end of a run."""
     constants: Constants
-    end: End
+    end: TileEnd
     parts: list[Sample]
     """Samples of its segments, until all robots had ended; empty where nothing is recorded."""
     notes: PlanNotes | None = None
@@ -121,7 +121,7 @@ def _length(points: jax.Array) -> jax.Array:
     return jnp.sum(jnp.sqrt(jnp.sum(leg * leg, axis=-1)), axis=-1)
 
 
-def end(state: WorldState, *, recorded: bool) -> End:
+def end(state: WorldState, *, recorded: bool) -> TileEnd:
     """What to keep of the last state."""
     last = Last(
         step=state.step,
@@ -132,7 +132,7 @@ def end(state: WorldState, *, recorded: bool) -> End:
         obstacle_p=state.obstacles.p,
         obstacle_q=state.obstacles.q,
     )
-    return End(
+    return TileEnd(
         tally=state.tally,
         p=state.vehicles.p,
         last=last if recorded else None,
@@ -150,14 +150,14 @@ def _packets(state: WorldState) -> jax.Array | None:
 def _failed_replans(state: WorldState) -> jax.Array | None:
     """What a robot's planner did after its end is not counted: others may have flown on."""
     carry = None if state.policy is None else state.policy.carry
-    if not isinstance(carry, Memory) or carry.plans is None:
+    if not isinstance(carry, ReplanningMemory) or carry.plans is None:
         return None
     count: jax.Array = _failed_until(carry.plans, state.tally.outcome, state.tally.end_time_s)
     return count
 
 
 @jax.jit
-def _failed_until(plans: Plans, outcome: jax.Array, end_time_s: jax.Array) -> jax.Array:
+def _failed_until(plans: FleetPlans, outcome: jax.Array, end_time_s: jax.Array) -> jax.Array:
     return plans.failed(jnp.where(outcome == Outcome.RUNNING, jnp.inf, end_time_s))
 
 
@@ -312,7 +312,9 @@ def _rows(values: Any, worlds: slice) -> np.ndarray:
     return np.asarray(values)[worlds]
 
 
-def _as_stored(field: Field, make: Callable[[slice], np.ndarray], worlds: slice) -> np.ndarray:
+def _as_stored(
+    field: RecordedField, make: Callable[[slice], np.ndarray], worlds: slice
+) -> np.ndarray:
     """As it is stored, but for the type of floats: these are converted block by block."""
     values = make(worlds)
     if field.about.none is not None:

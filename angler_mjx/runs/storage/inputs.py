@@ -56,7 +56,7 @@ class _Index(FileModel):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Found:
+class _CurrentFile:
     """A file as it is now."""
 
     role: str
@@ -243,21 +243,21 @@ def _state(named: str, used: Mapping[tuple[str, str], str]) -> Literal["same", "
     return "same" if same else "edited"
 
 
-def _of_vehicle(named: str) -> tuple[_Found, _Found]:
+def _of_vehicle(named: str) -> tuple[_CurrentFile, _CurrentFile]:
     """A vehicle's file and that of its thrusters, as they are now."""
     vehicle = _find(VEHICLE, named, library.locate(named))
     model = library.load(named).rotor.model
     return vehicle, _find(THRUSTER, model, library.locate_thruster(model))
 
 
-def _find(role: str, named: str, path: Path) -> _Found:
+def _find(role: str, named: str, path: Path) -> _CurrentFile:
     try:
-        return _Found(role=role, named=named, path=path.absolute(), data=path.read_bytes())
+        return _CurrentFile(role=role, named=named, path=path.absolute(), data=path.read_bytes())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
-def _keep(place: Path, found: _Found, data: bytes, names: set[str]) -> Input:
+def _keep(place: Path, found: _CurrentFile, data: bytes, names: set[str]) -> Input:
     """Write a copy, under a name that no other copy has."""
     stem, end = found.path.stem[:60], found.path.suffix
     kind = f"{found.role.rstrip('s')}s"
@@ -277,7 +277,7 @@ def _keep(place: Path, found: _Found, data: bytes, names: set[str]) -> Input:
     )
 
 
-def _pointed(vehicle: _Found, model: str) -> bytes:
+def _pointed(vehicle: _CurrentFile, model: str) -> bytes:
     """A vehicle file that names another thruster file, and is the same else."""
     text = vehicle.data.decode("utf-8-sig")
     wanted = tomllib.loads(text)

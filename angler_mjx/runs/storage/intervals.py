@@ -27,7 +27,7 @@ Z = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rate:
+class ClusteredRate:
     """A share, and the interval in which it lies with 95 %."""
 
     count: int
@@ -56,7 +56,7 @@ def wilson(count: float, total: float) -> tuple[float, float]:
     return low, min(1.0, centre + half) if count < total else 1.0
 
 
-def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, Rate]:
+def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, ClusteredRate]:
     """Rates of outcomes that exclude each other, with intervals clustered by world.
 
     Args:
@@ -65,7 +65,10 @@ def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, R
     """
     total = len(world)
     if total == 0:
-        return {name: Rate(count=0, rate=0.0, low=0.0, high=1.0, effective=0.0) for name in ended}
+        return {
+            name: ClusteredRate(count=0, rate=0.0, low=0.0, high=1.0, effective=0.0)
+            for name in ended
+        }
     number, robots = np.unique(world, return_inverse=True, return_counts=True)[1:]
     most = float(np.sum(robots.astype(float) ** 2)) / total
     effects = {name: _effect(hit, number, robots) for name, hit in ended.items()}
@@ -80,7 +83,7 @@ def clustered(ended: Mapping[str, np.ndarray], world: np.ndarray) -> dict[str, R
         if most > 1.0:
             effective *= (Z / student(len(robots) - 1)) ** 2
         low, high = wilson(shares[name] * effective, effective)
-        rates[name] = Rate(
+        rates[name] = ClusteredRate(
             count=int(np.sum(ended[name])),
             rate=shares[name],
             low=low,

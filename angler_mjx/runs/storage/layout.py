@@ -15,7 +15,7 @@ from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, JointTraje
 from angler_mjx.robot.control.plans import Plan, course, of_robot, points_m
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.sim.record import ESTIMATE, FIELDS, SIZES, STATES, TASK
-from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import TaskSpec
 
 END = "end"
@@ -30,7 +30,7 @@ MOST = 10**7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class FolderKind:
     """An array of a run."""
 
     dims: tuple[str, ...]
@@ -42,30 +42,32 @@ class Kind:
 
 _JOINT = {"joint": len(VEHICLE_JOINTS)}
 _NO_TASK = dict.fromkeys(("place", "job", "x", "y", "z"), 0)
-_STEP = Kind(
+_STEP = FolderKind(
     dims=(),
     unit="1",
     text="control steps until this state, the one after the last sample",
     dtype=np.int32,
 )
 _PLAN = {
-    "plan_time_s": Kind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
-    "plan_m": Kind(dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"),
+    "plan_time_s": FolderKind(dims=("robot", "way_point"), unit="s", text="time of each way-point"),
+    "plan_m": FolderKind(
+        dims=("robot", "way_point", "xyz"), unit="m", text="way-points, world frame"
+    ),
 }
 _JOINTS = ("robot", "way_point", "joint")
 MOTION = {
-    "plan_yaw_rad": Kind(
+    "plan_yaw_rad": FolderKind(
         dims=("robot", "way_point"), unit="rad", text="heading at each way-point, 0 = east"
     ),
-    "plan_velocity": Kind(
+    "plan_velocity": FolderKind(
         dims=_JOINTS,
         unit="m/s, rad/s",
         text="of x, y, z and heading at each way-point, W",
     ),
-    "plan_acceleration": Kind(
+    "plan_acceleration": FolderKind(
         dims=_JOINTS, unit="m/s^2, rad/s^2", text="likewise; 0 where the segments do not use it"
     ),
-    "plan_degree": Kind(
+    "plan_degree": FolderKind(
         dims=("robot", "way_point"),
         unit="1",
         text="of the polynomial from each way-point on: 1, 3 or 5",
@@ -75,29 +77,29 @@ MOTION = {
 """Of plans that are trajectories of joints (`JointTrajectory`); way-points alone have none."""
 
 OF_TASK = {
-    f"{TASK}/place_m": Kind(
+    f"{TASK}/place_m": FolderKind(
         dims=("place", "xyz"),
         unit="m",
         text="places of the task, world frame: where jobs begin, where goods go (deliver alone), "
         "homes of the robots",
     ),
-    f"{TASK}/exists": Kind(
+    f"{TASK}/exists": FolderKind(
         dims=("job",), unit="1", text="1 for the jobs that this world has", dtype=np.uint8
     ),
-    f"{TASK}/by": Kind(
+    f"{TASK}/by": FolderKind(
         dims=("job",),
         unit="1",
         text="robot that did each job, the last one where all had to; -1: not done",
         dtype=np.int16,
     ),
-    f"{TASK}/done_at_s": Kind(dims=("job",), unit="s", text="when; NaN: not done"),
-    f"{TASK}/cells": Kind(
+    f"{TASK}/done_at_s": FolderKind(dims=("job",), unit="s", text="when; NaN: not done"),
+    f"{TASK}/cells": FolderKind(
         dims=("x", "y", "z"),
         unit="1",
         text="of a survey, cells next to what is surveyed: 1 to be seen, 2 seen, 0 others",
         dtype=np.uint8,
     ),
-    f"{TASK}/seen_at_s": Kind(
+    f"{TASK}/seen_at_s": FolderKind(
         dims=("x", "y", "z"),
         unit="s",
         text="of a survey, when a robot saw each cell first; NaN: never, or not to be seen",
@@ -105,9 +107,9 @@ OF_TASK = {
 }
 """Of worlds with a task: what it is, and what had been done at the end."""
 
-ARRAYS: dict[str, Kind] = {
+ARRAYS: dict[str, FolderKind] = {
     **{
-        field.about.array: Kind(
+        field.about.array: FolderKind(
             dims=("time", *field.about.axes),
             unit=field.about.unit,
             text=field.about.text,
@@ -117,7 +119,7 @@ ARRAYS: dict[str, Kind] = {
     },
     f"{END}/step": _STEP,
     **{
-        f"{END}/{field.about.array}": Kind(
+        f"{END}/{field.about.array}": FolderKind(
             dims=field.about.axes,
             unit=field.about.unit,
             text=field.about.text,
@@ -165,7 +167,7 @@ def names(
     ]
 
 
-def tail(kind: Kind, sizes: Mapping[str, int]) -> tuple[int, ...]:
+def tail(kind: FolderKind, sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a kind of array after the worlds."""
     return tuple({**SIZES, **_JOINT, **_NO_TASK, **sizes}[dim] for dim in kind.dims)
 
@@ -294,7 +296,7 @@ def read_task(
     samples: int,
     ended_s: np.ndarray,
     completed_s: float | None,
-) -> History:
+) -> TaskHistory:
     """How far the task of a world was over time.
 
     Args:
@@ -313,7 +315,7 @@ def read_task(
         return np.asarray(stored[f"{TASK}/{name}"][world, :samples], int)
 
     surveyed = f"{TASK}/cells" in stored
-    return History(
+    return TaskHistory(
         spec=spec,
         time_s=np.asarray(stored[TIME][:samples], float),
         place_m=whole("place_m"),

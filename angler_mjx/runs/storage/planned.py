@@ -125,7 +125,7 @@ def fault(planning: Mapping[str, Any] | None) -> str | None:
     return f"planned none of {_count(worlds, 'world')}: {planning['reasons'][0]['reason']}"
 
 
-class Failures:
+class PlanningFailures:
     """Says once of each kind of failure of a planner that it happened, as soon as it does."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:

@@ -205,7 +205,7 @@ class Recorder:
         for name in shape.names():
             self._create(name, layout.ARRAYS[name])
 
-    def _create(self, name: str, kind: layout.Kind) -> None:
+    def _create(self, name: str, kind: layout.FolderKind) -> None:
         tail = layout.tail(kind, self._shape.sizes)
         steps = self._shape.stepped(name)
         self._group.create_array(

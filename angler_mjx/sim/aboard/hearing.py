@@ -17,14 +17,14 @@ from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Talk
 from angler_mjx.sim.state import World
 from angler_mjx.world.acoustics import channel
-from angler_mjx.world.acoustics.channel import Channel, Now, Others, Radio, Said
+from angler_mjx.world.acoustics.channel import Channel, HeardRobots, ModemState, Now, Packet
 from angler_mjx.world.tasks import knowing
-from angler_mjx.world.tasks.spec import Report, TaskState
+from angler_mjx.world.tasks.spec import TaskReport, TaskState
 
 
 def reset(
     shared: Channel, start_m: jax.Array, policy: Policy | None, memory: Any, task: TaskState | None
-) -> Radio:
+) -> ModemState:
     """The channel of a world before anything is said.
 
     Args:
@@ -40,14 +40,14 @@ def reset(
 def step(
     shared: Channel,
     world: World,
-    memory: Radio,
+    memory: ModemState,
     number: jax.Array,
     t: jax.Array,
     p_m: jax.Array,
     told: Any,
     say: Callable[[], dict[str, Any]],
     every: int = 1,
-) -> tuple[Radio, jax.Array]:
+) -> tuple[ModemState, jax.Array]:
     """One control step of one world.
 
     Args:
@@ -73,8 +73,8 @@ def step(
             "the same table"
         )
 
-    def says() -> Said:
-        return Said(
+    def says() -> Packet:
+        return Packet(
             p_m=told.p,
             v_mps=jax.vmap(quaternion.rotate)(told.q, told.nu[:, :3]),
             time_s=jnp.full(p_m.shape[0], t),
@@ -116,19 +116,21 @@ def words(
     return {"policy": own, "task": None if task is None else knowing.report(task, running)}
 
 
-def for_policy(radio: Radio | None) -> Others | None:
+def for_policy(radio: ModemState | None) -> HeardRobots | None:
     """What a policy is told of what was heard: no words but its own."""
     return None if radio is None else replace(radio.heard, words=radio.heard.words["policy"])
 
 
-def at_work(shared: Channel | None, radio: Radio | None, t: jax.Array) -> knowing.Others | None:
+def at_work(
+    shared: Channel | None, radio: ModemState | None, t: jax.Array
+) -> knowing.HeardReports | None:
     """Where each robot takes the others to be at t [] s, and who of them still is at work."""
     if shared is None or radio is None:
         return None
     heard = radio.heard
-    said: Report = heard.words["task"]
+    said: TaskReport = heard.words["task"]
     recent = t - heard.time_s < shared.lost_after_s
-    return knowing.Others(
+    return knowing.HeardReports(
         p=heard.place_m(t),
         active=recent & said.at_work,
         said=said,
@@ -136,7 +138,7 @@ def at_work(shared: Channel | None, radio: Radio | None, t: jax.Array) -> knowin
     )
 
 
-def record(radio: Radio, t: jax.Array) -> Talk:
+def record(radio: ModemState, t: jax.Array) -> Talk:
     """What is recorded of `hear` at t [] s."""
     robots = radio.caught.shape[0]
     sent = jnp.sum(radio.air.sent) - radio.air.sent

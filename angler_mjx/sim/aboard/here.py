@@ -7,18 +7,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.counting import once_in
+from angler_mjx.counting import every_n_steps
 from angler_mjx.robot.control import stack
 from angler_mjx.sim import knowledge
 from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.knowledge import KnownObstacles, Observation
+from angler_mjx.sim.knowledge import ObstacleInformation, SceneObservation
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World
 from angler_mjx.world import currents
-from angler_mjx.world.acoustics.channel import Others
+from angler_mjx.world.acoustics.channel import HeardRobots
 from angler_mjx.world.obstacles import ObstacleState
 
 
@@ -34,7 +34,7 @@ class Sent:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Aboard:
+class WorldContext:
     """Where phases of worlds are run: in plain arrays, [R] leading, in every engine."""
 
     spec: SimSpec
@@ -69,8 +69,8 @@ class Aboard:
         return flow
 
     def known(
-        self, belief: Belief | None, others: Others | None = None, sent: Sent | None = None
-    ) -> Known:
+        self, belief: Belief | None, others: HeardRobots | None = None, sent: Sent | None = None
+    ) -> PolicyInput:
         """What the robots know, for a policy.
 
         Args:
@@ -79,7 +79,7 @@ class Aboard:
             sent: where the task sends them; None where each has a goal of its own.
         """
         to = self._goals() if sent is None else sent
-        return Known(
+        return PolicyInput(
             belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
             goal_m=to.goal_m,
@@ -108,10 +108,10 @@ class Aboard:
         environment, water = self.world.environment, self.spec.water
         at_m, seen = (
             self.vehicles.p,
-            Observation(time_s=self.t, obstacles=self.obstacles, at_m=self.vehicles.p),
+            SceneObservation(time_s=self.t, obstacles=self.obstacles, at_m=self.vehicles.p),
         )
 
-        def look() -> KnownObstacles:
+        def look() -> ObstacleInformation:
             return knowledge.obstacles(
                 environment,
                 knows,
@@ -137,4 +137,4 @@ class Aboard:
             zeros: T = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
             return zeros
 
-        return once_in(every, self.number, look, nothing, self.every)
+        return every_n_steps(every, self.number, look, nothing, self.every)

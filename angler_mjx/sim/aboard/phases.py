@@ -10,22 +10,22 @@ from typing import Any
 
 import jax
 
-from angler_mjx.counting import once_in
+from angler_mjx.counting import every_n_steps
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.aboard import hearing, senses
-from angler_mjx.sim.aboard.here import Aboard, Sent
+from angler_mjx.sim.aboard.here import Sent, WorldContext
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.fleet import carrying
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing
-from angler_mjx.sim.record import Progress
+from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world.tasks import work as tasks
-from angler_mjx.world.tasks.knowing import Scene
+from angler_mjx.world.tasks.knowing import TaskScene
 from angler_mjx.world.tasks.spec import TaskState
 from angler_mjx.world.tasks.travel import Travel
 
 
-def sense(here: Aboard, now: Slots) -> Done:
+def sense(here: WorldContext, now: Slots) -> Done:
     """Instruments read the truth, filters take the readings in."""
     if not here.spec.instrumented:
         return Done(slots=nothing)
@@ -37,7 +37,7 @@ def sense(here: Aboard, now: Slots) -> Done:
     )
 
 
-def hear(here: Aboard, now: Slots) -> Done:
+def hear(here: WorldContext, now: Slots) -> Done:
     """Robots understand packets of others, and send theirs."""
     shared, memory = here.spec.acoustics, now["radio"]
     if shared is None:
@@ -59,7 +59,7 @@ def hear(here: Aboard, now: Slots) -> Done:
     return Done(slots=lambda: {"radio": after, "heard": came}, record=record)
 
 
-def work(here: Aboard, now: Slots) -> Done:
+def work(here: WorldContext, now: Slots) -> Done:
     """The task: what was done of it, and where robots go next."""
     spec, task = here.spec.task, here.world.task
     if spec is None:
@@ -67,7 +67,7 @@ def work(here: Aboard, now: Slots) -> Done:
     if here.outcome is None or task is None:
         raise RuntimeError("an engine does not say how robots ended, or a world has no task")
     known, outcome = now.get("known"), here.outcome
-    scene = Scene(
+    scene = TaskScene(
         t=here.t,
         p=here.vehicles.p,
         q=here.vehicles.q,
@@ -77,7 +77,7 @@ def work(here: Aboard, now: Slots) -> Done:
         others=hearing.at_work(here.spec.acoustics, now["radio"], here.t),
     )
     travel = Travel(place_m=task.place_m, routes=here.world.routes)
-    state: TaskState = once_in(
+    state: TaskState = every_n_steps(
         spec.period,
         here.number,
         lambda: tasks.look(spec, task, now["task"], scene, travel),
@@ -95,9 +95,9 @@ def work(here: Aboard, now: Slots) -> Done:
     )
 
 
-def record_task(state: TaskState) -> Progress:
+def record_task(state: TaskState) -> ProgressRecord:
     """What is recorded of `work`."""
-    return Progress(
+    return ProgressRecord(
         share=state.progress,
         target=state.target,
         carrying=state.carrying,
@@ -105,7 +105,7 @@ def record_task(state: TaskState) -> Progress:
     )
 
 
-def choose(here: Aboard, now: Slots) -> Done:
+def choose(here: WorldContext, now: Slots) -> Done:
     """A policy commands the robots of a world."""
     if here.policy is None:
         return Done(slots=nothing)
@@ -132,7 +132,7 @@ def choose(here: Aboard, now: Slots) -> Done:
 
 
 def _approach(
-    here: Aboard, policy: policies.Policy, carry: Any, command: Any
+    here: WorldContext, policy: policies.Policy, carry: Any, command: Any
 ) -> tuple[jax.Array | None, jax.Array | None]:
     """Return whether robots are on their last approach, bool [R], or when that begins, [R] s."""
     flown = policy.flown(carry, here.world.path)

@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 
-from angler_mjx.sim.aboard.here import Aboard
+from angler_mjx.sim.aboard.here import WorldContext
 from angler_mjx.sim.aboard.phases import HEAR, PHASES, POLICY, SENSE, WORK
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import run
@@ -20,7 +20,7 @@ from angler_mjx.world.obstacles import ObstacleState
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class WorldPhaseOutput:
     """What robots are told in a control step, [R] leading; None where nothing is."""
 
     known: Belief | None = None
@@ -49,7 +49,7 @@ class Told:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Minds:
+class WorldMemory:
     """Memories of the phases of worlds; fields of `WorldState`."""
 
     senses: Any
@@ -58,17 +58,17 @@ class Minds:
     radio: Any
 
     @classmethod
-    def of(cls, state: WorldState) -> "Minds":
+    def of(cls, state: WorldState) -> "WorldMemory":
         """Those of a state."""
         return cls(senses=state.senses, policy=state.policy, task=state.task, radio=state.radio)
 
 
-def asked(policy: Policy | None, command: Any) -> Policy | None:
+def active_policy(policy: Policy | None, command: Any) -> Policy | None:
     """The policy, where no command stands in for it; otherwise it keeps its memory."""
     return policy if command is None else None
 
 
-def tells(spec: SimSpec, policy: Policy | None) -> bool:
+def has_world_phases(spec: SimSpec, policy: Policy | None) -> bool:
     """Whether the phases of worlds have anything to do."""
     wanted = policy is not None or spec.by_task or spec.acoustics is not None
     return bool(spec.instrumented) or wanted
@@ -95,16 +95,16 @@ def _hears(spec: SimSpec) -> int:
     return 1 if "acoustics" in spec.also else spec.acoustics.access.period
 
 
-def watches(policy: Policy | None) -> bool:
+def observes_obstacles(policy: Policy | None) -> bool:
     """Whether a policy asks where obstacles are."""
     return policy is not None and policy.knows is not None
 
 
-def tell(
+def run_world_phases(
     spec: SimSpec,
     policy: Policy | None,
     world: World,
-    minds: Minds,
+    minds: WorldMemory,
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
@@ -112,7 +112,7 @@ def tell(
     *,
     fleet: Fleet | None = None,
     every: int = 1,
-) -> tuple[Minds, Told]:
+) -> tuple[WorldMemory, WorldPhaseOutput]:
     """The phases of one world.
 
     Args:
@@ -122,12 +122,12 @@ def tell(
         minds: memories.
         number: int32 [] control steps taken.
         vehicles: now, [R] leading.
-        obstacles: now, [n] leading, where a policy asks (`watches`).
+        obstacles: now, [n] leading, where a policy asks (`observes_obstacles`).
         outcome: int32 [R] of the robots so far, where there is a task.
         fleet: whose robots may carry loads; if left out they do not.
         every: ``number`` is a multiple of it.
     """
-    here = Aboard(
+    here = WorldContext(
         spec=spec,
         policy=policy,
         world=world,
@@ -139,8 +139,8 @@ def tell(
         every=every,
     )
     now, record = run(here, PHASES, vars(minds))
-    after = Minds(**{name: now[name] for name in vars(minds)})
-    told = Told(
+    after = WorldMemory(**{name: now[name] for name in vars(minds)})
+    told = WorldPhaseOutput(
         known=now.get("known"),
         command=now.get("command"),
         finished=now.get("finished"),
@@ -152,11 +152,11 @@ def tell(
     return after, told
 
 
-def tell_tile(
+def run_tile_phases(
     spec: SimSpec,
     policy: Policy | None,
     worlds: World,
-    minds: Minds,
+    minds: WorldMemory,
     number: jax.Array,
     vehicles: VehicleState,
     obstacles: ObstacleState | None = None,
@@ -164,11 +164,11 @@ def tell_tile(
     *,
     fleet: Fleet | None = None,
     every: int = 1,
-) -> tuple[Minds, Told]:
-    """As `tell` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
-    one = partial(tell, spec, policy, fleet=fleet, every=every)
+) -> tuple[WorldMemory, WorldPhaseOutput]:
+    """As `run_world_phases` for worlds [W], all at step ``number`` [], or each at its own, [W]."""
+    one = partial(run_world_phases, spec, policy, fleet=fleet, every=every)
     axes = (0, 0, 0 if number.ndim else None, 0, 0, 0)
-    after: tuple[Minds, Told] = jax.vmap(one, axes)(
+    after: tuple[WorldMemory, WorldPhaseOutput] = jax.vmap(one, axes)(
         worlds, minds, number, vehicles, obstacles, outcome
     )
     return after

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import Layout
+from angler_kernels.lanes.planes import PlaneLayout
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.robot.vehicles.params import VehicleParams
@@ -57,7 +57,7 @@ class Dynamics:
         return moved
 
     def _triton(self, state: VehicleState, thrust_n: jax.Array, n_steps: int) -> VehicleState:
-        layout, order = Layout.of(state, 1), Layout.of(thrust_n, 1)
+        layout, order = PlaneLayout.of(state, 1), PlaneLayout.of(thrust_n, 1)
         dtype, count = state.p.dtype, state.p.shape[0]
 
         def kernel(order_ref: jax.Array, _: jax.Array, state_ref: jax.Array) -> None:
@@ -70,7 +70,7 @@ class Dynamics:
         if count % LANES:
             raise ConfigError(f"{count} vehicles: kernels = triton takes multiples of {LANES}")
         constant, changed = [order.pack(thrust_n, dtype)], [layout.pack(state, dtype)]
-        program = triton.Program(lanes=LANES, warps=WARPS)
+        program = triton.LaunchedProgram(lanes=LANES, warps=WARPS)
         (flat,) = triton.call(kernel, program, count, 1, constant, changed)
         moved: VehicleState = layout.unpack(flat, (count,))
         return moved

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion
 from angler_mjx.robot.control import stack
 from angler_mjx.robot.control.commands import Estimate
-from angler_mjx.robot.control.stack import Command, ControlParams, Memory
+from angler_mjx.robot.control.stack import Command, ControlMemory, ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.engines.lanes.steps import physics_step
 from angler_mjx.sim.physics import step as physics
@@ -29,7 +29,7 @@ from angler_mjx.world.currents import Current
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class FreeFlight:
     """What a robot did, at the beginning of each control step; time leads."""
 
     p: jax.Array
@@ -54,7 +54,7 @@ def fly(
     *,
     control_steps: int,
     plant: VehicleParams | None = None,
-) -> Flight:
+) -> FreeFlight:
     """Fly one robot from rest, its state known exactly.
 
     Args:
@@ -78,7 +78,7 @@ def fly(
     memory = stack.reset(spec.stages, _estimate(state, None), yaw_rad)
     told = stack.wants_flow(spec.stages)
 
-    def one(carry: tuple[VehicleState, Memory], i: jax.Array) -> tuple[Any, Flight]:
+    def one(carry: tuple[VehicleState, ControlMemory], i: jax.Array) -> tuple[Any, FreeFlight]:
         state, memory = carry
         t = i.astype(state.p.dtype) * spec.control_dt_s
         flow = currents.velocity(current, state.p, t) if told else None
@@ -94,7 +94,7 @@ def fly(
             spec.water.gravity_mps2,
         )
         settled, _ = thrust_and_power(vehicle, action.pwm)
-        seen = Flight(
+        seen = FreeFlight(
             p=state.p,
             q=state.q,
             nu=state.nu,

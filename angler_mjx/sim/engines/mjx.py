@@ -13,7 +13,7 @@ from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import nearness, start
 from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact, detect
 from angler_mjx.sim.fleet import Fleet, carrying
@@ -35,7 +35,7 @@ from angler_mjx.world.obstacles import ObstacleState
 
 @dataclass(frozen=True, kw_only=True)
 class OneWorld:
-    """Robots [R] and obstacles [n] of one world, as phases want them; see `phase.Here`."""
+    """Robots [R] and obstacles [n] of one world, as phases want them; see `phase.BatchContext`."""
 
     spec: SimSpec
     world: World
@@ -45,47 +45,47 @@ class OneWorld:
     given: Command | None = None
     """Instead of the paths."""
     finished: jax.Array | None = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     last_approach_s: jax.Array | None = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     approaching: jax.Array | None = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     _flows: list[tuple[VehicleState, jax.Array]] = field(default_factory=list, init=False)
 
     @property
     def params(self) -> ControlParams:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.world.control
 
     @property
     def command(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         if self.given is not None:
             return self.given
         return plans.checked(self.spec.stages, self.world.path)
 
     @property
     def current(self) -> Current:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.world.environment.current
 
     @property
     def goal_m(self) -> jax.Array:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.world.environment.goal_m
 
     @property
     def fails_at_s(self) -> jax.Array | None:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.world.fails_at_s
 
     @cached_property
     def corners(self) -> tuple[jax.Array, jax.Array]:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return region(self.world.environment)
 
     def flow(self, vehicle: VehicleState) -> jax.Array:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         for known, flow in self._flows:  # controllers and the record ask for the same
             if known is vehicle:
                 return flow
@@ -94,12 +94,12 @@ class OneWorld:
         return flow
 
     def each(self, function: Callable[..., Any], *bodies: Any, shared: tuple[Any, ...] = ()) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         axes = (0,) * len(bodies) + (None,) * len(shared)
         return jax.vmap(function, axes)(*bodies, *shared)
 
     def repeat(self, times: int, body: Callable[[jax.Array, Any], Any], tree: Any) -> Any:
-        """See `phase.Here`; with derivatives backwards."""
+        """See `phase.BatchContext`; with derivatives backwards."""
 
         def one(now: Any, i: jax.Array) -> tuple[Any, None]:
             return body(i, now), None
@@ -114,7 +114,7 @@ class OneWorld:
         current: Current,
         t: jax.Array,
     ) -> VehicleState:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         moved: VehicleState = jax.vmap(physics.step, (None, 0, 0, 0, 0, None, None, None, None))(
             self.engine,
             self.world.body,
@@ -129,7 +129,7 @@ class OneWorld:
         return moved
 
     def advance(self, obstacles: ObstacleState) -> ObstacleState:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         environment = self.world.environment
         return obstacle_motion.step(
             environment.obstacles,
@@ -144,7 +144,7 @@ class OneWorld:
         )
 
     def contact(self, now: Slots) -> Contact:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         vehicles = self.world.control.vehicle
         return detect(self.world.environment, vehicles, now["vehicle"], now["obstacles"])
 
@@ -176,11 +176,11 @@ def control_step(
         The state one control period later, and the sample of the state before with its command.
     """
     t = state.step.astype(state.vehicles.p.dtype) * spec.control_dt_s
-    minds, told = Minds.of(state), Told()
-    policy = telling.asked(policy, command)
-    if telling.tells(spec, policy):
+    minds, told = WorldMemory.of(state), WorldPhaseOutput()
+    policy = telling.active_policy(policy, command)
+    if telling.has_world_phases(spec, policy):
         count = state.step if number is None else number
-        minds, told = telling.tell(
+        minds, told = telling.run_world_phases(
             spec,
             policy,
             world,
@@ -334,7 +334,7 @@ def _number(spec: SimSpec, state: WorldState, policy: Policy | None) -> jax.Arra
     return state.step[0] if wanted else None
 
 
-def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxEngine:
+def _multibody(spec: SimSpec, fleet: Fleet, worlds: World) -> mjx_engine.MjxPhysics:
     if fleet.engine is None:
         raise UnsupportedError(
             "the fleet was built without multibody models: engine mjx needs them"

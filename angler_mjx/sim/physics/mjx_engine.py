@@ -43,7 +43,7 @@ class BodyInertia:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class MjxEngine:
+class MjxPhysics:
     """What all vehicles of a fleet share: one MJX model and an empty state to work on."""
 
     model: Any
@@ -51,7 +51,7 @@ class MjxEngine:
     data: Any
     """mjx.Data, the scratch of one evaluation."""
 
-    def under(self, gravity_mps2: float) -> "MjxEngine":
+    def under(self, gravity_mps2: float) -> "MjxPhysics":
         """The same engine in a field of gravity of so much, m/s^2, along -z."""
         before = self.model.opt.gravity
         gravity = jnp.asarray([0.0, 0.0, -gravity_mps2], before.dtype)
@@ -85,7 +85,7 @@ class MjxEngine:
         return M_RB, -matrix_times(T, bias) - matrix_times(M_RB, turning)
 
 
-def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxEngine, BodyInertia]:
+def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxPhysics, BodyInertia]:
     """The engine of a fleet, and in what its variants differ.
 
     Args:
@@ -100,7 +100,7 @@ def build(specs: Sequence[mujoco.MjSpec]) -> tuple[MjxEngine, BodyInertia]:
     # MJX itself takes the first device of all processes, which another process may own.
     here = jax.local_devices()[0]
     models = [_mjx().put_model(model, device=here) for model in compiled(specs)]
-    engine = MjxEngine(model=models[0], data=_mjx().make_data(models[0], device=here))
+    engine = MjxPhysics(model=models[0], data=_mjx().make_data(models[0], device=here))
     return engine, BodyInertia(fields=jax.device_put(_differing(models)))
 
 
@@ -201,7 +201,7 @@ def _mjx() -> Any:
 
 
 def _inertia_and_bias(
-    engine: MjxEngine, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
+    engine: MjxPhysics, body: BodyInertia, p: jax.Array, q: jax.Array, nu: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """M [6, 6] and bias [6] of M v' + bias = 0 of the free vehicle, in MuJoCo's coordinates."""
     mjx = _mjx()

@@ -16,7 +16,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage import atomic
 from angler_mjx.studies.benchmark import paths as bytes_of
-from angler_mjx.studies.benchmark.store import FILE, STATUS, Store
+from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 
 COMPARISON = "comparison.json"
 
@@ -41,7 +41,7 @@ class Compared:
 
 
 @dataclass(kw_only=True)
-class Comparison:
+class FolderComparison:
     """Of two folders."""
 
     first: str
@@ -57,7 +57,7 @@ class Comparison:
         )
 
 
-def compare(first: Path, second: Path) -> Comparison:
+def compare(first: Path, second: Path) -> FolderComparison:
     """Compare two results folders, and leave what was found in the second.
 
     Raises:
@@ -66,7 +66,7 @@ def compare(first: Path, second: Path) -> Comparison:
     one, two = _runs(first), _runs(second)
     if not {key[1:] for key in one} & {key[1:] for key in two}:
         raise ConfigError(f"{second}: has no problem in common with {first}; nothing is compared")
-    made = Comparison(first=str(first), second=str(second))
+    made = FolderComparison(first=str(first), second=str(second))
     ratios: dict[str, list[float]] = defaultdict(list)
     for key in dict.fromkeys([*one, *two]):
         found = made.planners.setdefault(key[0], Compared())
@@ -93,7 +93,7 @@ def _runs(folder: Path) -> dict[_Key, dict[str, Any]]:
     """What is compared of each run, by planner and problem; what was not asked counts too."""
     if not (folder / FILE).is_file():
         raise ConfigError(f"{folder}: is no results folder of a benchmark (no {FILE} in it)")
-    with Store(folder / FILE, only_read=True) as store:
+    with BenchmarkStore(folder / FILE, only_read=True) as store:
         which = (
             "plannerConfigs.name AS label, experiments.name, robots, knows_obstacles, "
             "knows_current, problem_seed, world"

@@ -10,7 +10,7 @@ from angler_mjx.planning.planner import MOST_POINTS
 from angler_mjx.quantities import SchemaVersion
 from angler_mjx.scenario.editing import Changes
 from angler_mjx.scenario.policy_tables import PolicyConfig
-from angler_mjx.scenario.tables import KnowsConfig, PlannerName
+from angler_mjx.scenario.tables import InformationConfig, PlannerName
 from angler_mjx.world import presets
 
 type Label = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f]+$")]
@@ -32,7 +32,7 @@ class PlannerEntry(FileModel):
     """What tables and figures call it; its name, or its class, and how it is flown if left out."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Its own, as in the scenario's table [planner.NAME], or [policy.NAME]."""
-    knows: KnowsConfig | None = None
+    knows: InformationConfig | None = None
     """What it is told, whatever others are told: for planners that can make no use of more."""
     replan_hz: float = 0.0
     """As in the scenario's table [planner]: plans are made anew so often in flight."""
@@ -129,7 +129,7 @@ class BenchmarkConfig(FileModel):
     """Of the worlds; the scenario's if left out."""
     problems: int = Field(default=30, ge=1, le=100_000)
     """Worlds of each scene, team and seed."""
-    knows: tuple[KnowsConfig, ...] = ()
+    knows: tuple[InformationConfig, ...] = ()
     """What the planners may know; the scenario's if left out."""
     deadline_s: float = Field(default=5.0, gt=0.0, le=86400.0)
     """Wall-clock time for each problem."""

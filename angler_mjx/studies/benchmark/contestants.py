@@ -13,18 +13,18 @@ from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.scenario.editing import merged
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.studies.benchmark.config import PlannerEntry
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contestant:
+class ComparedPlanner:
     """One that is compared with others."""
 
     label: str
     spec: PlannerSpec | None
     """That plans before the start; None of a policy, which flies without plans."""
-    knows: Knows | None
+    knows: Information | None
     """What it is told; that of the problems if None."""
     joints: bool
     """Whether its paths are trajectories of joints."""
@@ -84,7 +84,7 @@ class Contestant:
         return replace(self.planner, most_points=scenario.planner.points)
 
 
-def contestant(entry: PlannerEntry) -> Contestant:
+def build_compared_planner(entry: PlannerEntry) -> ComparedPlanner:
     """What an entry of a file names.
 
     Raises:
@@ -93,7 +93,7 @@ def contestant(entry: PlannerEntry) -> Contestant:
     """
     knows = None if entry.knows is None else entry.knows.knows()
     if entry.policy is not None:
-        return Contestant(
+        return ComparedPlanner(
             label=entry.title,
             spec=None,
             knows=knows,
@@ -106,7 +106,7 @@ def contestant(entry: PlannerEntry) -> Contestant:
         )
     table = {entry.name.rpartition(":")[2]: entry.settings} if entry.settings else {}
     spec = PlannerConfig(name=entry.name, settings=table).chosen()
-    return Contestant(
+    return ComparedPlanner(
         label=entry.title,
         spec=spec,
         knows=knows,
@@ -119,7 +119,7 @@ def contestant(entry: PlannerEntry) -> Contestant:
     )
 
 
-def flown(scenario: Scenario, knows: Knows, one: Contestant, about: str) -> Scenario:
+def flown(scenario: Scenario, knows: Information, one: ComparedPlanner, about: str) -> Scenario:
     """The scenario by which the robots of a contestant fly.
 
     Args:

@@ -12,7 +12,7 @@ from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import waves
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.simulator import hosted
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import harvest, results
@@ -23,14 +23,14 @@ from angler_mjx.studies.benchmark import paths as bytes_of
 from angler_mjx.studies.benchmark import scenery
 from angler_mjx.studies.benchmark.measures import of_flight
 from angler_mjx.studies.benchmark.questions import Setting
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 TRACK_SAMPLES = 240
 """Most places of a track that is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class BenchmarkFlight:
     """The plans of one planner for the worlds of a setting."""
 
     planner: int
@@ -41,7 +41,9 @@ class Flight:
     """Paths of each robot by world; None where there is none. Empty where a policy flies."""
 
 
-def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Flight]:
+def to_fly(
+    experiment: int, planners: Sequence[int], store: BenchmarkStore
+) -> list[BenchmarkFlight]:
     """Plans of a setting that were not flown yet.
 
     Raises:
@@ -61,16 +63,16 @@ def to_fly(experiment: int, planners: Sequence[int], store: Store) -> list[Fligh
                     for row in rows
                 }
             runs = {row["world"]: row["id"] for row in rows}
-            made.append(Flight(planner=planner, runs=runs, plans=plans))
+            made.append(BenchmarkFlight(planner=planner, runs=runs, plans=plans))
     return made
 
 
 def fly(
     setting: Setting,
     simulator: Simulator,
-    flights: Sequence[Flight],
+    flights: Sequence[BenchmarkFlight],
     examples: int,
-    store: Store,
+    store: BenchmarkStore,
 ) -> None:
     """Fly plans, and keep what became of them; of each tile at once, or not at all.
 
@@ -93,7 +95,7 @@ def fly(
         simulator,
         [first for _, first in orders],
         recorded=setting.scenario.time.record_hz > 0,
-        progress=Silent(),
+        progress=SilentProgress(),
         plans=_Plans(orders),
         seed=setting.seed,
         strict=False,
@@ -107,11 +109,11 @@ def fly(
 class _Plans:
     """Plans for tiles of worlds: which planner's, and which worlds, as they come."""
 
-    def __init__(self, orders: Sequence[tuple[Flight, int]]) -> None:
+    def __init__(self, orders: Sequence[tuple[BenchmarkFlight, int]]) -> None:
         self._coming = iter(orders)
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, None]:
-        """See `waves.Given`; worlds without a plan hold their starts."""
+        """See `waves.StoredPlans`; worlds without a plan hold their starts."""
         answers: dict[int, Answer] = {}
         for t in range(len(firsts)):
             flight, first = next(self._coming)
@@ -128,12 +130,12 @@ def _answer(paths: Sequence[Any]) -> Answer:
 
 
 def _keep(
-    flight: Flight,
+    flight: BenchmarkFlight,
     tile: FinishedTile,
     simulator: Simulator,
     setting: Setting,
     examples: int,
-    store: Store,
+    store: BenchmarkStore,
 ) -> None:
     table = results.episode_table(harvest.tile_result(tile), simulator.labels(), setting.seed)
     of_world = defaultdict(list)

@@ -14,26 +14,26 @@ from typing import Any
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.storage import atomic, claims, inputs
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table, reading
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.studies.benchmark import questions
 from angler_mjx.studies.benchmark.questions import Benchmark
-from angler_mjx.studies.benchmark.store import FILE, Store
+from angler_mjx.studies.benchmark.store import FILE, BenchmarkStore
 
 SOURCE, RESOLVED, ABOUT = "benchmark.toml", "resolved.json", "about.json"
 WHAT = "benchmark"
 
 
-def begin(benchmark: Benchmark, source: Path, out: Path) -> Claim:
+def begin(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
     """A new folder, with all that the benchmark is made of.
 
     Raises:
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    claimed = claims.claim(out, what=WHAT, left=_worth)
+    claimed = claims.acquire(out, what=WHAT, left=_worth)
     building = claimed.building
     try:
         shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
@@ -46,7 +46,7 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> Claim:
         write_json(building / ENVIRONMENT, describe_environment())
         write_json(building / RESOLVED, benchmark.resolved())
         unfinished = building / f".unfinished.{FILE}"
-        Store(unfinished, new=True).close()
+        BenchmarkStore(unfinished, new=True).close()
         unfinished.replace(building / FILE)  # who is killed before leaves nothing to go on with
     except OSError as error:
         claimed.withdraw()
@@ -61,7 +61,7 @@ def _worth(building: Path) -> str | None:
     return claims.RESUMABLE if (building / FILE).exists() else None
 
 
-def reopen(benchmark: Benchmark, out: Path) -> Claim:
+def reopen(benchmark: Benchmark, out: Path) -> OutputLock:
     """Take up a folder that was interrupted.
 
     Raises:
@@ -69,7 +69,7 @@ def reopen(benchmark: Benchmark, out: Path) -> Claim:
     """
     if (out / ABOUT).is_file():
         raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    claimed = claims.reclaim(out, what=WHAT)
+    claimed = claims.acquire_unfinished(out, what=WHAT)
     if claimed is None:
         raise ConfigError(f"--resume: there is no interrupted benchmark {out}")
     try:

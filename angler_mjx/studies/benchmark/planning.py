@@ -23,15 +23,15 @@ from angler_mjx.runs.simulator.prepare import with_paths
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.studies.benchmark import paths as bytes_of
 from angler_mjx.studies.benchmark.columns import CLOSED, NO_ROOM, POLICY, WORDS
-from angler_mjx.studies.benchmark.contestants import Contestant
+from angler_mjx.studies.benchmark.contestants import ComparedPlanner
 from angler_mjx.studies.benchmark.measures import of_answer
 from angler_mjx.studies.benchmark.questions import Setting
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 from angler_mjx.world.environment import Environment
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class SettingProblems:
     """The problems of a setting."""
 
     setting: Setting
@@ -47,7 +47,7 @@ class Asked:
     """That draws their worlds, a tile at a time."""
 
 
-def ask(setting: Setting, simulator: Simulator, experiment: int) -> Asked:
+def ask(setting: Setting, simulator: Simulator, experiment: int) -> SettingProblems:
     """Draw the problems of a setting."""
     problems: list[Problem] = []
     difficulty: list[Mapping[str, float]] = []
@@ -59,7 +59,7 @@ def ask(setting: Setting, simulator: Simulator, experiment: int) -> Asked:
         environment = jax.tree.map(np.asarray, worlds.environment)
         difficulty += [_difficulty(environment, i) for i in range(count)]
         fits += environment.valid[:count].tolist()
-    return Asked(
+    return SettingProblems(
         setting=setting,
         experiment=experiment,
         problems=problems,
@@ -84,9 +84,9 @@ def _difficulty(environment: Environment, world: int) -> dict[str, float]:
 
 
 def plan(
-    asked: Asked,
-    contestants: Sequence[tuple[int, Contestant]],
-    store: Store,
+    asked: SettingProblems,
+    contestants: Sequence[tuple[int, ComparedPlanner]],
+    store: BenchmarkStore,
     pool: Pool,
     close_after: int,
     advance: Callable[[int], None],
@@ -126,7 +126,9 @@ def plan(
             advance(1)
 
 
-def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], None]) -> set[int]:
+def _left(
+    asked: SettingProblems, planner: int, store: BenchmarkStore, advance: Callable[[int], None]
+) -> set[int]:
     """Problems that a planner is still to be asked."""
     where = (asked.experiment, planner)
     done = {
@@ -143,7 +145,7 @@ def _left(asked: Asked, planner: int, store: Store, advance: Callable[[int], Non
     return {world for world in worlds if asked.fits[world]}
 
 
-def _hopeless(asked: Asked, planner: int, store: Store, last: int) -> bool:
+def _hopeless(asked: SettingProblems, planner: int, store: BenchmarkStore, last: int) -> bool:
     """Whether a planner has no plan for any problem up to the last of the first."""
     rows = store.rows(
         "SELECT count(*) AS runs, coalesce(sum(robots_planned), 0) AS paths FROM runs "
@@ -154,17 +156,17 @@ def _hopeless(asked: Asked, planner: int, store: Store, last: int) -> bool:
 
 
 def _answers(
-    asked: Asked,
-    orders: Sequence[tuple[int, Contestant, Sequence[int]]],
+    asked: SettingProblems,
+    orders: Sequence[tuple[int, ComparedPlanner, Sequence[int]]],
     pool: Pool,
-) -> Iterator[tuple[int, Contestant, int, Answer]]:
+) -> Iterator[tuple[int, ComparedPlanner, int, Answer]]:
     """Planner, world and answer, as they come; nobody is asked while a device plans."""
     compiled: dict[str, Any] = {}
     for number, one, worlds in orders:
         if one.on_device:
             for world, given in _of_device(asked, one, worlds, compiled):
                 yield number, one, world, given
-    tickets: dict[int, tuple[int, Contestant, int]] = {}
+    tickets: dict[int, tuple[int, ComparedPlanner, int]] = {}
     for number, one, worlds in orders:
         for world in worlds if not one.on_device else ():
             ticket = pool.submit(asked.problems[world], one.spec_of(asked.setting.scenario))
@@ -173,7 +175,7 @@ def _answers(
         yield *tickets[ticket], given
 
 
-def _of_kind(given: Answer, one: Contestant) -> Answer:
+def _of_kind(given: Answer, one: ComparedPlanner) -> Answer:
     """An answer whose paths are all of the kind that the planner says it gives."""
     wrong = [
         path
@@ -189,7 +191,7 @@ def _of_kind(given: Answer, one: Contestant) -> Answer:
 
 
 def _of_device(
-    asked: Asked, one: Contestant, worlds: Sequence[int], programs: dict[str, Any]
+    asked: SettingProblems, one: ComparedPlanner, worlds: Sequence[int], programs: dict[str, Any]
 ) -> Iterator[tuple[int, Answer]]:
     """Answers of a planner that plans a batch: each took its share of the batch's time.
 
@@ -259,7 +261,9 @@ def _robot(host: Any, world: int, robot: int) -> Path | NoPlan:
     return kept
 
 
-def _keep(asked: Asked, planner: int, world: int, given: Answer, store: Store) -> None:
+def _keep(
+    asked: SettingProblems, planner: int, world: int, given: Answer, store: BenchmarkStore
+) -> None:
     there = any(not isinstance(path, NoPlan) for path in given.paths)
     row = {
         **_nothing_flown(asked, world),
@@ -278,13 +282,15 @@ def _keep(asked: Asked, planner: int, world: int, given: Answer, store: Store) -
     )
 
 
-def _keep_unplanned(asked: Asked, planner: int, world: int, store: Store) -> None:
+def _keep_unplanned(
+    asked: SettingProblems, planner: int, world: int, store: BenchmarkStore
+) -> None:
     """A run of a policy, to be flown."""
     row = {**_nothing_flown(asked, world), "planned": False, "robots_planned": 0}
     store.add(asked.experiment, planner, world, POLICY, row, None)
 
 
-def _nothing_flown(asked: Asked, world: int) -> dict[str, Any]:
+def _nothing_flown(asked: SettingProblems, world: int) -> dict[str, Any]:
     return {
         **dict.fromkeys(WORDS),
         **asked.difficulty[world],

@@ -14,12 +14,12 @@ from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.editing import merged, table_of, without_horizon
 from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_beside
-from angler_mjx.scenario.tables import KnowsConfig
+from angler_mjx.scenario.tables import InformationConfig
 from angler_mjx.scenario.task_table import refuse_task
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.studies.benchmark import contestants as compared
 from angler_mjx.studies.benchmark.config import BenchmarkConfig
-from angler_mjx.studies.benchmark.contestants import Contestant
+from angler_mjx.studies.benchmark.contestants import ComparedPlanner
 
 PLAIN = "as it is"
 """Name of the scene of a benchmark that names none."""
@@ -32,7 +32,7 @@ class Setting:
     scene: str
     """Preset and scene, as tables call it."""
     robots: int
-    knows: Knows
+    knows: Information
     scenario: Scenario
     """With the number of worlds and the deadline."""
     seed: int
@@ -45,11 +45,11 @@ class Setting:
 
     def told(self) -> Scenario:
         """The scenario, which says what may be known."""
-        known = KnowsConfig(obstacles=self.knows.obstacles, current=self.knows.current)
+        known = InformationConfig(obstacles=self.knows.obstacles, current=self.knows.current)
         planner = self.scenario.planner.model_copy(update={"knows": known})
         return self.scenario.model_copy(update={"planner": planner})
 
-    def flown(self, one: Contestant, source: str = "") -> Scenario:
+    def flown(self, one: ComparedPlanner, source: str = "") -> Scenario:
         """The scenario by which the robots of a contestant fly; see `contestants.flown`."""
         return compared.flown(self.scenario, self.knows, one, f"{source} ({self})")
 
@@ -64,10 +64,10 @@ class Benchmark:
     config: BenchmarkConfig
     scenario: Scenario
     """That all problems are made of."""
-    contestants: tuple[Contestant, ...]
+    contestants: tuple[ComparedPlanner, ...]
     settings: tuple[Setting, ...]
 
-    def asked(self, setting: Setting) -> list[Contestant]:
+    def asked(self, setting: Setting) -> list[ComparedPlanner]:
         """Who is asked the problems of a setting, in the file's order."""
         told = _told(self.config, self.scenario)
         return [
@@ -136,7 +136,7 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
         ConfigError, UnsupportedError: as `read`.
     """
     try:
-        contestants = tuple(compared.contestant(one) for one in config.planner)
+        contestants = tuple(compared.build_compared_planner(one) for one in config.planner)
     except ConfigError as error:
         raise ConfigError(f"{named(source)}: {error}") from error
     settings = tuple(_settings(config, scenario, contestants, source))
@@ -156,7 +156,7 @@ def build(config: BenchmarkConfig, scenario: Scenario, source: str) -> Benchmark
     return made
 
 
-def _require_able(one: Contestant, setting: Setting, source: str) -> None:
+def _require_able(one: ComparedPlanner, setting: Setting, source: str) -> None:
     """Refuse who can make no use of what is known, or cannot be flown as it is to be."""
     if one.on_device:
         try:
@@ -169,7 +169,7 @@ def _require_able(one: Contestant, setting: Setting, source: str) -> None:
     setting.flown(one, named(source))
 
 
-def _may_be_carried(one: Contestant) -> bool:
+def _may_be_carried(one: ComparedPlanner) -> bool:
     """Whether it may be faster over ground than the cruise speed."""
     return one.flies_itself or one.name == "current"
 
@@ -177,7 +177,7 @@ def _may_be_carried(one: Contestant) -> bool:
 def _settings(
     config: BenchmarkConfig,
     scenario: Scenario,
-    contestants: tuple[Contestant, ...],
+    contestants: tuple[ComparedPlanner, ...],
     source: str,
 ) -> list[Setting]:
     for table in (config.set, *(one.set for one in config.scene)):
@@ -256,7 +256,7 @@ def with_team(
     return parse(Scenario, {**table, "fleet": _fleet(entries, robots)}, source=about)
 
 
-def _told(config: BenchmarkConfig, scenario: Scenario) -> list[Knows]:
+def _told(config: BenchmarkConfig, scenario: Scenario) -> list[Information]:
     """What planners are told that do not say themselves."""
     return [one.knows() for one in config.knows or (scenario.planner.knows,)]
 

@@ -21,16 +21,16 @@ from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import claims, planned
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.studies.benchmark import flying, folder, planning, questions, scenery, tables
 from angler_mjx.studies.benchmark.columns import POLICY
-from angler_mjx.studies.benchmark.contestants import Contestant
+from angler_mjx.studies.benchmark.contestants import ComparedPlanner
 from angler_mjx.studies.benchmark.questions import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
-from angler_mjx.studies.benchmark.store import FILE, STATUS, Store
+from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
 
 
-class Told(Protocol):
+class BenchmarkProgress(Protocol):
     """What a benchmark tells while it goes on."""
 
     def start(self, runs: int) -> None:
@@ -48,9 +48,9 @@ class _Simulators:
     """Compiled simulators of the scenario that is worked on."""
 
     scenario: Scenario | None = None
-    made: dict[tuple[bool, str, Knows | None], Simulator] = field(default_factory=dict)
+    made: dict[tuple[bool, str, Information | None], Simulator] = field(default_factory=dict)
 
-    def of(self, setting: Setting, joints: bool, one: Contestant | None = None) -> Simulator:
+    def of(self, setting: Setting, joints: bool, one: ComparedPlanner | None = None) -> Simulator:
         """For paths of joints or not, flown as they are, or as a contestant flies."""
         if self.scenario is not setting.scenario:
             self.scenario, self.made = setting.scenario, {}
@@ -94,7 +94,7 @@ def run(
     *,
     workers: Callable[[], Pool],
     resume: bool = False,
-    told: Told,
+    told: BenchmarkProgress,
 ) -> None:
     """Make the results folder of a benchmark.
 
@@ -116,12 +116,12 @@ def run(
 
 
 def _run(
-    benchmark: Benchmark, source: Path, out: Path, pool: Pool, resume: bool, told: Told
+    benchmark: Benchmark, source: Path, out: Path, pool: Pool, resume: bool, told: BenchmarkProgress
 ) -> None:
     claimed = folder.reopen(benchmark, out) if resume else folder.begin(benchmark, source, out)
     building = claimed.building
     try:
-        with Store(building / FILE) as store:
+        with BenchmarkStore(building / FILE) as store:
             _all(benchmark, store, pool, told)
             told.at("tables and page")
             _results(benchmark, building, store, complete=True)
@@ -145,14 +145,14 @@ def report(place: Path) -> Path:
     """
     benchmark = folder.read(place)
     complete = not place.name.startswith(claims.PREFIX)
-    with Store(place / FILE) as store:
+    with BenchmarkStore(place / FILE) as store:
         _results(benchmark, place, store, complete=complete)
     return place / "report.html"
 
 
 def summary(place: Path) -> str:
     """Return how the planners of a results folder did: a line each, and why teams have no plan."""
-    with Store(place / FILE, only_read=True) as store:
+    with BenchmarkStore(place / FILE, only_read=True) as store:
         planning = _planning(store)
         rows = store.rows(
             "SELECT name, count(*) AS runs, sum(solved) AS planned, sum(success) AS success, "
@@ -174,12 +174,12 @@ def summary(place: Path) -> str:
 
 def fault(place: Path) -> str | None:
     """Return why nothing was planned, where every planner raised in every problem; else None."""
-    with Store(place / FILE, only_read=True) as store:
+    with BenchmarkStore(place / FILE, only_read=True) as store:
         faults = [planned.fault(one) for one in _planning(store).values()]
     return faults[0] if faults and all(faults) else None
 
 
-def _planning(store: Store) -> dict[str, dict[str, Any]]:
+def _planning(store: BenchmarkStore) -> dict[str, dict[str, Any]]:
     """How planning ended, by the planner's name; a team that is planned for in part has no plan."""
     by_planner: dict[str, list[Any]] = {}
     for row in store.rows(
@@ -200,14 +200,14 @@ def _planning(store: Store) -> dict[str, dict[str, Any]]:
     }
 
 
-def _results(benchmark: Benchmark, place: Path, store: Store, *, complete: bool) -> None:
+def _results(benchmark: Benchmark, place: Path, store: BenchmarkStore, *, complete: bool) -> None:
     tables.write(store, place)
     scenery.write(store, place)
     folder.about(benchmark, place, complete=complete)
     page.make(place)
 
 
-def _all(benchmark: Benchmark, store: Store, pool: Pool, told: Told) -> None:
+def _all(benchmark: Benchmark, store: BenchmarkStore, pool: Pool, told: BenchmarkProgress) -> None:
     total = sum(
         setting.scenario.worlds * len(benchmark.asked(setting)) for setting in benchmark.settings
     )
@@ -229,11 +229,11 @@ def _one(
     benchmark: Benchmark,
     setting: Setting,
     experiment: int,
-    asked: Sequence[tuple[int, Contestant]],
+    asked: Sequence[tuple[int, ComparedPlanner]],
     simulators: _Simulators,
-    store: Store,
+    store: BenchmarkStore,
     pool: Pool,
-    told: Told,
+    told: BenchmarkProgress,
 ) -> None:
     config = benchmark.config
     told.at(f"{setting}: compiling")
@@ -260,7 +260,10 @@ def _one(
 
 
 def _is_done(
-    setting: Setting, experiment: int, asked: Sequence[tuple[int, Contestant]], store: Store
+    setting: Setting,
+    experiment: int,
+    asked: Sequence[tuple[int, ComparedPlanner]],
+    store: BenchmarkStore,
 ) -> bool:
     """Whether all runs of a setting are planned and flown."""
     done = store.rows(

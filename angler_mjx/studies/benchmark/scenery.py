@@ -9,7 +9,7 @@ import numpy as np
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.storage import atomic
 from angler_mjx.studies.benchmark import paths as bytes_of
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 FOLDER = "examples"
 
@@ -47,7 +47,7 @@ def of(problem: Problem) -> bytes:
     )
 
 
-def write(store: Store, folder: Path) -> int:
+def write(store: BenchmarkStore, folder: Path) -> int:
     """Write the worlds that a database keeps as files of their own; returns how many.
 
     ``examples/N.npz``: arrays of `of`; ``scene``, ``robots``, ``world``; ``planners`` [K], and of
@@ -79,7 +79,7 @@ def write(store: Store, folder: Path) -> int:
     return len(found)
 
 
-def _world(store: Store, asked: str, world: int) -> dict[str, Any]:
+def _world(store: BenchmarkStore, asked: str, world: int) -> dict[str, Any]:
     """What is known of a world by those who know most of it."""
     rows = store.rows(
         f"SELECT arrays FROM scenery WHERE experimentid IN ({asked}) AND world = ?", (world,)
@@ -87,7 +87,7 @@ def _world(store: Store, asked: str, world: int) -> dict[str, Any]:
     return max((unpacked(row["arrays"]) for row in rows), key=lambda x: len(x["obstacle_p_m"]))
 
 
-def _runs(store: Store, asked: str, world: int) -> list[Any]:
+def _runs(store: BenchmarkStore, asked: str, world: int) -> list[Any]:
     return store.rows(
         "SELECT runs.id, name, paths, track FROM runs "
         "JOIN plannerConfigs ON plannerConfigs.id = plannerid "
@@ -97,7 +97,7 @@ def _runs(store: Store, asked: str, world: int) -> list[Any]:
     )
 
 
-def _drawn(store: Store, run: Any, robots: int) -> dict[str, np.ndarray]:
+def _drawn(store: BenchmarkStore, run: Any, robots: int) -> dict[str, np.ndarray]:
     paths = [None] * robots if run["paths"] is None else bytes_of.unpacked(run["paths"])
     most = max([2, *(len(path.time_s) for path in paths if path is not None)])
     planned = np.full((robots, most, 3), np.nan, np.float32)

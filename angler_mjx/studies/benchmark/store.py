@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.benchmark.columns import NUMBERS, POLICY, WORDS
-from angler_mjx.studies.benchmark.contestants import Contestant
+from angler_mjx.studies.benchmark.contestants import ComparedPlanner
 from angler_mjx.studies.benchmark.questions import Setting
 
 FILE = "results.sqlite"
@@ -60,7 +60,7 @@ SETTING_COLUMNS = ("preset", "robots", "knows_obstacles", "knows_current", "prob
 """Of an experiment, beside OMPL's."""
 
 
-class Store:
+class BenchmarkStore:
     """The database, open."""
 
     def __init__(self, path: Path, *, new: bool = False, only_read: bool = False) -> None:
@@ -145,7 +145,7 @@ class Store:
         }
         return self._insert("experiments", {**own, **more})
 
-    def contestant(self, one: Contestant) -> int:
+    def contestant(self, one: ComparedPlanner) -> int:
         """The number of a planner; makes it if there is none."""
         found = self.rows("SELECT id FROM plannerConfigs WHERE name = ?", (one.label,))
         if found:
@@ -277,7 +277,7 @@ class Store:
 class _Change:
     """A transaction, whose errors name the file."""
 
-    def __init__(self, base: sqlite3.Connection, store: Store) -> None:
+    def __init__(self, base: sqlite3.Connection, store: BenchmarkStore) -> None:
         self._base, self._store = base, store
 
     def __enter__(self) -> None:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from angler_mjx.runs.storage import atomic
 from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
 from angler_mjx.studies.benchmark.columns import NUMBERS, RUN_SCHEMA, WORDS
-from angler_mjx.studies.benchmark.store import STATUS, Store
+from angler_mjx.studies.benchmark.store import STATUS, BenchmarkStore
 
 RUNS, ROBOTS, PROGRESS = "runs.parquet", "robots.parquet", "progress.parquet"
 
@@ -21,7 +21,7 @@ _JOINED = """JOIN experiments ON experiments.id = experimentid
 _ORDER = "ORDER BY experimentid, plannerid, world"
 
 
-def runs(store: Store) -> pa.Table:
+def runs(store: BenchmarkStore) -> pa.Table:
     """One row a run, and one for each problem that a planner was not asked."""
     words = ", ".join(f"words.{name}" for name in WORDS)
     numbers = ", ".join(f"runs.{name} AS {one.name}" for one, name in NUMBERS)
@@ -48,7 +48,7 @@ def _cell(field: pa.Field, row: dict[str, Any]) -> Any:
     return bool(value) if pa.types.is_boolean(field.type) else value
 
 
-def robots(store: Store) -> pa.Table:
+def robots(store: BenchmarkStore) -> pa.Table:
     """One row a robot of each run that was flown, as in ``episodes.parquet``."""
     found = store.rows("SELECT runid, episode FROM robots ORDER BY runid, robot")
     rows = [{"run": row["runid"], **json.loads(row["episode"])} for row in found]
@@ -57,7 +57,7 @@ def robots(store: Store) -> pa.Table:
     return pa.table(columns, schema=schema)
 
 
-def progress(store: Store) -> pa.Table:
+def progress(store: BenchmarkStore) -> pa.Table:
     """How the best cost of planners that go on improving fell."""
     found = store.rows("SELECT runid, time, best_cost FROM progress ORDER BY runid, time")
     schema = pa.schema(
@@ -71,7 +71,7 @@ def progress(store: Store) -> pa.Table:
     return pa.table(dict(zip(schema.names, columns, strict=True)), schema=schema)
 
 
-def write(store: Store, folder: Path) -> None:
+def write(store: BenchmarkStore, folder: Path) -> None:
     """Write all of them into a folder."""
     for name, make in ((RUNS, runs), (ROBOTS, robots), (PROGRESS, progress)):
         with atomic.whole(folder / name) as writing:

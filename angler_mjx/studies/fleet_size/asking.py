@@ -30,7 +30,7 @@ class Condition:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class FleetSizeStudy:
     """A fleet-size file with all that it names."""
 
     config: FleetSizeConfig
@@ -77,7 +77,9 @@ class Study:
         }
 
 
-def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any) -> Study:
+def read(
+    path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget: Any
+) -> FleetSizeStudy:
     """A study from its file.
 
     Args:
@@ -106,7 +108,7 @@ def read(path: Path, only: Sequence[str] = (), *, smoke: bool = False, **budget:
 
 def build(
     config: FleetSizeConfig, table: Mapping[str, Any], source: str, only: Sequence[str] = ()
-) -> Study:
+) -> FleetSizeStudy:
     """A study from its table and that of its scenario.
 
     Args:
@@ -123,7 +125,7 @@ def build(
         merged(table, config.set),
         {"worlds": batches * config.budget.batch, "seed": config.seed},
     )
-    made = Study(
+    made = FleetSizeStudy(
         config=config,
         source=source,
         table=table,
@@ -136,7 +138,7 @@ def build(
     return made
 
 
-def _check(study: Study, condition: Condition, size: int) -> None:
+def _check(study: FleetSizeStudy, condition: Condition, size: int) -> None:
     """Refuse what no world can decide, or no robot can do."""
     scenario = study.scenario(condition, size)
     where = f"{named(study.source)} ({condition.name})"

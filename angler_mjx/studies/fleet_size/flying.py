@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.runs import waves
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import harvest
 from angler_mjx.runs.storage.harvest import FinishedTile
-from angler_mjx.runs.storage.planned import Failures
+from angler_mjx.runs.storage.planned import PlanningFailures
 from angler_mjx.sim.state import Outcome
-from angler_mjx.studies.fleet_size.asking import Condition, Study
+from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch
 
@@ -27,14 +27,14 @@ type Part = Mapping[str, Any]
 
 
 def fly(
-    study: Study,
+    study: FleetSizeStudy,
     simulators: Simulators,
     condition: Condition,
     size: int,
     first: int,
     *,
     share: tuple[int, int] = (0, 1),
-    failures: Failures | None = None,
+    failures: PlanningFailures | None = None,
 ) -> Part:
     """Fly the worlds of one batch, or a share of its tiles.
 
@@ -58,7 +58,7 @@ def fly(
         simulator,
         tiles,
         recorded=False,
-        progress=Silent(),
+        progress=SilentProgress(),
         seed=study.config.seed,
         strict=False,
         changed=partial(simulators.change, condition, size, simulator),
@@ -90,7 +90,9 @@ def batch(condition: Condition, size: int, first: int, parts: Sequence[Part]) ->
 _VALUES = tuple(one.name for one in fields(Batch) if one.name not in ("condition", "size", "first"))
 
 
-def _of_tile(study: Study, tile: FinishedTile, failures: Failures | None) -> dict[str, list[Any]]:
+def _of_tile(
+    study: FleetSizeStudy, tile: FinishedTile, failures: PlanningFailures | None
+) -> dict[str, list[Any]]:
     """Of each world of a tile."""
     result = harvest.tile_result(tile)
     if failures is not None:

@@ -13,12 +13,12 @@ from typing import Any
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table, reading
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.studies.fleet_size import figures, report
-from angler_mjx.studies.fleet_size.asking import Study
+from angler_mjx.studies.fleet_size.asking import FleetSizeStudy
 from angler_mjx.studies.fleet_size.store import FILE, Batch
 
 SOURCE, RESOLVED, STUDY = "study.toml", "resolved.json", "study.json"
@@ -26,14 +26,14 @@ RESULTS, PAGE = "results.parquet", "page.md"
 WHAT = "study"
 
 
-def begin(study: Study, source: Path, out: Path, tile: int) -> Claim:
+def begin(study: FleetSizeStudy, source: Path, out: Path, tile: int) -> OutputLock:
     """A new folder, with all that the study is made of.
 
     Raises:
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    claimed = claims.claim(out, what=WHAT, left=_worth)
+    claimed = claims.acquire(out, what=WHAT, left=_worth)
     try:
         shutil.copyfile(source, claimed.building / SOURCE)
         write_json(claimed.building / ENVIRONMENT, describe_environment())
@@ -52,7 +52,7 @@ def _worth(building: Path) -> str | None:
     return claims.RESUMABLE if batches.is_file() and batches.stat().st_size else None
 
 
-def reopen(study: Study, out: Path) -> tuple[Claim, int]:
+def reopen(study: FleetSizeStudy, out: Path) -> tuple[OutputLock, int]:
     """Take up a folder that was interrupted, and its tile.
 
     Raises:
@@ -60,7 +60,7 @@ def reopen(study: Study, out: Path) -> tuple[Claim, int]:
     """
     if (out / STUDY).is_file() and read(out).get("complete"):
         raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    claimed = claims.reclaim(out, what=WHAT)
+    claimed = claims.acquire_unfinished(out, what=WHAT)
     if claimed is None:
         raise ConfigError(f"--resume: there is no interrupted study {out}")
     place = claimed.building / RESOLVED
@@ -90,7 +90,9 @@ def read(out: Path) -> dict[str, Any]:
     return read_table(out / STUDY)
 
 
-def close(claimed: Claim, study: Study, found: Mapping[str, Any], batches: Sequence[Batch]) -> None:
+def close(
+    claimed: OutputLock, study: FleetSizeStudy, found: Mapping[str, Any], batches: Sequence[Batch]
+) -> None:
     """Tables, page and figures; then the folder gets its name.
 
     Raises:

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.runs.storage import atomic
 from angler_mjx.studies.fleet_size import bernoulli, sequence, survival
-from angler_mjx.studies.fleet_size.asking import Condition, Study
+from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequence import Rule
 from angler_mjx.studies.fleet_size.store import Batch
 
@@ -37,7 +37,9 @@ SCHEMA = pa.schema(
 """Of ``results.parquet``."""
 
 
-def gather(study: Study, rule: Rule, batches: Sequence[Batch], ended: str) -> dict[str, Any]:
+def gather(
+    study: FleetSizeStudy, rule: Rule, batches: Sequence[Batch], ended: str
+) -> dict[str, Any]:
     """All numbers of a study.
 
     Args:
@@ -71,7 +73,7 @@ def gather(study: Study, rule: Rule, batches: Sequence[Batch], ended: str) -> di
 
 
 def _of_condition(
-    study: Study, rule: Rule, condition: Condition, batches: Sequence[Batch]
+    study: FleetSizeStudy, rule: Rule, condition: Condition, batches: Sequence[Batch]
 ) -> dict[str, Any]:
     deadline_s = study.config.deadline_s
     by_size: dict[int, list[Batch]] = {}
@@ -99,7 +101,7 @@ def _of_condition(
 
 
 def _of_size(
-    study: Study, rule: Rule, condition: Condition, batches: Sequence[Batch]
+    study: FleetSizeStudy, rule: Rule, condition: Condition, batches: Sequence[Batch]
 ) -> dict[str, Any]:
     """Success, times and costs of one size in one condition."""
     size = batches[0].size
@@ -139,7 +141,7 @@ def _of_size(
     return row
 
 
-def write_results(path: Path, study: Study, batches: Sequence[Batch]) -> None:
+def write_results(path: Path, study: FleetSizeStudy, batches: Sequence[Batch]) -> None:
     """A row for each world, by condition, size and world."""
     order = {one.name: i for i, one in enumerate(study.conditions)}
     ordered = sorted(batches, key=lambda one: (order[one.condition], one.size, one.first))

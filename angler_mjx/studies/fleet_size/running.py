@@ -20,13 +20,13 @@ from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import default_tile
 from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import Claim
-from angler_mjx.runs.storage.planned import Failures
+from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage.planned import PlanningFailures
 from angler_mjx.studies.fleet_size import flying, folder, report
-from angler_mjx.studies.fleet_size.asking import Condition, Study
+from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
 from angler_mjx.studies.fleet_size.simulators import Simulators
-from angler_mjx.studies.fleet_size.store import FILE, Batch, Store
+from angler_mjx.studies.fleet_size.store import FILE, Batch, StudyStore
 
 GOOD, SPENT, LATE, STOPPED = "answered", "most_worlds", "most_minutes", "interrupted"
 """How a study ends."""
@@ -36,7 +36,7 @@ class _StoppedError(Exception):
     """One of the processes was interrupted, and all know it."""
 
 
-class Told(Protocol):
+class StudyProgress(Protocol):
     """What a study tells while it goes on."""
 
     def tell(self, text: str) -> None:
@@ -53,22 +53,22 @@ class Told(Protocol):
 class _Work:
     """A study in the making."""
 
-    study: Study
+    study: FleetSizeStudy
     rule: Rule
-    store: Store
-    told: Told
+    store: StudyStore
+    told: StudyProgress
     known: dict[tuple[str, int, int], Batch]
     taken: dict[str, dict[int, tuple[int, int]]]
     """Of each condition the counts of the batches that were asked for."""
     ends_at: float | None
     together: Processes
-    failures: Failures
+    failures: PlanningFailures
     """Of planners, each kind said once."""
     flown: int = 0
     """Batches that were flown in this run."""
 
 
-def rule_of(study: Study) -> Rule:
+def rule_of(study: FleetSizeStudy) -> Rule:
     """What the sequential part is to know of a study."""
     config, sizes = study.config, study.sizes
     return Rule(
@@ -82,7 +82,7 @@ def rule_of(study: Study) -> Rule:
     )
 
 
-def tile_of(study: Study) -> int:
+def tile_of(study: FleetSizeStudy) -> int:
     """Worlds in one device call: the scenario's, or what fits the device and fills batches.
 
     Raises:
@@ -102,11 +102,11 @@ def tile_of(study: Study) -> int:
 
 
 def run(
-    study: Study,
+    study: FleetSizeStudy,
     source: Path,
     out: Path,
     *,
-    told: Told,
+    told: StudyProgress,
     resume: bool = False,
     devices: int | None = None,
     simulators: Simulators | None = None,
@@ -156,7 +156,7 @@ def run(
 
 
 def _tell_of_idle(
-    study: Study, tile: int, devices: int | None, together: Processes, told: Told
+    study: FleetSizeStudy, tile: int, devices: int | None, together: Processes, told: StudyProgress
 ) -> None:
     """Say so where a batch has too few tiles for all devices."""
     here = len(jax.local_devices()) if devices is None else devices
@@ -170,17 +170,17 @@ def _tell_of_idle(
 
 
 def _run(
-    study: Study,
-    claimed: Claim | None,
+    study: FleetSizeStudy,
+    claimed: OutputLock | None,
     place: Path,
     simulators: Simulators,
-    told: Told,
+    told: StudyProgress,
     together: Processes,
 ) -> dict[str, Any] | None:
     """What ``study.json`` holds; None of a process that does not keep the folder."""
     minutes = study.config.budget.most_minutes
     begun = time.monotonic()
-    store = Store(place / FILE, writes=claimed is not None)
+    store = StudyStore(place / FILE, writes=claimed is not None)
     work = _Work(
         study=study,
         rule=rule_of(study),
@@ -190,7 +190,7 @@ def _run(
         taken={one.name: {} for one in study.conditions},
         ends_at=None if minutes is None else begun + 60.0 * minutes,
         together=together,
-        failures=Failures(told.tell),
+        failures=PlanningFailures(told.tell),
     )
     together.meet("known", len(store.batches))  # nobody writes before all have read
     try:

@@ -79,7 +79,7 @@ class Rule:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class SizeStatus:
     """What is known of a condition."""
 
     excluded: int
@@ -98,7 +98,7 @@ class Standing:
         return short or self.excluded == last
 
 
-def stand(rule: Rule, counts: Counts) -> Standing:
+def stand(rule: Rule, counts: Counts) -> SizeStatus:
     """What counts tell."""
     flown = sorted(at for at, (_, total) in counts.items() if total > 0)
     verdicts = {at: rule.verdict(*counts[at]) for at in flown}
@@ -112,17 +112,17 @@ def stand(rule: Rule, counts: Counts) -> Standing:
     enough = [at for at in flown if counts[at][0] >= rule.probability * counts[at][1]]
     estimate = enough[0] if enough else none
     below = max((at for at in flown if at < estimate), default=-1)
-    return Standing(excluded=excluded, accepted=accepted, below=below, estimate=estimate)
+    return SizeStatus(excluded=excluded, accepted=accepted, below=below, estimate=estimate)
 
 
-def lowest(rule: Rule, now: Standing) -> int:
+def lowest(rule: Rule, now: SizeStatus) -> int:
     """Position up to which all sizes have to be excluded."""
     if now.estimate == len(rule.sizes):  # that none is enough has to be shown of the last one
         return now.estimate - 1
     return now.estimate - rule.within - 1
 
 
-def highest(rule: Rule, now: Standing) -> int:
+def highest(rule: Rule, now: SizeStatus) -> int:
     """Position by which a size has to be accepted."""
     return now.estimate + rule.within if now.estimate < len(rule.sizes) else now.estimate
 
@@ -171,7 +171,7 @@ def _beside_best(rule: Rule, counts: Counts) -> list[int]:
     return [(a + b) // 2 for a, b in gaps if b - a > rule.within + 1]
 
 
-def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
+def _to_exclude(rule: Rule, counts: Counts, now: SizeStatus) -> list[int]:
     """What is to be flown so that the lower end rises."""
     target = lowest(rule, now)
     if now.excluded >= target:
@@ -187,7 +187,7 @@ def _to_exclude(rule: Rule, counts: Counts, now: Standing) -> list[int]:
     return [*before, chosen]
 
 
-def _to_accept(rule: Rule, counts: Counts, now: Standing) -> list[int]:
+def _to_accept(rule: Rule, counts: Counts, now: SizeStatus) -> list[int]:
     """What is to be flown so that the upper end falls."""
     target = min(highest(rule, now), len(rule.sizes) - 1)
     if now.accepted <= target:
@@ -233,7 +233,7 @@ def _open(rule: Rule, counts: Counts, at: int) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class SizeAnswer:
     """The answer for one condition, as far as it is known."""
 
     estimate: int | None
@@ -275,10 +275,10 @@ class Answer:
         return f", of {', '.join(others)} and {last}" if others else ", the only size of the file"
 
 
-def answer(rule: Rule, counts: Counts) -> Answer:
+def answer(rule: Rule, counts: Counts) -> SizeAnswer:
     """What counts tell of the answer."""
     now, none = stand(rule, counts), len(rule.sizes)
-    return Answer(
+    return SizeAnswer(
         estimate=None if now.estimate == none else rule.sizes[now.estimate],
         low=None if now.excluded == none - 1 else _low(rule, now),
         high=None if now.accepted == none else rule.sizes[now.accepted],
@@ -289,6 +289,6 @@ def answer(rule: Rule, counts: Counts) -> Answer:
     )
 
 
-def _low(rule: Rule, now: Standing) -> int:
+def _low(rule: Rule, now: SizeStatus) -> int:
     """Least number of robots that is not excluded, whether it was flown or not."""
     return rule.min_size if now.excluded < 0 else rule.sizes[now.excluded] + 1

@@ -50,7 +50,7 @@ class Batch:
         return sum(t is not None and t <= deadline_s for t in self.completed_s)
 
 
-class Store:
+class StudyStore:
     """The batches of a study."""
 
     def __init__(self, path: Path, *, writes: bool = True) -> None:

@@ -49,7 +49,7 @@ class Times:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class FlightCourse:
     """A motion in the points that are commanded, and at every control step."""
 
     time_s: FloatArray
@@ -65,7 +65,7 @@ class Course:
     """Whether the vehicle is to stand still at the end."""
 
 
-def place(step_m: FloatArray, yaw_rad: float, times: Times) -> Course:
+def place(step_m: FloatArray, yaw_rad: float, times: Times) -> FlightCourse:
     """Be at a place, from the first moment on.
 
     Args:
@@ -76,7 +76,7 @@ def place(step_m: FloatArray, yaw_rad: float, times: Times) -> Course:
     goal = np.concatenate([START_M + step_m, [yaw_rad]])
     points = np.zeros((times.points, 3, 4))
     points[:, 0] = goal
-    return Course(
+    return FlightCourse(
         time_s=_times(times),
         points=points,
         pose=np.tile(goal, (times.steps, 1)),
@@ -85,7 +85,7 @@ def place(step_m: FloatArray, yaw_rad: float, times: Times) -> Course:
     )
 
 
-def line(step_m: FloatArray, speed_mps: float, times: Times) -> Course:
+def line(step_m: FloatArray, speed_mps: float, times: Times) -> FlightCourse:
     """Go to a place [3] from the start along a line, at a speed."""
     length = float(np.linalg.norm(step_m))
     step = step_m if length > 0 else np.array([_SHORT_M, 0.0, 0.0])
@@ -95,16 +95,16 @@ def line(step_m: FloatArray, speed_mps: float, times: Times) -> Course:
     share = np.minimum(times.dt_s * np.arange(times.steps) / span, 1.0)
     pose = np.zeros((times.steps, 4))
     pose[:, :3] = START_M + share[:, None] * step
-    return Course(
+    return FlightCourse(
         time_s=np.linspace(0.0, span, n), points=points, pose=pose, way_m=length, still=True
     )
 
 
 @cache
-def eight(speed_mps: float, times: Times) -> Course:
+def eight(speed_mps: float, times: Times) -> FlightCourse:
     """The figure of eight at a speed."""
     pose = figure_of_eight(speed_mps, times.steps, times.dt_s)[:, 0]
-    return Course(
+    return FlightCourse(
         time_s=_times(times),
         points=figure_of_eight(speed_mps, times.points, times.point_s),
         pose=pose,
@@ -113,7 +113,7 @@ def eight(speed_mps: float, times: Times) -> Course:
     )
 
 
-def command(courses: Sequence[Course], *, timed: bool) -> Command:
+def command(courses: Sequence[FlightCourse], *, timed: bool) -> Command:
     """The commands of n flights, on the host; [n] leads.
 
     Args:
@@ -155,8 +155,8 @@ def figure_of_eight(speed_mps: float, n_point: int, period_s: float) -> FloatArr
     ``RUN_UP_S``, then constant. Derivatives by time are worked out from those of c.
 
     Returns:
-        [n_point, 3, 4] position, velocity and acceleration of x, y, z and heading (see `Course`), a
-        row each ``period_s``, from rest.
+        [n_point, 3, 4] position, velocity and acceleration of x, y, z and heading (see
+        `FlightCourse`), a row each ``period_s``, from rest.
     """
     h = period_s / _FINE
     t = h * np.arange(_FINE * (n_point - 1) + 1)

@@ -12,7 +12,7 @@ from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.engines import free_flight
-from angler_mjx.sim.engines.free_flight import Flight
+from angler_mjx.sim.engines.free_flight import FreeFlight
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights.courses import START_M
 from angler_mjx.world.currents import Current
@@ -20,7 +20,7 @@ from angler_mjx.world.currents import Current
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Orders:
+class FlightSettings:
     """What each of n robots is and is told; [n] leads everywhere."""
 
     params: ControlParams
@@ -34,7 +34,7 @@ class Orders:
     current: Current
 
 
-def fly(spec: SimSpec, orders: Orders, control_steps: int) -> Flight:
+def fly(spec: SimSpec, orders: FlightSettings, control_steps: int) -> FreeFlight:
     """The flight of one robot."""
     return free_flight.fly(
         spec,
@@ -48,16 +48,18 @@ def fly(spec: SimSpec, orders: Orders, control_steps: int) -> Flight:
     )
 
 
-def program(spec: SimSpec, control_steps: int) -> Callable[[Orders, tuple[Any, ...]], Flight]:
+def program(
+    spec: SimSpec, control_steps: int
+) -> Callable[[FlightSettings, tuple[Any, ...]], FreeFlight]:
     """The compiled flight of any number of robots, each with gains of its own.
 
     It compiles once for each number.
     """
 
-    def one(orders: Orders, gains: tuple[Any, ...]) -> Flight:
+    def one(orders: FlightSettings, gains: tuple[Any, ...]) -> FreeFlight:
         return fly(replace(spec, gains=gains), orders, control_steps)
 
-    flown: Callable[[Orders, tuple[Any, ...]], Flight] = jax.jit(jax.vmap(one))
+    flown: Callable[[FlightSettings, tuple[Any, ...]], FreeFlight] = jax.jit(jax.vmap(one))
     return flown
 
 

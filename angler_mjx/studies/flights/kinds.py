@@ -28,7 +28,7 @@ CRUISE_MPS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class FlightKind:
     """One vehicle with one of its parameter sets."""
 
     vehicle: str
@@ -41,17 +41,17 @@ class Kind:
 
 
 @cache
-def shipped() -> tuple[Kind, ...]:
+def shipped() -> tuple[FlightKind, ...]:
     """Every vehicle file that is shipped, with each of its parameter sets."""
     return tuple(
-        Kind(vehicle=name, parameter_set=chosen)
+        FlightKind(vehicle=name, parameter_set=chosen)
         for name in library.available()
         for chosen in library.load(name).parameter_sets
     )
 
 
 def build(
-    kinds: Sequence[Kind],
+    kinds: Sequence[FlightKind],
     battery_v: Sequence[float] | None = None,
     rotor_response: RotorResponse | None = None,
 ) -> ControlParams:
@@ -83,7 +83,7 @@ def build(
 
 
 @cache
-def loose() -> frozenset[Kind]:
+def loose() -> frozenset[FlightKind]:
     """The shipped vehicles that nothing holds level: neither weight nor thrusters.
 
     No controller can be asked to keep the attitude of a vehicle with its centre of buoyancy no

@@ -12,9 +12,9 @@ import numpy as np
 from angler_kernels import quaternion
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles.params import VehicleParams
-from angler_mjx.sim.engines.free_flight import Flight
+from angler_mjx.sim.engines.free_flight import FreeFlight
 from angler_mjx.sim.robot import thrust_and_power
-from angler_mjx.studies.flights.courses import Course
+from angler_mjx.studies.flights.courses import FlightCourse
 
 TILT_RAD = math.radians(60.0)
 """Attitude is bounded if the vehicle never leans more than this; level is 0."""
@@ -31,7 +31,7 @@ KEPT_S = 0.25
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Reference:
+class ReferenceMotion:
     """Where a vehicle is to be at the beginning of each control step."""
 
     pose: jax.Array
@@ -67,7 +67,7 @@ class Measures:
     """[k, 3] in W, every ``KEPT_S``."""
 
 
-def reference(courses: Sequence[Course], *, heading: bool) -> Reference:
+def reference(courses: Sequence[FlightCourse], *, heading: bool) -> ReferenceMotion:
     """Where n vehicles are to be, on the host; [n] leads.
 
     Args:
@@ -81,11 +81,11 @@ def reference(courses: Sequence[Course], *, heading: bool) -> Reference:
         "heading": np.full(len(courses), float(heading)),
         "way_m": np.maximum([course.way_m for course in courses], 1.0),
     }
-    return Reference(**given)
+    return ReferenceMotion(**given)
 
 
 def of_flight(
-    flight: Flight, reference: Reference, vehicle: VehicleParams, control_dt_s: float
+    flight: FreeFlight, reference: ReferenceMotion, vehicle: VehicleParams, control_dt_s: float
 ) -> Measures:
     """Measures of one flight.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.robot.vehicles.thrusters import FloatArray
-from angler_mjx.sim.engines.free_flight import Flight
+from angler_mjx.sim.engines.free_flight import FreeFlight
 from angler_mjx.sim.state import SimSpec
 
 BAND = 0.02
@@ -31,7 +31,7 @@ class Track:
     """[n, t] magnitude of the angular velocity."""
 
 
-def track(spec: SimSpec, flight: Flight) -> Track:
+def track(spec: SimSpec, flight: FreeFlight) -> Track:
     """A flight [n] on the host, in words of attitude that people use."""
     q = np.asarray(flight.q, float)
     w, x, y, z = np.moveaxis(q, -1, 0)

@@ -17,7 +17,7 @@ SIZE = ("workload", "engine", "kernels", "worlds", "robots", "devices", "unit")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ratio:
+class SpeedRatio:
     """One workload on both sides."""
 
     workload: str
@@ -47,16 +47,16 @@ class Ratio:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class SpeedComparison:
     """Ratios of the rows that can be compared, and a line on each row that cannot."""
 
-    ratios: list[Ratio]
+    ratios: list[SpeedRatio]
     left_out: list[str]
     machines: str
     """The two machines whose rates are compared, where they differ; else empty."""
 
 
-def compare(a: str, b: str, results: Path) -> Comparison:
+def compare(a: str, b: str, results: Path) -> SpeedComparison:
     """Ratios b / a of all workloads that both sides have; of seconds a / b.
 
     Seconds of compiling are compared within one host: processor and number of cores. Rates of the
@@ -84,7 +84,7 @@ def compare(a: str, b: str, results: Path) -> Comparison:
             f"one host where hosts matter; {'; '.join(left_out)}"
         )
     differ = is_clear and _machines(first) != _machines(second)
-    return Comparison(
+    return SpeedComparison(
         ratios=ratios,
         left_out=left_out,
         machines=f"rates of {a} on {_place(first[0])}; of {b} on {_place(second[0])}"
@@ -190,11 +190,11 @@ def _faster(unit: str, before: float, after: float) -> float:
     return before / after if unit == speed.DURATION else after / before
 
 
-def _ratio(before: Fields, after: Fields) -> Ratio:
+def _ratio(before: Fields, after: Fields) -> SpeedRatio:
     unit = after["unit"]
     slow, fast = ("high", "low") if unit == speed.DURATION else ("low", "high")
     repeats = [row["repeats"] for row in (before, after)]
-    return Ratio(
+    return SpeedRatio(
         workload=after["workload"],
         engine=after["engine"],
         kernels=after["kernels"],

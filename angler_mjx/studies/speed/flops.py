@@ -34,7 +34,7 @@ _OPAQUE = frozenset(("pallas_call", "triton_call", "ffi_call", "conv_general_dil
 
 
 @dataclass(frozen=True)
-class Count:
+class OperationCount:
     """Operations of a function."""
 
     flops: float | None
@@ -47,7 +47,7 @@ class _OpaqueError(Exception):
     """Something that cannot be looked into."""
 
 
-def count(function: Callable[..., Any], *arguments: Any) -> Count:
+def count(function: Callable[..., Any], *arguments: Any) -> OperationCount:
     """Operations of one call; nothing is compiled or computed.
 
     Args:
@@ -58,13 +58,13 @@ def count(function: Callable[..., Any], *arguments: Any) -> Count:
     try:
         flops = reader.flops(jax.make_jaxpr(function)(*arguments).jaxpr)
     except _OpaqueError as error:
-        return Count(None, f"not counted: nothing can see into {error}")
+        return OperationCount(None, f"not counted: nothing can see into {error}")
     if reader.at_least:
-        return Count(
+        return OperationCount(
             flops,
             "at least: loops that run until something happens count once, branches as the cheapest",
         )
-    return Count(flops, "loops as often as they run")
+    return OperationCount(flops, "loops as often as they run")
 
 
 class _Reader:

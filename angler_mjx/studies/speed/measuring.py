@@ -16,11 +16,11 @@ from angler_mjx.studies.speed.measured import (
     recording,
     simulation,
 )
-from angler_mjx.studies.speed.rows import HITS, Row, cache_events, peak_device_bytes
-from angler_mjx.studies.speed.workloads import Case
+from angler_mjx.studies.speed.rows import HITS, SpeedRow, cache_events, peak_device_bytes
+from angler_mjx.studies.speed.workloads import WorkloadCase
 
 
-def run(chosen: list[Case], begin: Callable[[Case], None]) -> Iterator[Row]:
+def run(chosen: list[WorkloadCase], begin: Callable[[WorkloadCase], None]) -> Iterator[SpeedRow]:
     """Measure one case after the other.
 
     A case gives a row, or several where it compiles. A case that is refused gives a row without a
@@ -47,7 +47,7 @@ def run(chosen: list[Case], begin: Callable[[Case], None]) -> Iterator[Row]:
         jax.clear_caches()
 
 
-def _measured(case: Case) -> list[Row]:
+def _measured(case: WorkloadCase) -> list[SpeedRow]:
     try:
         return _measure(case)
     except AnglerError as error:
@@ -59,13 +59,13 @@ def _measured(case: Case) -> list[Row]:
         return [_refused(case, f"out of device memory; {fits} worlds in one call fit", True)]
 
 
-def _measure(case: Case) -> list[Row]:
+def _measure(case: WorkloadCase) -> list[SpeedRow]:
     if case.workload.kind == "compilation" and case.scenario is not None:
         return compilation.measure(case.scenario, label=case.label, worlds=case.worlds)
     return [_rate(case)]
 
 
-def _rate(case: Case) -> Row:
+def _rate(case: WorkloadCase) -> SpeedRow:
     workload, worlds, robots, repeats = case.workload, case.worlds, case.robots, case.repeats
     match workload.kind:
         case "generation":
@@ -87,7 +87,7 @@ def _rate(case: Case) -> Row:
     return simulation.measure(case.scenario, **sized, devices=case.devices, prepared=case.prepared)
 
 
-def _largest_that_fits(case: Case) -> int:
+def _largest_that_fits(case: WorkloadCase) -> int:
     """Largest half, quarter, eighth ... of the worlds that can be measured; 0 if not even one."""
     worlds = case.worlds // 2
     while worlds >= 1:
@@ -102,9 +102,9 @@ def _largest_that_fits(case: Case) -> int:
     return worlds
 
 
-def _refused(case: Case, why: str, out_of_memory: bool) -> Row:
+def _refused(case: WorkloadCase, why: str, out_of_memory: bool) -> SpeedRow:
     scenario = case.scenario
-    return Row(
+    return SpeedRow(
         workload=case.label,
         inside="",
         worlds=case.worlds,

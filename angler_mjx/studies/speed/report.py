@@ -7,7 +7,7 @@ from typing import Any
 
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.studies.speed.roofline import DeviceSpeed, bound
-from angler_mjx.studies.speed.rows import Row
+from angler_mjx.studies.speed.rows import SpeedRow
 
 
 def around(device: DeviceSpeed) -> dict[str, Any]:
@@ -21,7 +21,7 @@ def around(device: DeviceSpeed) -> dict[str, Any]:
     return {**found, "command": shlex.join(named)}
 
 
-def complete(row: Row, device: DeviceSpeed) -> dict[str, Any]:
+def complete(row: SpeedRow, device: DeviceSpeed) -> dict[str, Any]:
     """The roofline of a row in its own unit, and the share of it that was reached."""
     highest = bound(row, device)
     reached = None if highest is None or row.median is None else row.median / highest

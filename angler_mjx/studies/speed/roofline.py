@@ -17,11 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.studies.speed.rows import Row, seconds_of, turns
+from angler_mjx.studies.speed.rows import SpeedRow, seconds_of, turns
 
 CHAINS = 8
 """Side by side in each element."""
-_PROGRAM = triton.Program(lanes=256, warps=8)
+_PROGRAM = triton.LaunchedProgram(lanes=256, warps=8)
 _IN_A_TURN = 16
 """Links of each chain in a turn of the kernel's loop: its own instructions are few beside them."""
 
@@ -71,7 +71,7 @@ def measure(repeats: int = 10) -> DeviceSpeed:
     )
 
 
-def bound(row: Row, device: DeviceSpeed) -> float | None:
+def bound(row: SpeedRow, device: DeviceSpeed) -> float | None:
     """Highest rate that the row's devices allow; None if neither of its needs is known."""
     limits = []
     if row.flops:

@@ -33,7 +33,7 @@ DURATION = "s"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class SpeedRow:
     """One measurement."""
 
     workload: str
@@ -194,7 +194,7 @@ def peak_device_bytes() -> int | None:
     return None if peak is None else int(peak)
 
 
-def record(row: Row, around: dict[str, Any], out: Path) -> None:
+def record(row: SpeedRow, around: dict[str, Any], out: Path) -> None:
     """Append a row to a JSON-lines file.
 
     Args:
@@ -214,7 +214,7 @@ def record(row: Row, around: dict[str, Any], out: Path) -> None:
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """All rows of a file, oldest first, each with all fields of `Row` and where it was measured.
+    """Return all rows of a file, oldest first: fields of `SpeedRow`, and where it was measured.
 
     Raises:
         ConfigError: the file cannot be read, or a line of it is no row.
@@ -223,7 +223,7 @@ def read(path: Path) -> list[dict[str, Any]]:
 
 
 def _rows(text: str, path: Path) -> Iterator[dict[str, Any]]:
-    absent = {name: None for name in Row.__dataclass_fields__} | {
+    absent = {name: None for name in SpeedRow.__dataclass_fields__} | {
         "out_of_memory": False,
         "devices": 1,
         "extra": {},

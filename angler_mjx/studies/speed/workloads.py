@@ -117,7 +117,7 @@ WORKLOADS: dict[str, Workload] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grid:
+class WorkloadGrid:
     """Sizes of a profile; an empty tuple stands for a workload's own number of robots."""
 
     workloads: tuple[str, ...]
@@ -129,12 +129,12 @@ _ALL = tuple(name for name in WORKLOADS if name not in ("recording", "compile"))
 """But the disk's, which takes as much of the disk as a run, and the compiler's: neither is the
 speed of the device."""
 
-PROFILES: dict[Profile, Grid] = {
-    "quick": Grid(
+PROFILES: dict[Profile, WorkloadGrid] = {
+    "quick": WorkloadGrid(
         workloads=("dynamics", "closed_loop_8", "reef_fleet", "mjx", "clearance"), worlds=(64,)
     ),
-    "full": Grid(workloads=_ALL, worlds=(1, 64, 1024, 16384)),
-    "paper": Grid(
+    "full": WorkloadGrid(workloads=_ALL, worlds=(1, 64, 1024, 16384)),
+    "paper": WorkloadGrid(
         workloads=_ALL,
         worlds=(1, 64, 1024, 16384, 262144),
         robots=(1, 4, 16, 64),
@@ -143,7 +143,7 @@ PROFILES: dict[Profile, Grid] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class SpeedRequest:
     """What is asked for; empty tuples stand for the profile's."""
 
     profile: Profile = "quick"
@@ -164,7 +164,7 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class WorkloadCase:
     """One row to be measured."""
 
     workload: Workload
@@ -188,7 +188,7 @@ class Case:
         return f"{name}/{self.controller}" if self.controller else name
 
 
-def cases(request: Request) -> list[Case]:
+def cases(request: SpeedRequest) -> list[WorkloadCase]:
     """All rows of a request; worlds grow fastest.
 
     Raises:
@@ -214,7 +214,7 @@ def cases(request: Request) -> list[Case]:
     return found
 
 
-def _chosen(request: Request, grid: Grid) -> list[Workload]:
+def _chosen(request: SpeedRequest, grid: WorkloadGrid) -> list[Workload]:
     """Workloads of a request; of ``compile`` one for each scenario.
 
     Raises:
@@ -243,7 +243,7 @@ def _fleets(workload: Workload, robots: tuple[int, ...]) -> tuple[int, ...]:
     return robots if robots and workload.kind != "dynamics" else (workload.robots,)
 
 
-def _controllers(workload: Workload, request: Request) -> tuple[str | None, ...]:
+def _controllers(workload: Workload, request: SpeedRequest) -> tuple[str | None, ...]:
     """Controllers that a workload is measured with; None for its own."""
     if unknown := [name for name in request.controllers if name not in CONTROLLERS]:
         raise ConfigError(f"--controller {unknown[0]}: there is {', '.join(CONTROLLERS)}")
@@ -253,17 +253,17 @@ def _controllers(workload: Workload, request: Request) -> tuple[str | None, ...]
 def _of_fleet(
     workload: Workload,
     robots: int,
-    request: Request,
+    request: SpeedRequest,
     worlds: tuple[int, ...],
     controller: str | None,
-) -> list[Case]:
+) -> list[WorkloadCase]:
     """The rows of one workload, number of robots and controller."""
     scenario = _scenario(workload, robots, request, controller)
     if not worlds and scenario is not None:
         worlds = (scenario.tile or default_tile(scenario.worlds),)
     devices = request.devices if workload.kind == "simulation" else 1
     return [
-        Case(
+        WorkloadCase(
             workload=workload,
             worlds=size,
             robots=robots,
@@ -312,7 +312,7 @@ def _simulation(name: str) -> Workload:
 
 
 def _scenario(
-    workload: Workload, robots: int, request: Request, controller: str | None
+    workload: Workload, robots: int, request: SpeedRequest, controller: str | None
 ) -> Scenario | None:
     """The scenario of a workload with this many robots; None for workloads without one."""
     if workload.kind not in ("simulation", "recording", "preparation", "compilation"):

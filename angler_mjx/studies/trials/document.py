@@ -11,14 +11,14 @@ from angler_mjx.studies.flights import kinds, measures
 from angler_mjx.studies.flights.draws import CURRENT_MPS, STEP_M
 from angler_mjx.studies.trials import draws, eight, steps, trial
 from angler_mjx.studies.trials.eight import Eight
-from angler_mjx.studies.trials.steps import Step
+from angler_mjx.studies.trials.steps import TrialStep
 from angler_mjx.studies.trials.trial import Trial
 
 BEGIN, END = "<!-- trials: begin -->", "<!-- trials: end -->"
 _STILL, _CURRENT = steps.CURRENTS_MPS
 
 
-def text(trials: Sequence[Trial], third_order: Sequence[Step], images: str) -> str:
+def text(trials: Sequence[Trial], third_order: Sequence[TrialStep], images: str) -> str:
     """Everything between the marks.
 
     Args:
@@ -154,7 +154,7 @@ def _draws(trials: Sequence[Trial]) -> str:
     )
 
 
-def _third_order(flown: Sequence[Step]) -> str:
+def _third_order(flown: Sequence[TrialStep]) -> str:
     return (
         "The cascade with rotors that answer as von Benzon et al. 2022 identified them "
         '(`rotor_response = "third_order"`), in place of the lag.\n\n' + _step_table(flown)
@@ -182,7 +182,7 @@ def _gains(controller: str) -> str:
     return "Gains. " + "; ".join(parts) + "."
 
 
-def _step_table(flown: Sequence[Step]) -> str:
+def _step_table(flown: Sequence[TrialStep]) -> str:
     head = [
         "vehicle, set",
         "rise, s",

@@ -20,8 +20,8 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import courses, draws, flying, kinds, tracks
 from angler_mjx.studies.flights.draws import CURRENT_MPS, STEP_M
-from angler_mjx.studies.flights.flying import Orders
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.flying import FlightSettings
+from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.flights.measures import RATE_RADPS, TILT_RAD
 from angler_mjx.studies.flights.tracks import Track
 from angler_mjx.world.currents import Uniform
@@ -47,11 +47,11 @@ _GAINS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
-class Draw:
+class TrialSample:
     """One draw."""
 
     seed: int
-    kind: Kind
+    kind: FlightKind
     battery_v: float
     current_mps: FloatArray
     """[3] in W."""
@@ -64,10 +64,10 @@ class Draw:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class TrialVerdict:
     """What came of one draw."""
 
-    draw: Draw
+    draw: TrialSample
     tilt_rad: float
     """Greatest of the flight."""
     rate_radps: float
@@ -109,11 +109,11 @@ class _Kept:
 
     params: ControlParams
     """[n] leads; on the host."""
-    row: dict[tuple[Kind, float], int]
+    row: dict[tuple[FlightKind, float], int]
     """Of each vehicle with each battery."""
 
 
-def draw(seed: int) -> Draw:
+def draw(seed: int) -> TrialSample:
     """The draw of a seed (host side)."""
     rng = np.random.default_rng(seed)
     vehicles = kinds.shipped()
@@ -123,7 +123,7 @@ def draw(seed: int) -> Draw:
     speed, course = rng.uniform(0.0, CURRENT_MPS), rng.uniform(-math.pi, math.pi)
     direction = rng.normal(size=3)
     step = rng.uniform(0.0, STEP_M) * draws.unit(direction)
-    return Draw(
+    return TrialSample(
         seed=seed,
         kind=kind,
         battery_v=round(volts, 6),
@@ -155,7 +155,7 @@ def gains_of(spec: SimSpec, shares: FloatArray) -> tuple[Any, ...]:
 
 def fly(
     controller: str, seeds: Sequence[int], done: Callable[[int], None] = lambda _: None
-) -> Iterator[Verdict]:
+) -> Iterator[TrialVerdict]:
     """Fly draws with a controller, chunk by chunk.
 
     Args:
@@ -184,11 +184,11 @@ def fly(
         done(len(chunk))
 
 
-def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[Draw]) -> Orders:
+def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[TrialSample]) -> FlightSettings:
     params = kinds.chosen(kept.params, [kept.row[one.kind, one.battery_v] for one in chunk])
     steps, yaws = np.array([one.step_m for one in chunk]), np.array([one.yaw_rad for one in chunk])
     flows = jnp.asarray(np.array([one.current_mps for one in chunk]), float)
-    return Orders(
+    return FlightSettings(
         params=params,
         plant=params.vehicle,
         start_m=flying.starts(len(chunk)),
@@ -198,7 +198,7 @@ def _orders(spec: SimSpec, kept: _Kept, chunk: Sequence[Draw]) -> Orders:
     )
 
 
-def _build(every: Sequence[Draw]) -> _Kept:
+def _build(every: Sequence[TrialSample]) -> _Kept:
     """What all draws need; each vehicle with each battery once."""
     rows = list(dict.fromkeys((one.kind, one.battery_v) for one in every))
     built = kinds.build([kind for kind, _ in rows], [volt for _, volt in rows])
@@ -206,10 +206,10 @@ def _build(every: Sequence[Draw]) -> _Kept:
     return _Kept(params=on_host, row={row: i for i, row in enumerate(rows)})
 
 
-def _verdict(one: Draw, track: Track, i: int, last: int, able_mps: float) -> Verdict:
+def _verdict(one: TrialSample, track: Track, i: int, last: int, able_mps: float) -> TrialVerdict:
     end = track.position_m[i, -last:]
     off = np.linalg.norm(end - courses.START_M - one.step_m, axis=1)
-    return Verdict(
+    return TrialVerdict(
         draw=one,
         tilt_rad=float(track.tilt_rad[i].max()),
         rate_radps=float(track.rate_radps[i].max()),

@@ -11,8 +11,8 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights import courses, draws, flying, kinds, tracks
 from angler_mjx.studies.flights.courses import Times
 from angler_mjx.studies.flights.draws import MASS_ERROR, VORTEX_MPS
-from angler_mjx.studies.flights.flying import Orders
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.flying import FlightSettings
+from angler_mjx.studies.flights.kinds import FlightKind
 
 SPEED_MPS, SLOW_MPS = 0.5, 0.3
 """Along the course; the slow one for sets that cannot make 0.5 m/s against the vortices."""
@@ -34,7 +34,7 @@ controllers believe; its volume is as they believe, so it sinks or rises."""
 class Eight:
     """What came of one figure of eight."""
 
-    kind: Kind
+    kind: FlightKind
     condition: str
     speed_mps: float
     in_time_m: float
@@ -53,7 +53,7 @@ class Eight:
         return self.across_m if math.isnan(self.in_time_m) else self.in_time_m
 
 
-def fly(controller: str, vehicles: Sequence[Kind]) -> tuple[Eight, ...]:
+def fly(controller: str, vehicles: Sequence[FlightKind]) -> tuple[Eight, ...]:
     """Fly the figure of eight with some vehicles, in all conditions."""
     spec = kinds.spec_of(controller)
     timed = kinds.keeps_time(spec)
@@ -64,7 +64,7 @@ def fly(controller: str, vehicles: Sequence[Kind]) -> tuple[Eight, ...]:
     flown = [courses.eight(speed, times) for speed in speeds]
     params = kinds.chosen(kinds.build(vehicles), rows)
     heavier = np.array([1.0 + error for _, (_, _, error) in cases])
-    orders = Orders(
+    orders = FlightSettings(
         params=params,
         plant=draws.as_it_is(params.vehicle, heavier),
         start_m=flying.starts(len(cases)),
@@ -92,6 +92,6 @@ def fly(controller: str, vehicles: Sequence[Kind]) -> tuple[Eight, ...]:
     return tuple(out)
 
 
-def _speed(kind: Kind, condition: str) -> float:
+def _speed(kind: FlightKind, condition: str) -> float:
     slow = kind.parameter_set in SLOW_SETS and condition != CONDITIONS[0][0]
     return SLOW_MPS if slow else SPEED_MPS

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from angler_mjx.report.viewing import style
 from angler_mjx.studies.flights import kinds
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.trials import eight, steps
 from angler_mjx.studies.trials.trial import Trial
 
@@ -49,11 +49,11 @@ def draw(trial: Trial) -> Figure:
     return figure
 
 
-def _label(kind: Kind) -> str:
+def _label(kind: FlightKind) -> str:
     return kind.label + (" (nothing holds it level)" if kind in kinds.loose() else "")
 
 
-def _steps(panel: Axes, trial: Trial, axis: str, vehicles: Sequence[Kind]) -> None:
+def _steps(panel: Axes, trial: Trial, axis: str, vehicles: Sequence[FlightKind]) -> None:
     time = trial.flown.time_s
     early = time <= SHOWN_S
     panel.axhline(1.0, color=style.FAINT, linewidth=1.0)
@@ -79,7 +79,7 @@ def _steps(panel: Axes, trial: Trial, axis: str, vehicles: Sequence[Kind]) -> No
     panel.grid()
 
 
-def _tracks(panel: Axes, trial: Trial, condition: str, vehicles: Sequence[Kind]) -> None:
+def _tracks(panel: Axes, trial: Trial, condition: str, vehicles: Sequence[FlightKind]) -> None:
     for i, kind in enumerate(vehicles):
         one = next(e for e in trial.eights if (e.kind, e.condition) == (kind, condition))
         if i == 0:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.studies.trials.draws import Verdict
+from angler_mjx.studies.trials.draws import TrialVerdict
 from angler_mjx.studies.trials.trial import Trial
 
 
@@ -33,7 +33,7 @@ def write_draws(path: Path, trials: Sequence[Trial]) -> None:
         raise RunError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def verdict_text(controller: str, verdict: Verdict) -> str:
+def verdict_text(controller: str, verdict: TrialVerdict) -> str:
     """One draw in words."""
     one = verdict.draw
     speed, course = np.linalg.norm(one.current_mps), np.arctan2(*one.current_mps[1::-1])
@@ -49,6 +49,6 @@ def verdict_text(controller: str, verdict: Verdict) -> str:
     )
 
 
-def _key(verdict: Verdict) -> tuple[tuple[str, str], str]:
+def _key(verdict: TrialVerdict) -> tuple[tuple[str, str], str]:
     kind = verdict.draw.kind
     return (kind.vehicle, kind.parameter_set), verdict.outcome

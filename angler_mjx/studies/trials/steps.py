@@ -11,8 +11,8 @@ import numpy as np
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights import courses, flying, kinds, tracks
-from angler_mjx.studies.flights.flying import Orders
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.flying import FlightSettings
+from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.world.currents import Uniform
 
 AXES = ("x", "y", "z", "yaw")
@@ -26,10 +26,10 @@ LAST_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Step:
+class TrialStep:
     """What came of one step."""
 
-    kind: Kind
+    kind: FlightKind
     axis: str
     current_mps: float
     response: FloatArray
@@ -51,17 +51,17 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class TrialFlight:
     """All steps of a controller."""
 
     time_s: FloatArray
     """[t]."""
-    steps: tuple[Step, ...]
+    steps: tuple[TrialStep, ...]
 
 
 def fly(
-    controller: str, vehicles: Sequence[Kind], rotor_response: RotorResponse | None = None
-) -> Flown:
+    controller: str, vehicles: Sequence[FlightKind], rotor_response: RotorResponse | None = None
+) -> TrialFlight:
     """Fly all steps of some vehicles with a controller, in still water and in a current.
 
     A controller of paths chooses its own heading: it flies no step of yaw.
@@ -79,7 +79,7 @@ def fly(
     goals = np.array([SIZES[axis] * np.eye(4)[axis] for _, axis, _ in cases])
     flows = np.array([[0.0, flow, 0.0] for _, _, flow in cases])
     params = kinds.chosen(kinds.build(vehicles, rotor_response=rotor_response), rows)
-    orders = Orders(
+    orders = FlightSettings(
         params=params,
         plant=params.vehicle,
         start_m=flying.starts(len(cases)),
@@ -100,7 +100,7 @@ def fly(
         rise = tracks.rise_of(track.time_s, response)
         settling = tracks.settling_of(track.time_s, response)
         steps.append(
-            Step(
+            TrialStep(
                 kind=vehicles[row],
                 axis=AXES[axis],
                 current_mps=flow,
@@ -114,4 +114,4 @@ def fly(
                 tilt_rad=float(track.tilt_rad[i].max()),
             )
         )
-    return Flown(time_s=track.time_s, steps=tuple(steps))
+    return TrialFlight(time_s=track.time_s, steps=tuple(steps))

@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.trials import draws, eight, steps
-from angler_mjx.studies.trials.draws import Verdict
+from angler_mjx.studies.trials.draws import TrialVerdict
 from angler_mjx.studies.trials.eight import Eight
-from angler_mjx.studies.trials.steps import Flown, Step
+from angler_mjx.studies.trials.steps import TrialFlight, TrialStep
 
 STILL_M, STILL_RAD, CURRENT_M = 0.02, math.radians(1.0), 0.05
 """Steady errors after a step: in still water, and in the current."""
@@ -22,14 +22,14 @@ class Trial:
     """What came of all trials of one controller."""
 
     controller: str
-    flown: Flown
+    flown: TrialFlight
     eights: tuple[Eight, ...]
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[TrialVerdict, ...]
     """Of the draws; empty if none were asked for."""
 
 
 def fly(
-    controller: str, vehicles: Sequence[Kind], n_draw: int, done: Callable[[int], None]
+    controller: str, vehicles: Sequence[FlightKind], n_draw: int, done: Callable[[int], None]
 ) -> Trial:
     """Fly every trial of a controller.
 
@@ -47,7 +47,7 @@ def fly(
     )
 
 
-def misses_of_step(step: Step) -> list[str]:
+def misses_of_step(step: TrialStep) -> list[str]:
     """Targets that a step missed, in words."""
     most = STILL_M if step.current_mps == 0.0 else CURRENT_M
     out = []
@@ -66,6 +66,6 @@ def misses_of_eight(one: Eight) -> list[str]:
     return [] if one.error_m <= most else [f"{100 * one.error_m:.3g} cm"]
 
 
-def counts(verdicts: Sequence[Verdict]) -> Counter[str]:
+def counts(verdicts: Sequence[TrialVerdict]) -> Counter[str]:
     """How many draws had each outcome."""
     return Counter(verdict.outcome for verdict in verdicts)

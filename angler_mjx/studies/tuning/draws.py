@@ -19,11 +19,11 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.studies.flights import courses, draws, flying, kinds, measures
-from angler_mjx.studies.flights.courses import Course, Times
+from angler_mjx.studies.flights.courses import FlightCourse, Times
 from angler_mjx.studies.flights.draws import CURRENT_MPS, MASS_ERROR, VORTEX_MPS
-from angler_mjx.studies.flights.flying import Orders
-from angler_mjx.studies.flights.kinds import Kind
-from angler_mjx.studies.flights.measures import Reference
+from angler_mjx.studies.flights.flying import FlightSettings
+from angler_mjx.studies.flights.kinds import FlightKind
+from angler_mjx.studies.flights.measures import ReferenceMotion
 from angler_mjx.world.currents import Uniform, Vortices
 
 COURSES = ("step", "hold", "eight")
@@ -50,7 +50,7 @@ TRAIN, HELD_OUT = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robots:
+class TunedRobots:
     """What flies: the distinct robots of a scenario that something holds level."""
 
     labels: tuple[str, ...]
@@ -66,13 +66,13 @@ class Robots:
 class Flights:
     """A set of flights, on the host."""
 
-    orders: Orders
-    reference: Reference
+    orders: FlightSettings
+    reference: ReferenceMotion
     group: Any
     """int [n] of each flight: robot * 3 + course."""
 
 
-def robots(scenario: Scenario) -> Robots:
+def robots(scenario: Scenario) -> TunedRobots:
     """The distinct robots of a scenario (host side).
 
     Raises:
@@ -88,7 +88,9 @@ def robots(scenario: Scenario) -> Robots:
         f"{name} ({v.battery_v:g} V)" if names.count(name) > 1 else name
         for name, v in zip(names, every, strict=True)
     ]
-    loose = [Kind(vehicle=v.vehicle, parameter_set=v.parameter_set) in kinds.loose() for v in every]
+    loose = [
+        FlightKind(vehicle=v.vehicle, parameter_set=v.parameter_set) in kinds.loose() for v in every
+    ]
     rows = [i for i, bad in enumerate(loose) if not bad]
     left_out = tuple(label for label, bad in zip(labels, loose, strict=True) if bad)
     if not rows:
@@ -100,7 +102,7 @@ def robots(scenario: Scenario) -> Robots:
         max(_whole(min(SPEED_MPS, cruise[row], 0.9 * most - VORTEX_MPS)), SPEED_STEP_MPS)
         for row, most in zip(rows, able, strict=True)
     ]
-    return Robots(
+    return TunedRobots(
         labels=tuple(labels[row] for row in rows),
         params=params,
         eight_mps=tuple(speeds),
@@ -113,7 +115,7 @@ def _whole(speed_mps: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Draw:
+class _FlightSample:
     """What the seed of a flight says."""
 
     step_m: FloatArray
@@ -131,11 +133,11 @@ class _Draw:
     """-1 to 1, of the greatest error."""
 
 
-def _draw(seed: int, part: int, number: int) -> _Draw:
+def _draw(seed: int, part: int, number: int) -> _FlightSample:
     rng = np.random.default_rng([seed, part, number])
     direction = rng.normal(size=3)
     course = rng.uniform(-math.pi, math.pi)
-    return _Draw(
+    return _FlightSample(
         step_m=rng.uniform(*STEP_M) * draws.unit(direction),
         off_m=-OFF_M * draws.unit(direction),
         yaw_rad=rng.uniform(-math.pi, math.pi),
@@ -149,7 +151,7 @@ def _draw(seed: int, part: int, number: int) -> _Draw:
 
 
 def draw(
-    flown: Robots,
+    flown: TunedRobots,
     n: int,
     seed: int,
     part: int,
@@ -186,7 +188,7 @@ def draw(
     current = bound[:, None] * np.array([one.current for one in drawn])
     heading = np.array([course.pose[0, 3] for course in wanted])
     return Flights(
-        orders=Orders(
+        orders=FlightSettings(
             params=params,
             plant=draws.as_it_is(
                 params.vehicle,
@@ -206,8 +208,8 @@ def draw(
 
 
 def _course(
-    one: _Draw, kind: str, eight_mps: float, cruise_mps: float, times: Times, timed: bool
-) -> Course:
+    one: _FlightSample, kind: str, eight_mps: float, cruise_mps: float, times: Times, timed: bool
+) -> FlightCourse:
     """The course of a flight."""
     if kind == "eight":
         return courses.eight(eight_mps, times)
@@ -217,7 +219,7 @@ def _course(
     return courses.line(step, cruise_mps, times)
 
 
-def _vortices(drawn: Sequence[_Draw], eights: FloatArray) -> Vortices:
+def _vortices(drawn: Sequence[_FlightSample], eights: FloatArray) -> Vortices:
     """Those of the trials, of drawn strength and sense, shifted; none but for eights."""
     most = np.array([one.vortex_mps * on for one, on in zip(drawn, eights, strict=True)])
     there: Vortices = jax.tree.map(np.asarray, draws.vortices(most))

@@ -12,14 +12,14 @@ from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights.measures import KEPT_S, Measures
 from angler_mjx.studies.tuning.draws import COURSES
 from angler_mjx.studies.tuning.knobs import SPAN
-from angler_mjx.studies.tuning.outcome import Outcome, Part
+from angler_mjx.studies.tuning.outcome import ObjectivePart, TuningOutcome
 
 BEFORE, AFTER = style.QUIET, style.ROBOTS[0]
 _LEAST_M = 1e-3
 """Errors below this are drawn as this."""
 
 
-def search(found: Outcome) -> Figure:
+def search(found: TuningOutcome) -> Figure:
     """Costs of all candidates, and where each gain ended within its bounds."""
     settings = found.problem.settings
     with style.styled():
@@ -36,7 +36,7 @@ def search(found: Outcome) -> Figure:
     return figure
 
 
-def _costs(panel: Axes, found: Outcome) -> None:
+def _costs(panel: Axes, found: TuningOutcome) -> None:
     costs = [generation.costs for generation in found.history.generations]
     number = np.arange(1, len(costs) + 1)
     best = np.minimum.accumulate([min(1.0, *some) for some in costs])
@@ -54,7 +54,7 @@ def _costs(panel: Axes, found: Outcome) -> None:
     panel.grid(which="both")
 
 
-def _gains(panel: Axes, found: Outcome) -> None:
+def _gains(panel: Axes, found: TuningOutcome) -> None:
     for i, (knob, turn) in enumerate(zip(found.problem.knobs, found.turns, strict=True)):
         low, high, at = np.exp([knob.low, knob.high, turn])
         panel.plot([low, high], [i, i], color=style.FAINT, linewidth=5.0, solid_capstyle="butt")
@@ -75,7 +75,7 @@ def _gains(panel: Axes, found: Outcome) -> None:
     panel.set_xlabel("factor; grey: searched in")
 
 
-def errors(found: Outcome) -> Figure:
+def errors(found: TuningOutcome) -> Figure:
     """Errors of position over time on the held-out flights, by robot and course."""
     part, labels = found.held_out, found.problem.robots.labels
     with style.styled():
@@ -98,7 +98,7 @@ def errors(found: Outcome) -> Figure:
     return figure
 
 
-def _errors(panel: Axes, part: Part, chosen: FloatArray) -> None:
+def _errors(panel: Axes, part: ObjectivePart, chosen: FloatArray) -> None:
     for found, color in ((part.before, BEFORE), (part.after, AFTER)):
         off = _off(part, found)[chosen]
         time = KEPT_S * np.arange(off.shape[1])
@@ -109,7 +109,7 @@ def _errors(panel: Axes, part: Part, chosen: FloatArray) -> None:
     panel.grid()
 
 
-def _off(part: Part, found: Measures) -> FloatArray:
+def _off(part: ObjectivePart, found: Measures) -> FloatArray:
     """[n, k] distance from where each vehicle should be, m; nan where it failed."""
     pose = np.asarray(part.flights.reference.pose)
     every = round(pose.shape[1] / found.position_m.shape[1])
@@ -117,7 +117,7 @@ def _off(part: Part, found: Measures) -> FloatArray:
     return np.where(np.asarray(found.failed)[:, None], np.nan, off)
 
 
-def tracks(found: Outcome) -> Figure:
+def tracks(found: TuningOutcome) -> Figure:
     """The figure of eight from above: the held-out flight of each robot that erred most before."""
     part, labels = found.held_out, found.problem.robots.labels
     with style.styled():
@@ -146,7 +146,7 @@ def tracks(found: Outcome) -> Figure:
     return figure
 
 
-ALL: Mapping[str, Callable[[Outcome], Figure]] = {
+ALL: Mapping[str, Callable[[TuningOutcome], Figure]] = {
     "search": search,
     "errors": errors,
     "tracks": tracks,

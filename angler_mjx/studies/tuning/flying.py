@@ -11,8 +11,8 @@ import numpy as np
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import flying, kinds, measures
-from angler_mjx.studies.flights.flying import Orders
-from angler_mjx.studies.flights.measures import Measures, Reference
+from angler_mjx.studies.flights.flying import FlightSettings
+from angler_mjx.studies.flights.measures import Measures, ReferenceMotion
 from angler_mjx.studies.tuning import knobs as turning
 from angler_mjx.studies.tuning.draws import FLIGHT_S, Flights
 from angler_mjx.studies.tuning.knobs import Knob
@@ -27,7 +27,7 @@ SLOPED = ("ise_m2s", "energy_jpm", "swing_m", "jitter_us")
 type Done = Callable[[int], None]
 
 
-class Flyer:
+class TuningFlyer:
     """Flies gains of one stack; each program is compiled when it is first asked for."""
 
     def __init__(self, spec: SimSpec, knobs: Sequence[Knob], chunk: int | None = None) -> None:
@@ -85,8 +85,8 @@ def _measure(
     spec: SimSpec,
     knobs: tuple[Knob, ...],
     settings: jax.Array,
-    orders: Orders,
-    reference: Reference,
+    orders: FlightSettings,
+    reference: ReferenceMotion,
 ) -> Measures:
     """One flight of one candidate."""
     turned = replace(spec, gains=turning.turned(spec, knobs, settings))
@@ -98,7 +98,7 @@ def _with_aux(one: Callable[..., Measures]) -> Callable[..., Any]:
     """The measures that have derivatives, and all of them beside."""
 
     def both(
-        settings: jax.Array, orders: Orders, reference: Reference
+        settings: jax.Array, orders: FlightSettings, reference: ReferenceMotion
     ) -> tuple[tuple[jax.Array, ...], Measures]:
         found = one(settings, orders, reference)
         return tuple(getattr(found, name) for name in SLOPED), found

@@ -15,21 +15,21 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.storage import atomic, claims
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import read_table, reading
-from angler_mjx.studies.tuning.search import Generation, History
+from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 CHECKPOINT = "checkpoint.json"
 ADVICE = "put back a copy of it, or begin a new tuning"
 
 
-def create(out: Path) -> Claim:
+def create(out: Path) -> OutputLock:
     """Take the name of a new tuning and make its hidden folder.
 
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return claims.claim(out, what="tuning", left=_left)
+    return claims.acquire(out, what="tuning", left=_left)
 
 
 def _left(building: Path) -> str | None:
@@ -38,7 +38,7 @@ def _left(building: Path) -> str | None:
 
 def reopen(
     out: Path, require: Callable[[dict[str, Any]], None] = lambda known: None
-) -> tuple[Claim, dict[str, Any]]:
+) -> tuple[OutputLock, dict[str, Any]]:
     """The hidden folder of an interrupted tuning, and its checkpoint.
 
     Args:
@@ -58,7 +58,7 @@ def reopen(
         raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
     with reading(place / CHECKPOINT, ADVICE):
         require(table)
-    claimed = claims.reclaim(out, what="tuning")
+    claimed = claims.acquire_unfinished(out, what="tuning")
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
     return claimed, table
@@ -77,7 +77,7 @@ def _read(folder: Path) -> dict[str, Any]:
     return table
 
 
-def save(building: Path, table: dict[str, Any], history: History, *, complete: bool) -> None:
+def save(building: Path, table: dict[str, Any], history: TuningHistory, *, complete: bool) -> None:
     """Keep what was found so far: the whole file, or the one before it.
 
     Args:

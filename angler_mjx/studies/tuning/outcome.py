@@ -9,15 +9,15 @@ import numpy as np
 from angler_mjx.studies.flights.measures import Measures
 from angler_mjx.studies.tuning import draws, knobs
 from angler_mjx.studies.tuning.draws import Flights
-from angler_mjx.studies.tuning.problem import Problem
-from angler_mjx.studies.tuning.search import History
+from angler_mjx.studies.tuning.problem import TuningProblem
+from angler_mjx.studies.tuning.search import TuningHistory
 
 STIFFER = 1.5
 """What came out is also flown with every tuned gain times this: how far from trouble it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
+class ObjectivePart:
     """A set of flights with the gains before and after."""
 
     flights: Flights
@@ -29,16 +29,16 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class TuningOutcome:
     """What came of a tuning."""
 
-    problem: Problem
-    history: History
+    problem: TuningProblem
+    history: TuningHistory
     turns: list[float]
     """[n_knob] the best settings, as they are written."""
-    train: Part
-    held_out: Part
-    stiffer: Part
+    train: ObjectivePart
+    held_out: ObjectivePart
+    stiffer: ObjectivePart
     """The held-out flights with every tuned gain times ``STIFFER``, as ``after``."""
     provenance: dict[str, Any]
 
@@ -60,7 +60,9 @@ class Outcome:
         )
 
 
-def measure(problem: Problem, history: History, provenance: dict[str, Any]) -> Outcome:
+def measure(
+    problem: TuningProblem, history: TuningHistory, provenance: dict[str, Any]
+) -> TuningOutcome:
     """Fly the best candidate, and what the search began with, on both sets of flights.
 
     Args:
@@ -73,7 +75,7 @@ def measure(problem: Problem, history: History, provenance: dict[str, Any]) -> O
     train = _part(problem, problem.train, turns)
     held_out = _part(problem, problem.flights(draws.HELD_OUT), turns)
     stiff = problem.fly(np.array(turns) + math.log(STIFFER), held_out.flights)
-    return Outcome(
+    return TuningOutcome(
         problem=problem,
         history=history,
         turns=turns,
@@ -84,11 +86,13 @@ def measure(problem: Problem, history: History, provenance: dict[str, Any]) -> O
     )
 
 
-def _part(problem: Problem, flown: Flights, turns: list[float]) -> Part:
+def _part(problem: TuningProblem, flown: Flights, turns: list[float]) -> ObjectivePart:
     before = problem.fly(np.zeros(len(turns)), flown)
     return _judged(problem, flown, before, problem.fly(np.array(turns), flown))
 
 
-def _judged(problem: Problem, flown: Flights, before: Measures, after: Measures) -> Part:
+def _judged(
+    problem: TuningProblem, flown: Flights, before: Measures, after: Measures
+) -> ObjectivePart:
     cost = problem.judge(flown, before).cost(after)
-    return Part(flights=flown, before=before, after=after, cost=cost)
+    return ObjectivePart(flights=flown, before=before, after=after, cost=cost)

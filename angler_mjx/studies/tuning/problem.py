@@ -16,7 +16,7 @@ from angler_mjx.studies.flights import kinds
 from angler_mjx.studies.flights.measures import LAST_S, Measures
 from angler_mjx.studies.tuning import draws, knobs, objectives
 from angler_mjx.studies.tuning.draws import COURSES, Flights
-from angler_mjx.studies.tuning.flying import Done, Flyer
+from angler_mjx.studies.tuning.flying import Done, TuningFlyer
 from angler_mjx.studies.tuning.objectives import Judge, Objective
 from angler_mjx.studies.tuning.search import Generation
 
@@ -27,7 +27,7 @@ ROUGH = ("ardusub", "ismc", "aitsm")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class TuningSettings:
     """What is to be tuned, and how."""
 
     scenario: Scenario
@@ -76,10 +76,10 @@ def spec_of(scenario: Scenario, controller: str) -> SimSpec:
     return spec
 
 
-class Problem:
+class TuningProblem:
     """A tuning set up: vehicles, knobs, and the two sets of flights."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: TuningSettings) -> None:
         """Build what is flown (host side).
 
         Raises:
@@ -100,7 +100,7 @@ class Problem:
                 f"--generations {settings.generations}, --seed {settings.seed}: give 1 or more "
                 "generations and a seed of 0 or more"
             )
-        self._flyer = Flyer(self.spec, self.knobs)
+        self._flyer = TuningFlyer(self.spec, self.knobs)
 
     def flights(self, part: int) -> Flights:
         """Those of one part, ``TRAIN`` or ``HELD_OUT``."""

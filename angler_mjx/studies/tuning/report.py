@@ -10,13 +10,13 @@ from angler_mjx.report.viewing.tables import table
 from angler_mjx.studies.flights.measures import Measures
 from angler_mjx.studies.tuning import figures, folder, gain_files
 from angler_mjx.studies.tuning.draws import COURSES
-from angler_mjx.studies.tuning.outcome import STIFFER, Outcome, Part
+from angler_mjx.studies.tuning.outcome import STIFFER, ObjectivePart, TuningOutcome
 
 _SHOWN = 20
 """Seeds of flights that failed, at most."""
 
 
-def write(place: Path, found: Outcome) -> None:
+def write(place: Path, found: TuningOutcome) -> None:
     """Write everything into a folder.
 
     Raises:
@@ -40,7 +40,7 @@ def write(place: Path, found: Outcome) -> None:
         save(draw(found), place / f"{name}.png", palette=128)
 
 
-def provenance_lines(found: Outcome) -> list[str]:
+def provenance_lines(found: TuningOutcome) -> list[str]:
     """Where the gains come from, a line each."""
     origin, settings = found.provenance, found.problem.settings
     versions = [f"{name} {number}" for name, number in origin["versions"].items() if number]
@@ -59,7 +59,7 @@ def provenance_lines(found: Outcome) -> list[str]:
     ]
 
 
-def text(found: Outcome) -> str:
+def text(found: TuningOutcome) -> str:
     """The report."""
     settings = found.problem.settings
     parts = [f"# {settings.controller}, tuned for {settings.objective}"]
@@ -77,7 +77,7 @@ def text(found: Outcome) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _objective(found: Outcome) -> str:
+def _objective(found: TuningOutcome) -> str:
     stiff = found.stiffer
     rows = [
         ["flights tuned on", *_costs(found.train)],
@@ -101,12 +101,12 @@ def _objective(found: Outcome) -> str:
     )
 
 
-def _costs(part: Part) -> list[str]:
+def _costs(part: ObjectivePart) -> list[str]:
     failed = [f"{int(np.sum(x.failed))} of {len(x.failed)}" for x in (part.before, part.after)]
     return ["1", f"{part.cost:.3f}", *failed]
 
 
-def _gains(found: Outcome) -> str:
+def _gains(found: TuningOutcome) -> str:
     rows = []
     for knob, turn in zip(found.problem.knobs, found.turns, strict=True):
         ends = {"least": knob.low, "most": knob.high}
@@ -124,7 +124,7 @@ def _gains(found: Outcome) -> str:
     return table(["gain", "before", "after", "searched in"], rows)
 
 
-def _measures(found: Outcome, part: Part) -> str:
+def _measures(found: TuningOutcome, part: ObjectivePart) -> str:
     columns: list[tuple[str, Callable[[Measures, np.ndarray], str]]] = [
         ("ISE, m² s", lambda m, k: f"{np.mean(m.ise_m2s[k]):.3g}"),
         ("RMS error, cm", lambda m, k: f"{100 * np.sqrt(np.mean(m.rms_m[k] ** 2)):.3g}"),

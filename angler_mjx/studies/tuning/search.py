@@ -21,7 +21,7 @@ class Generation:
 
 
 @dataclass(kw_only=True)
-class History:
+class TuningHistory:
     """What a search has seen so far; a search adds to it."""
 
     settings: list[list[list[float]]] = field(default_factory=list)
@@ -46,9 +46,9 @@ class Evaluate(Protocol):
         ...
 
 
-def replayed(optimiser: Optimiser, known: Sequence[Generation]) -> History:
+def replayed(optimiser: Optimiser, known: Sequence[Generation]) -> TuningHistory:
     """Tell an optimiser that begins what was found before."""
-    history = History()
+    history = TuningHistory()
     for generation in known:
         _tell(optimiser, history, optimiser.ask(), generation)
     return history
@@ -57,9 +57,9 @@ def replayed(optimiser: Optimiser, known: Sequence[Generation]) -> History:
 def run(
     optimiser: Optimiser,
     evaluate: Evaluate,
-    history: History,
+    history: TuningHistory,
     generations: int,
-    keep: Callable[[History], None],
+    keep: Callable[[TuningHistory], None],
 ) -> None:
     """Go on until so many generations are known.
 
@@ -77,7 +77,9 @@ def run(
         keep(history)
 
 
-def _tell(optimiser: Optimiser, history: History, settings: FloatArray, found: Generation) -> None:
+def _tell(
+    optimiser: Optimiser, history: TuningHistory, settings: FloatArray, found: Generation
+) -> None:
     optimiser.tell(found.costs, found.gradients)
     history.settings.append(settings.tolist())
     history.generations.append(found)

@@ -7,16 +7,16 @@ from typing import Any, Protocol
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.studies.tuning import folder, outcome, report, search
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
-from angler_mjx.studies.tuning.outcome import Outcome
-from angler_mjx.studies.tuning.problem import Problem, Settings
-from angler_mjx.studies.tuning.search import Generation, History
+from angler_mjx.studies.tuning.outcome import TuningOutcome
+from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
+from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 
-class Progress(Protocol):
+class TuningProgress(Protocol):
     """What a tuning tells while it goes on."""
 
     def start(self, flights: int, done: int) -> None:
@@ -32,25 +32,29 @@ class Progress(Protocol):
         """The search is over; what it found is flown again."""
 
 
-class Silent:
+class SilentTuningProgress:
     """A progress that says nothing."""
 
     def start(self, flights: int, done: int) -> None:
-        """See `Progress`."""
+        """See `TuningProgress`."""
 
     def flown(self, flights: int) -> None:
-        """See `Progress`."""
+        """See `TuningProgress`."""
 
     def generation(self, number: int, best: float) -> None:
-        """See `Progress`."""
+        """See `TuningProgress`."""
 
     def measuring(self) -> None:
-        """See `Progress`."""
+        """See `TuningProgress`."""
 
 
 def tune(
-    settings: Settings, out: Path, progress: Progress | None = None, *, resume: bool = False
-) -> Outcome:
+    settings: TuningSettings,
+    out: Path,
+    progress: TuningProgress | None = None,
+    *,
+    resume: bool = False,
+) -> TuningOutcome:
     """Tune into a new folder.
 
     An interrupt ends the search after the last whole generation; what was found by then is
@@ -68,8 +72,8 @@ def tune(
         RunError: the disk gave out.
         KeyboardInterrupt: before anything was found.
     """
-    told = progress or Silent()
-    problem = Problem(settings)
+    told = progress or SilentTuningProgress()
+    problem = TuningProblem(settings)
     optimiser = _optimiser(problem)
     claimed, table, history = _open(settings, out, optimiser, resume=resume)
     try:
@@ -79,13 +83,13 @@ def tune(
 
 
 def _tune(
-    problem: Problem,
+    problem: TuningProblem,
     optimiser: Optimiser,
-    claimed: Claim,
+    claimed: OutputLock,
     table: dict[str, Any],
-    history: History,
-    told: Progress,
-) -> Outcome:
+    history: TuningHistory,
+    told: TuningProgress,
+) -> TuningOutcome:
     """Search on in a folder, and close it."""
     settings, building = problem.settings, claimed.building
     each = optimiser.population * settings.rollouts
@@ -94,7 +98,7 @@ def _tune(
     def evaluate(candidates: FloatArray, *, gradients: bool) -> Generation:
         return problem.evaluate(candidates, gradients=gradients, done=told.flown)
 
-    def keep(known: History) -> None:
+    def keep(known: TuningHistory) -> None:
         folder.save(building, table, known, complete=False)
         told.generation(len(known.generations), known.best()[0])
 
@@ -111,7 +115,7 @@ def _tune(
     return found
 
 
-def _optimiser(problem: Problem) -> Optimiser:
+def _optimiser(problem: TuningProblem) -> Optimiser:
     low, high = ([getattr(knob, end) for knob in problem.knobs] for end in ("low", "high"))
     settings = problem.settings
     if settings.method == "gradient":
@@ -120,11 +124,11 @@ def _optimiser(problem: Problem) -> Optimiser:
 
 
 def _open(
-    settings: Settings, out: Path, optimiser: Optimiser, *, resume: bool
-) -> tuple[Claim, dict[str, Any], History]:
+    settings: TuningSettings, out: Path, optimiser: Optimiser, *, resume: bool
+) -> tuple[OutputLock, dict[str, Any], TuningHistory]:
     """The claimed folder, what its checkpoint begins with, and what was found before."""
     if not resume:
-        claimed, history = folder.create(out), History()
+        claimed, history = folder.create(out), TuningHistory()
         table = {"settings": settings.table(), "provenance": _provenance(settings)}
         try:
             folder.save(claimed.building, table, history, complete=False)
@@ -154,7 +158,7 @@ def _require_same(stored: dict[str, Any], wanted: dict[str, Any], out: Path) -> 
             )
 
 
-def _provenance(settings: Settings) -> dict[str, Any]:
+def _provenance(settings: TuningSettings) -> dict[str, Any]:
     """Of this process, with the package that searches."""
     origin = provenance.describe_environment()
     if settings.method == "cma":

@@ -10,18 +10,31 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import bounding, judging
-from angler_mjx.testing.referee.findings import QUANTITIES, TASK_QUANTITIES, Count, Finding, Verdict
-from angler_mjx.testing.referee.record import Run, open_run, worlds
-from angler_mjx.testing.referee.scene import Scene
+from angler_mjx.testing.referee.findings import (
+    QUANTITIES,
+    TASK_QUANTITIES,
+    FindingCount,
+    RefereeFinding,
+    RefereeVerdict,
+)
+from angler_mjx.testing.referee.record import RefereeRun, open_run, worlds
+from angler_mjx.testing.referee.scene import RefereeScene
 
-__all__ = ["QUANTITIES", "TASK_QUANTITIES", "Count", "Finding", "Verdict", "judge"]
+__all__ = [
+    "QUANTITIES",
+    "TASK_QUANTITIES",
+    "FindingCount",
+    "RefereeFinding",
+    "RefereeVerdict",
+    "judge",
+]
 
 
 def judge(
     path: Path | str,
     chosen: Sequence[int] | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Verdict:
+) -> RefereeVerdict:
     """Judge worlds of a run folder.
 
     Args:
@@ -38,7 +51,7 @@ def judge(
     if missing or not there:
         held = f"worlds {min(run.rows)} to {max(run.rows)}" if run.rows else "no finished world"
         raise ConfigError(f"--worlds {', '.join(map(str, missing))}: {path} holds {held}")
-    verdict = Verdict(
+    verdict = RefereeVerdict(
         run=str(path),
         planned_worlds=run.planned_worlds,
         finished_worlds=len(run.rows),
@@ -46,7 +59,7 @@ def judge(
     )
     progress(0, len(there))
     for world in worlds(run, there):
-        scene = Scene(run=run, world=world, rows=run.rows[world.index])
+        scene = RefereeScene(run=run, world=world, rows=run.rows[world.index])
         for robot in range(len(run.robots)):
             verdict.add(_findings(scene, robot))
         verdict.worlds += 1
@@ -56,7 +69,7 @@ def judge(
     return verdict
 
 
-def _findings(scene: Scene, robot: int) -> list[Finding]:
+def _findings(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     """Worked out anew where every step until the end was stored, held against bounds elsewhere."""
     stored = scene.state_at(scene.stored_step[robot])
     whole = len(scene.world.step) > len(scene.world.pwm_us)
@@ -65,7 +78,7 @@ def _findings(scene: Scene, robot: int) -> list[Finding]:
     return bounding.judge(scene, robot)
 
 
-def _sampling(run: Run) -> str:
+def _sampling(run: RefereeRun) -> str:
     older = ""
     if run.has_older_rows:
         older = "; of an older version, in which a robot arrived whenever it was near its goal"

@@ -4,17 +4,17 @@ import numpy as np
 
 from angler_mjx.testing.referee import findings as say
 from angler_mjx.testing.referee.contacts import STILL
-from angler_mjx.testing.referee.findings import Finding, Result
+from angler_mjx.testing.referee.findings import RefereeFinding, Result
 from angler_mjx.testing.referee.record import OUTCOMES
-from angler_mjx.testing.referee.scene import FAILED, Episode, Scene
-from angler_mjx.testing.referee.telling import Telling
+from angler_mjx.testing.referee.scene import FAILED, RefereeEpisode, RefereeScene
+from angler_mjx.testing.referee.telling import FindingCollector
 
 SPARSE = "what was between the samples is not known"
 
 
-def judge(scene: Scene, robot: int) -> list[Finding]:
+def judge(scene: RefereeScene, robot: int) -> list[RefereeFinding]:
     """Findings of one robot."""
-    tell, episode = Telling(scene, robot), Episode(scene, robot)
+    tell, episode = FindingCollector(scene, robot), RefereeEpisode(scene, robot)
     step, outcome = scene.stored_step[robot], scene.stored_outcome(robot)
     world = scene.world
     if step is None or step < 1 or outcome not in OUTCOMES or outcome == "running":
@@ -39,7 +39,9 @@ def judge(scene: Scene, robot: int) -> list[Finding]:
     return tell.found
 
 
-def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
+def _outcome(
+    tell: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, step: int
+) -> None:
     """No state before the end may end the episode, and one that shows the end must allow it."""
     robot, stored = episode.robot, scene.stored_outcome(episode.robot)
     world = scene.world
@@ -60,7 +62,9 @@ def _outcome(tell: Telling, scene: Scene, episode: Episode, step: int) -> None:
     tell.words("outcome", "bounded", stored, stored, "agrees", SPARSE)
 
 
-def _allows(scene: Scene, episode: Episode, state: int, step: int, stored: str) -> bool:
+def _allows(
+    scene: RefereeScene, episode: RefereeEpisode, state: int, step: int, stored: str
+) -> bool:
     """Whether the first stored state at or after the end allows the stored outcome."""
     if scene.world.step[state] == step:
         wanted = {"running"} if stored == "timeout" else {stored}
@@ -75,7 +79,7 @@ def _allows(scene: Scene, episode: Episode, state: int, step: int, stored: str) 
     return stored != "out_of_bounds" or (outside and still >= -scene.touch_m)
 
 
-def _time(tell: Telling, scene: Scene, robot: int, step: int) -> None:
+def _time(tell: FindingCollector, scene: RefereeScene, robot: int, step: int) -> None:
     """Between the last sample beside which it still ran and the first beside which it did not."""
     world, dt = scene.world, scene.run.control_dt_s
     ended = int(scene.ended[robot])
@@ -92,7 +96,12 @@ def _time(tell: Telling, scene: Scene, robot: int, step: int) -> None:
 
 
 def _numbers(
-    tell: Telling, scene: Scene, episode: Episode, step: int, before: int, held: int
+    tell: FindingCollector,
+    scene: RefereeScene,
+    episode: RefereeEpisode,
+    step: int,
+    before: int,
+    held: int,
 ) -> None:
     run, robot = scene.run, episode.robot
     row = scene.rows[robot]
@@ -125,7 +134,13 @@ def _numbers(
         tell.between(name, -np.inf if touches else -band, high + band, "no more than in a sample")
 
 
-def _touch(tell: Telling, scene: Scene, episode: Episode, held: int | None, outcome: str) -> None:
+def _touch(
+    tell: FindingCollector,
+    scene: RefereeScene,
+    episode: RefereeEpisode,
+    held: int | None,
+    outcome: str,
+) -> None:
     """With what; ``held`` is the state that shows where a robot ended, if one does."""
     if not outcome.startswith("collision"):
         tell.no_touch("exact")

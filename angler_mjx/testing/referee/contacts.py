@@ -19,8 +19,8 @@ from angler_mjx.testing.referee.geometry import (
     segment_point,
     segment_segment,
 )
-from angler_mjx.testing.referee.record import World
-from angler_mjx.testing.referee.vehicles import Hull
+from angler_mjx.testing.referee.record import RefereeWorld
+from angler_mjx.testing.referee.vehicles import RefereeHull
 
 CELL, FLOOR, OBSTACLE, ROBOT = 0, 1, 2, 3
 """Kinds of things, in the order in which the first of equals counts."""
@@ -39,7 +39,7 @@ type Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pairs:
+class ContactPairs:
     """States of robots with a thing each; [n] leads."""
 
     state: Ints
@@ -50,9 +50,9 @@ class Pairs:
     gap_m: Floats
     """Distance of the hulls, or a lower bound of it."""
 
-    def take(self, chosen: Any) -> "Pairs":
+    def take(self, chosen: Any) -> "ContactPairs":
         """Some of them."""
-        return Pairs(
+        return ContactPairs(
             state=self.state[chosen],
             robot=self.robot[chosen],
             kind=self.kind[chosen],
@@ -61,20 +61,20 @@ class Pairs:
         )
 
     @staticmethod
-    def join(parts: "list[Pairs]") -> "Pairs":
+    def join(parts: "list[ContactPairs]") -> "ContactPairs":
         """One after another."""
         names = ("state", "robot", "kind", "index")
         whole = {
             n: np.concatenate([np.zeros(0, int), *(getattr(p, n) for p in parts)]) for n in names
         }
-        return Pairs(gap_m=np.concatenate([np.zeros(0), *(p.gap_m for p in parts)]), **whole)
+        return ContactPairs(gap_m=np.concatenate([np.zeros(0), *(p.gap_m for p in parts)]), **whole)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
     """What was near in one world."""
 
-    pairs: Pairs
+    pairs: ContactPairs
     """All that can have been nearest or can have touched, with their distances."""
     cap_m: Floats
     """[R] distances to cells are known up to here, and so is the clearance."""
@@ -91,7 +91,7 @@ class Near:
         mine = self._of(robot, last) & (self.pairs.kind == ROBOT)
         return float(min(SEPARATION_M, np.min(self.pairs.gap_m[mine], initial=np.inf)))
 
-    def of(self, robot: int) -> Pairs:
+    def of(self, robot: int) -> ContactPairs:
         """All pairs of a robot."""
         return self.pairs.take(self.pairs.robot == robot)
 
@@ -100,7 +100,7 @@ class Near:
         return mine
 
 
-def find(world: World, hulls: tuple[Hull, ...], last: Ints, slack_m: float) -> Near:
+def find(world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, slack_m: float) -> Near:
     """Work out what was near.
 
     Args:
@@ -110,7 +110,7 @@ def find(world: World, hulls: tuple[Hull, ...], last: Ints, slack_m: float) -> N
         slack_m: pairs that are farther than the nearest by no more than this are kept as well.
     """
     cap = float(world.place["grid/cell_m"]) - np.array([hull.reach_m for hull in hulls])
-    found = Pairs.join(list(_candidates(world, hulls, last, cap)))
+    found = ContactPairs.join(list(_candidates(world, hulls, last, cap)))
     narrow = _Narrow(world, hulls)
     robots = found.kind == ROBOT
     parts = []
@@ -126,10 +126,12 @@ def find(world: World, hulls: tuple[Hull, ...], last: Ints, slack_m: float) -> N
         np.minimum.at(least, best.robot, best.gap_m)
         can = pairs.gap_m <= np.maximum(least, 0.0)[pairs.robot] + slack_m
         parts.append(narrow.gaps(pairs.take(can)))
-    return Near(pairs=Pairs.join(parts), cap_m=cap)
+    return Near(pairs=ContactPairs.join(parts), cap_m=cap)
 
 
-def _candidates(world: World, hulls: tuple[Hull, ...], last: Ints, cap: Floats) -> Iterator[Pairs]:
+def _candidates(
+    world: RefereeWorld, hulls: tuple[RefereeHull, ...], last: Ints, cap: Floats
+) -> Iterator[ContactPairs]:
     """Pairs whose bounding spheres are near enough to be known at all."""
     reach = np.array([hull.reach_m for hull in hulls])
     seen = np.arange(len(world.step))[:, None] <= last[None, :]
@@ -149,14 +151,16 @@ def _candidates(world: World, hulls: tuple[Hull, ...], last: Ints, cap: Floats) 
     yield from _robots(world, reach, last)
 
 
-def _pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> Pairs:
+def _pairs(state: Ints, robot: Ints, kind: int, index: Any, gap_m: Floats) -> ContactPairs:
     kinds = np.full(state.size, kind, np.int64)
-    return Pairs(state=state, robot=robot, kind=kinds, index=index.astype(np.int64), gap_m=gap_m)
+    return ContactPairs(
+        state=state, robot=robot, kind=kinds, index=index.astype(np.int64), gap_m=gap_m
+    )
 
 
 def _cells(
-    world: World, state: Ints, robot: Ints, p: Floats, reach: Floats, cap: Floats
-) -> Iterator[Pairs]:
+    world: RefereeWorld, state: Ints, robot: Ints, p: Floats, reach: Floats, cap: Floats
+) -> Iterator[ContactPairs]:
     """Occupied cells among the 27 around each centre: no other is nearer than the cap."""
     occupied = world.place["grid/occupied"]
     edge = float(world.place["grid/cell_m"])
@@ -181,7 +185,7 @@ def _cells(
     yield _pairs(state[row], robot[row], CELL, flat, bound[row, i, j, k])
 
 
-def _obstacle_reach(world: World) -> Floats:
+def _obstacle_reach(world: RefereeWorld) -> Floats:
     kind, size = world.place["obstacles/kind"], np.asarray(world.place["obstacles/size_m"], float)
     box = np.linalg.norm(size, axis=1)
     reach: Floats = np.select(
@@ -190,7 +194,7 @@ def _obstacle_reach(world: World) -> Floats:
     return reach
 
 
-def _robots(world: World, reach: Floats, last: Ints) -> Iterator[Pairs]:
+def _robots(world: RefereeWorld, reach: Floats, last: Ints) -> Iterator[ContactPairs]:
     """Both ways: each robot with each other one that is near it."""
     for one in range(reach.size):
         others = np.delete(np.arange(reach.size), one)
@@ -206,7 +210,7 @@ def _robots(world: World, reach: Floats, last: Ints) -> Iterator[Pairs]:
 class _Narrow:
     """Distances of hulls, capsule by capsule."""
 
-    def __init__(self, world: World, hulls: tuple[Hull, ...]) -> None:
+    def __init__(self, world: RefereeWorld, hulls: tuple[RefereeHull, ...]) -> None:
         self._world = world
         # Fewer capsules than the most: the last one again.
         most = max(hull.r_m.size for hull in hulls)
@@ -215,9 +219,9 @@ class _Narrow:
         self._b = np.stack([hull.b_m[row] for hull, row in zip(hulls, rows, strict=True)])
         self._r = np.stack([hull.r_m[row] for hull, row in zip(hulls, rows, strict=True)])
 
-    def gaps(self, pairs: Pairs) -> Pairs:
+    def gaps(self, pairs: ContactPairs) -> ContactPairs:
         """The same pairs with their distances; negative where the shapes overlap."""
-        ways: tuple[Callable[[Pairs], Floats], ...] = (
+        ways: tuple[Callable[[ContactPairs], Floats], ...] = (
             self._to_cells,
             self._to_floor,
             self._to_obstacles,
@@ -229,7 +233,7 @@ class _Narrow:
             for begin in range(0, rows.size, _NARROW_AT_ONCE):
                 some = rows[begin : begin + _NARROW_AT_ONCE]
                 gap[some] = way(pairs.take(some))
-        return Pairs(
+        return ContactPairs(
             state=pairs.state, robot=pairs.robot, kind=pairs.kind, index=pairs.index, gap_m=gap
         )
 
@@ -239,18 +243,18 @@ class _Narrow:
         a, b = (p[:, None] + rotate(q[:, None], x[robot]) for x in (self._a, self._b))
         return a, b, self._r[robot]
 
-    def _to_cells(self, pairs: Pairs) -> Floats:
+    def _to_cells(self, pairs: ContactPairs) -> Floats:
         world, edge = self._world, float(self._world.place["grid/cell_m"])
         a, b, r = self._axes(pairs.state, pairs.robot)
         cell = np.stack(np.unravel_index(pairs.index, world.place["grid/occupied"].shape), axis=1)
         centre = (world.low_m + edge * (cell + 0.5))[:, None]
         return _least(segment_box(a - centre, b - centre, np.full(3, 0.5 * edge)) - r)
 
-    def _to_floor(self, pairs: Pairs) -> Floats:
+    def _to_floor(self, pairs: ContactPairs) -> Floats:
         a, b, r = self._axes(pairs.state, pairs.robot)
         return _least(np.minimum(a[..., 2], b[..., 2]) - r - float(self._world.place["floor_z_m"]))
 
-    def _to_obstacles(self, pairs: Pairs) -> Floats:
+    def _to_obstacles(self, pairs: ContactPairs) -> Floats:
         world = self._world
         a, b, r = self._axes(pairs.state, pairs.robot)
         kind = world.place["obstacles/kind"][pairs.index]
@@ -268,7 +272,7 @@ class _Narrow:
         )
         return _least(gap - r)
 
-    def _to_robots(self, pairs: Pairs) -> Floats:
+    def _to_robots(self, pairs: ContactPairs) -> Floats:
         a, b, r = self._axes(pairs.state, pairs.robot)
         c, d, s = self._axes(pairs.state, pairs.index)
         gap = segment_segment(a[:, :, None], b[:, :, None], c[:, None, :], d[:, None, :]) - (

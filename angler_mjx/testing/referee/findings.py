@@ -44,7 +44,7 @@ ENERGY_J = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class RefereeFinding:
     """One quantity of one robot of one world."""
 
     world: int
@@ -88,7 +88,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(kw_only=True)
-class Count:
+class FindingCount:
     """Of one quantity, over all robots that were judged."""
 
     exact: int = 0
@@ -119,7 +119,7 @@ class Count:
 
 
 @dataclass(kw_only=True)
-class Verdict:
+class RefereeVerdict:
     """What came of a run."""
 
     run: str
@@ -133,8 +133,10 @@ class Verdict:
     passed_goal_early: int = 0
     """Robots that were at their goals before the last approaches of their plans, as stored."""
     sampled: str = ""
-    counts: dict[str, Count] = field(default_factory=lambda: {q: Count() for q in QUANTITIES})
-    differences: list[Finding] = field(default_factory=list)
+    counts: dict[str, FindingCount] = field(
+        default_factory=lambda: {q: FindingCount() for q in QUANTITIES}
+    )
+    differences: list[RefereeFinding] = field(default_factory=list)
     """All that disagree or are undecided."""
 
     @property
@@ -153,10 +155,10 @@ class Verdict:
         """Whether outcomes were worked out anew and nothing disagrees."""
         return self.conclusion in ("agrees", "agrees in part")
 
-    def add(self, findings: Iterable[Finding]) -> None:
+    def add(self, findings: Iterable[RefereeFinding]) -> None:
         """Count findings."""
         for one in findings:
-            count = self.counts.setdefault(one.quantity, Count())
+            count = self.counts.setdefault(one.quantity, FindingCount())
             setattr(count, one.how, getattr(count, one.how) + 1)
             if one.how != "exact" and one.note:
                 count.why[one.note] = count.why.get(one.note, 0) + 1

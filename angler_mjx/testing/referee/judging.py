@@ -6,17 +6,17 @@ import numpy as np
 
 from angler_mjx.testing.referee import findings as say
 from angler_mjx.testing.referee.contacts import OBSTACLE, ROBOT, STILL
-from angler_mjx.testing.referee.findings import Finding, How, Result
+from angler_mjx.testing.referee.findings import How, RefereeFinding, Result
 from angler_mjx.testing.referee.geometry import Floats
-from angler_mjx.testing.referee.scene import Episode, Scene
-from angler_mjx.testing.referee.telling import Telling
+from angler_mjx.testing.referee.scene import RefereeEpisode, RefereeScene
+from angler_mjx.testing.referee.telling import FindingCollector
 
 HALF_US = 0.5
 """A command that was stored as whole microseconds is known to this."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class End:
+class JudgedEnd:
     """How the referee sees a robot's end."""
 
     outcome: str
@@ -27,7 +27,7 @@ class End:
     """How much of it the record shows."""
 
 
-def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
+def judge(scene: RefereeScene, robot: int, stored: int) -> list[RefereeFinding]:
     """Findings of one robot.
 
     Args:
@@ -35,9 +35,9 @@ def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
         robot: its index.
         stored: the state with which the results say that it ended; 0 if there is no such state.
     """
-    episode = Episode(scene, robot)
+    episode = RefereeEpisode(scene, robot)
     end = _end(scene, episode, stored)
-    tell = Telling(scene, robot)
+    tell = FindingCollector(scene, robot)
     end_s = float(scene.world.step[end.state]) * scene.run.control_dt_s
     tell.words("outcome", end.how, scene.stored_outcome(robot), end.outcome, end.result, end.note)
     tell.time(end_s, end.how, end.result, end.note)
@@ -54,7 +54,7 @@ def judge(scene: Scene, robot: int, stored: int) -> list[Finding]:
     return tell.found
 
 
-def _end(scene: Scene, episode: Episode, stored: int) -> End:
+def _end(scene: RefereeScene, episode: RefereeEpisode, stored: int) -> JudgedEnd:
     """The end: the stored one, where the record agrees or rounding allows it; else its own."""
     robot, outcome = episode.robot, scene.stored_outcome(episode.robot)
     last = int(scene.last[robot])
@@ -63,38 +63,42 @@ def _end(scene: Scene, episode: Episode, stored: int) -> End:
     if stored < 1:
         return _own(episode, first, last)
     if horizon and first is None:
-        return End(outcome=outcome, state=stored, result="agrees", note="")
+        return JudgedEnd(outcome=outcome, state=stored, result="agrees", note="")
     if first == stored and episode.outcome(stored) == outcome:
-        return End(outcome=outcome, state=stored, result="agrees", note="")
+        return JudgedEnd(outcome=outcome, state=stored, result="agrees", note="")
     if outcome == "diverged" and first in (None, stored) and _is_held(scene, robot, stored):
         note = "the state that was none is not stored; the robot was held before it"
-        return End(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
+        return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="unchecked")
     if first in (None, stored) and _comes_unseen(scene, episode, stored):
         note = "no trajectory shows when a task is done, or when a robot breaks down"
-        return End(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
+        return JudgedEnd(outcome=outcome, state=stored, result="agrees", note=note, how="bounded")
     goes_on = all("running" in episode.possible(k) for k in range(first or stored, stored))
     allowed = episode.possible(stored)
     if stored <= last and goes_on and (outcome in allowed or (horizon and "running" in allowed)):
         at = stored if first is None else min(first, stored)
         # What rounding has turned is said with its number, and the rest is judged by the end
         # that was stored.
-        return End(outcome=outcome, state=stored, result="undecided", note=episode.numbers(at))
+        return JudgedEnd(
+            outcome=outcome, state=stored, result="undecided", note=episode.numbers(at)
+        )
     return _own(episode, first, last)
 
 
-def _own(episode: Episode, first: int | None, last: int) -> End:
+def _own(episode: RefereeEpisode, first: int | None, last: int) -> JudgedEnd:
     """The end as the referee sees it, which the results do not."""
     at = last if first is None else first
-    return End(outcome=episode.outcome(at), state=at, result="disagrees", note=episode.numbers(at))
+    return JudgedEnd(
+        outcome=episode.outcome(at), state=at, result="disagrees", note=episode.numbers(at)
+    )
 
 
-def _is_the_end(scene: Scene, state: int) -> bool:
+def _is_the_end(scene: RefereeScene, state: int) -> bool:
     final = len(scene.world.step) - 1
     full = int(scene.world.step[-1]) >= scene.run.horizon_steps
     return state == final and (full or scene.run.one_scene)
 
 
-def _comes_unseen(scene: Scene, episode: Episode, state: int) -> bool:
+def _comes_unseen(scene: RefereeScene, episode: RefereeEpisode, state: int) -> bool:
     """Whether a robot's outcome can come with a state that does not show it.
 
     What it touches or leaves comes first.
@@ -104,14 +108,14 @@ def _comes_unseen(scene: Scene, episode: Episode, state: int) -> bool:
     return bool(else_on_its_way) and scene.stored_outcome(episode.robot) in told
 
 
-def _is_held(scene: Scene, robot: int, state: int) -> bool:
+def _is_held(scene: RefereeScene, robot: int, state: int) -> bool:
     """Whether a robot stands in a state where it was in the state before."""
     world = scene.world
     stands = np.array_equal(world.p[state, robot], world.p[state - 1, robot])
     return state > 0 and stands and not world.nu[state, robot].any()
 
 
-def _energy(tell: Telling, scene: Scene, robot: int, last: int) -> None:
+def _energy(tell: FindingCollector, scene: RefereeScene, robot: int, last: int) -> None:
     """Power of every command until the end, for a control period each."""
     pwm, dt = scene.world.pwm_us[:last, robot], scene.run.control_dt_s
     thrusters = scene.run.robot(robot, tell.row)
@@ -128,7 +132,9 @@ def _energy(tell: Telling, scene: Scene, robot: int, last: int) -> None:
     tell.between("energy_j", low - tolerance, high + tolerance, "commands are whole us")
 
 
-def _touch(tell: Telling, scene: Scene, episode: Episode, end: End) -> None:
+def _touch(
+    tell: FindingCollector, scene: RefereeScene, episode: RefereeEpisode, end: JudgedEnd
+) -> None:
     """With what, and how fast."""
     if not end.outcome.startswith("collision"):
         tell.no_touch("exact")
@@ -154,7 +160,7 @@ def _touch(tell: Telling, scene: Scene, episode: Episode, end: End) -> None:
         tell.between("impact_speed_mps", judged - error, judged + error, why)
 
 
-def _other_velocity(scene: Scene, state: int, kind: int, index: int) -> tuple[Floats, float]:
+def _other_velocity(scene: RefereeScene, state: int, kind: int, index: int) -> tuple[Floats, float]:
     """Velocity [3] of what was touched, m/s in W, and how far off that can be."""
     world, dt = scene.world, scene.run.control_dt_s
     if kind == ROBOT:

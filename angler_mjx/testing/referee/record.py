@@ -13,7 +13,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.testing.referee import teamwork, vehicles
 from angler_mjx.testing.referee.folder import Row, read_copies, read_json, read_rows, reading
 from angler_mjx.testing.referee.geometry import Floats
-from angler_mjx.testing.referee.vehicles import Robot
+from angler_mjx.testing.referee.vehicles import RefereeRobot
 
 BLOCK_BYTES = 2**27
 """About so much of the record is held at a time."""
@@ -33,7 +33,7 @@ OUTCOMES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class RefereeRun:
     """A run folder, opened for judging."""
 
     path: Path
@@ -44,12 +44,12 @@ class Run:
     goal_tolerance_m: float
     breakdowns_s: tuple[float, float] | None
     """Between which times robots may break down; None where none can."""
-    task: teamwork.Rules | None
+    task: teamwork.TaskRules | None
     """Rules of the task that says who has reached; None where the distance to a goal does."""
     has_flown_plans: bool
     """Whether robots fly the stored plans and nothing else: neither plans made in flight, nor
     commands of another policy or of a session."""
-    robots: tuple[Robot, ...]
+    robots: tuple[RefereeRobot, ...]
     variants: Sequence[Mapping[str, Any]]
     """Of ``variants.json``, by number; empty where vehicles are as their files say."""
     rows: Mapping[int, Sequence[Row]]
@@ -73,14 +73,14 @@ class Run:
         rows = (row for world in self.rows.values() for row in world)
         return not self.by_task and any(row["passed_goal_early"] is None for row in rows)
 
-    def robot(self, number: int, row: Row) -> Robot:
+    def robot(self, number: int, row: Row) -> RefereeRobot:
         """The robot of a row, as it was drawn for its world."""
         one = self.robots[number]
         return one.as_drawn(self.variants[int(row["variant"])]) if self.variants else one
 
 
 @dataclass(frozen=True, kw_only=True)
-class World:
+class RefereeWorld:
     """What was stored of one world; T states, R robots, O obstacles. World frame, metres."""
 
     index: int
@@ -143,7 +143,7 @@ _STEPS = ("position_mm", "velocity_mmps", "attitude_mrad", "force_mn", "pwm_us")
 """Keys of the scenario's ``[store]`` by which states are rounded."""
 
 
-def open_run(path: Path) -> Run:
+def open_run(path: Path) -> RefereeRun:
     """Open a run folder.
 
     Raises:
@@ -190,7 +190,7 @@ def open_run(path: Path) -> Run:
         whole = group["pwm_us"].dtype.kind in "iu"
     has_task, one_scene = facts["task"] is not None, _is_one_scene(path / "summary.json")
     rows = read_rows(path / "episodes.parquet", len(robots), has_task=has_task)
-    return Run(
+    return RefereeRun(
         path=path,
         robots=robots,
         variants=drawn,
@@ -225,7 +225,7 @@ def _is_one_scene(path: Path) -> bool:
     return summary.get("worlds_done") == 1 and summary.get("tile") == 1
 
 
-def worlds(run: Run, chosen: Sequence[int]) -> Iterator[World]:
+def worlds(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
     """What was stored of worlds, in order.
 
     Raises:
@@ -248,7 +248,7 @@ def worlds(run: Run, chosen: Sequence[int]) -> Iterator[World]:
         yield from _block(run, block)
 
 
-def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
+def _block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
     """Neighbouring worlds, read at once: opening a chunk costs as much as reading a short one."""
     first, last = chosen[0], chosen[-1] + 1
     where = run.path / "trajectories.zarr"
@@ -282,7 +282,9 @@ def _block(run: Run, chosen: Sequence[int]) -> Iterator[World]:
             )
 
 
-def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]) -> World:
+def _world(
+    run: RefereeRun, index: int, stored: Row, end: Row, place: Mapping[str, Any]
+) -> RefereeWorld:
     there = np.isfinite(stored["p_m"]).all(axis=-1).any(axis=-1)
     count = int(np.flatnonzero(there)[-1]) + 1 if there.any() else 0
     if count == 0:
@@ -301,7 +303,7 @@ def _world(run: Run, index: int, stored: Row, end: Row, place: Mapping[str, Any]
     if states["p_m"].shape[1] != robots:
         raise ConfigError(f"holds {states['p_m'].shape[1]} robots, config.json has {robots}")
     nothing = np.full((count, robots), -1)
-    return World(
+    return RefereeWorld(
         index=index,
         step=step,
         p=states["p_m"].astype(float),

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_mjx.testing.referee import approach, contacts, teamwork
-from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, Ints, Near, Pairs
+from angler_mjx.testing.referee.contacts import CELL, FLOOR, OBSTACLE, ContactPairs, Ints, Near
 from angler_mjx.testing.referee.folder import Row
 from angler_mjx.testing.referee.geometry import Floats, rotate
-from angler_mjx.testing.referee.record import Run, World
+from angler_mjx.testing.referee.record import RefereeRun, RefereeWorld
 
 FASTEST = 50.0
 """A robot whose six velocities add up to this has diverged."""
@@ -32,11 +32,11 @@ FAILED = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class RefereeScene:
     """A world, what was stored of its robots' episodes, and what follows from the trajectories."""
 
-    run: Run
-    world: World
+    run: RefereeRun
+    world: RefereeWorld
     rows: Sequence[Row]
 
     @cached_property
@@ -79,7 +79,7 @@ class Scene:
         looks = slice(0, len(world.pwm_us), rules.period // self.run.every)
         return teamwork.judge(
             rules,
-            teamwork.Record(
+            teamwork.TaskRecord(
                 step=world.step[: len(world.pwm_us)][looks],
                 dt_s=self.run.control_dt_s,
                 p=world.p[: len(world.pwm_us)][looks],
@@ -249,10 +249,10 @@ class Scene:
         return "collision_dynamic" if moving else "collision_static"
 
 
-class Episode:
+class RefereeEpisode:
     """One robot of a scene: which outcomes each of its states allows."""
 
-    def __init__(self, scene: Scene, robot: int) -> None:
+    def __init__(self, scene: RefereeScene, robot: int) -> None:
         self._scene, self.robot = scene, robot
         self._pairs = scene.near.of(robot)
         self._least = np.full(len(scene.world.step), np.inf)
@@ -267,7 +267,7 @@ class Episode:
         over = np.flatnonzero(self._over[1 : last + 1])
         return int(over[0]) + 1 if over.size else None
 
-    def touching(self, state: int, within_m: float = 0.0) -> Pairs:
+    def touching(self, state: int, within_m: float = 0.0) -> ContactPairs:
         """What a state touches, nearest first; within so much of the nearest."""
         here = self._pairs.take(self._pairs.state == state)
         here = here.take(here.gap_m <= self._least[state] + within_m)

@@ -21,7 +21,7 @@ NEVER = 2**31
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
+class TaskRules:
     """What ``config.json`` says of a task."""
 
     kind: str
@@ -42,13 +42,13 @@ class Rules:
     """Whether every robot knows at once what is done."""
 
 
-def rules(config: Mapping[str, Any]) -> Rules | None:
+def rules(config: Mapping[str, Any]) -> TaskRules | None:
     """Return the rules of a run; None where each robot has a goal of its own."""
     table = config.get("task", {})
     kind = table.get("type", "goal")
     if kind == "goal":
         return None
-    return Rules(
+    return TaskRules(
         kind=kind,
         tolerance_m=float(table["tolerance_m"]),
         period=round(float(table["look_s"]) / float(config["time"]["control_dt_s"])),
@@ -65,7 +65,7 @@ def rules(config: Mapping[str, Any]) -> Rules | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class TaskRecord:
     """What was stored of a world at its looks: K looks, R robots, M jobs, P places."""
 
     step: NDArray[np.int64]
@@ -125,7 +125,7 @@ class Judged:
     """What was stored of the task and cannot be."""
 
 
-def judge(rule: Rules, record: Record) -> Judged:
+def judge(rule: TaskRules, record: TaskRecord) -> Judged:
     """Judge the task of a world."""
     apart = np.linalg.norm(record.p[:, :, None] - record.place["task/place_m"], axis=3)
     near = (apart <= rule.tolerance_m) & record.running[..., None]
@@ -151,11 +151,13 @@ def _first(true: Flags) -> NDArray[np.int64]:
     return first
 
 
-def _step(record: Record, look: int) -> int:
+def _step(record: TaskRecord, look: int) -> int:
     return int(record.step[look]) if look < len(record.step) else NEVER
 
 
-def _finished(rule: Rules, record: Record, near: Flags, is_over: Flags) -> NDArray[np.int64]:
+def _finished(
+    rule: TaskRules, record: TaskRecord, near: Flags, is_over: Flags
+) -> NDArray[np.int64]:
     """Return after how many control steps each robot has reached [R].
 
     Args:
@@ -177,7 +179,7 @@ def _credit(by: NDArray[np.int64], robots: int) -> NDArray[np.int64]:
     return np.bincount(by[by >= 0], minlength=robots).astype(np.int64)
 
 
-def _toured(rule: Rules, record: Record, near: Flags) -> Judged:
+def _toured(rule: TaskRules, record: TaskRecord, near: Flags) -> Judged:
     near = near.copy()
     looks, robots, jobs = *near.shape[:2], record.jobs
     at = near[:, :, :jobs]
@@ -215,7 +217,7 @@ def _toured(rule: Rules, record: Record, near: Flags) -> Judged:
 
 
 def _compare_jobs(
-    record: Record, judged: Judged, by: NDArray[np.int64], first: NDArray[np.int64]
+    record: TaskRecord, judged: Judged, by: NDArray[np.int64], first: NDArray[np.int64]
 ) -> None:
     """Hold who did which job and at which look against what was stored, [M] each."""
     stored_by = np.asarray(record.place["task/by"])
@@ -228,13 +230,13 @@ def _compare_jobs(
         )
 
 
-def _time(record: Record, look: int) -> str:
+def _time(record: TaskRecord, look: int) -> str:
     if look < 0:
         return "at no look"
     return "never" if look >= len(record.step) else f"at {record.step[look] * record.dt_s:g} s"
 
 
-def _delivered(rule: Rules, record: Record, near: Flags) -> Judged:
+def _delivered(rule: TaskRules, record: TaskRecord, near: Flags) -> Judged:
     looks, robots, jobs = *near.shape[:2], record.jobs
     begin, end = near[:, :, :jobs], near[:, :, jobs : 2 * jobs]
     numbers = np.arange(jobs)
@@ -276,7 +278,7 @@ def _delivered(rule: Rules, record: Record, near: Flags) -> Judged:
     return judged
 
 
-def _surveyed(rule: Rules, record: Record, apart: Floats, near: Flags) -> Judged:
+def _surveyed(rule: TaskRules, record: TaskRecord, apart: Floats, near: Flags) -> Judged:
     """Judge a survey: cells by sight, viewpoints as far as the record says what is theirs."""
     looks, robots, jobs = *near.shape[:2], record.jobs
     cells, faults = np.argwhere(record.place["task/cells"] > 0), _no_surface(rule, record)
@@ -312,7 +314,7 @@ def _surveyed(rule: Rules, record: Record, apart: Floats, near: Flags) -> Judged
     )
 
 
-def _views(rule: Rules, record: Record, cells: Cells) -> tuple[Flags, Flags]:
+def _views(rule: TaskRules, record: TaskRecord, cells: Cells) -> tuple[Flags, Flags]:
     """Return which cells some robot sees at each look, for sure and possibly, bool [K, n]."""
     eye = Eye(
         half_angle_rad=rule.half_angle_rad,
@@ -329,7 +331,7 @@ def _views(rule: Rules, record: Record, cells: Cells) -> tuple[Flags, Flags]:
     return sure, can
 
 
-def _no_surface(rule: Rules, record: Record) -> list[str]:
+def _no_surface(rule: TaskRules, record: TaskRecord) -> list[str]:
     """Return what is wrong with the cells that are to be seen: each is water at a surface."""
     rock = np.asarray(record.place["grid/occupied"]).astype(bool)
     cells = np.asarray(record.place["task/cells"]) > 0
@@ -346,7 +348,7 @@ def _no_surface(rule: Rules, record: Record) -> list[str]:
 
 
 def _viewpoints(
-    record: Record, apart: Floats, near: Flags, faults: list[str]
+    record: TaskRecord, apart: Floats, near: Flags, faults: list[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return who did each job [M] and the look at which it was over [M], as far as can be judged.
 

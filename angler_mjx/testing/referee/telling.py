@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.testing.referee.findings import TASK_QUANTITIES, Finding, How, Result, Value
+from angler_mjx.testing.referee.findings import TASK_QUANTITIES, How, RefereeFinding, Result, Value
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.record import OUTCOMES
-from angler_mjx.testing.referee.scene import FAILED, Scene
+from angler_mjx.testing.referee.scene import FAILED, RefereeScene
 from angler_mjx.testing.referee.teamwork import NEVER
 
 TIME_ULPS = 4.0
@@ -19,19 +19,19 @@ PROGRESS = 1e-6
 PLACE_COLUMNS = ("failure_x_m", "failure_y_m", "failure_z_m")
 
 
-class Telling:
+class FindingCollector:
     """Findings of one robot, as they are made."""
 
-    def __init__(self, scene: Scene, robot: int) -> None:
+    def __init__(self, scene: RefereeScene, robot: int) -> None:
         """Nothing is found yet."""
-        self.found: list[Finding] = []
+        self.found: list[RefereeFinding] = []
         self.row = scene.rows[robot]
         self._scene, self._robot = scene, robot
 
     def _say(self, quantity: str, how: How, result: Result, **more: Any) -> None:
         world = self._scene.world.index
         self.found.append(
-            Finding(
+            RefereeFinding(
                 world=world,
                 robot=self._robot,
                 quantity=quantity,

@@ -15,7 +15,7 @@ SHIPPED = Path(__file__).parents[2] / "robot" / "vehicles" / "data"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hull:
+class RefereeHull:
     """A union of capsules about the centre of mass, in body axes (forward, left, up)."""
 
     a_m: Floats
@@ -33,14 +33,14 @@ class Hull:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
+class RefereeRobot:
     """One robot of the fleet."""
 
     names: tuple[str, ...]
     """Of its vehicle: as the scenario calls it, and as its file does."""
     parameter_sets: tuple[str, ...]
     """Those that it can be."""
-    hull: Hull
+    hull: RefereeHull
     pwm_us: Floats
     """[n] of the thruster's table."""
     power_w: Floats
@@ -50,7 +50,7 @@ class Robot:
     table: Mapping[str, Any]
     """Its thruster's file."""
 
-    def as_drawn(self, variant: Mapping[str, Any]) -> "Robot":
+    def as_drawn(self, variant: Mapping[str, Any]) -> "RefereeRobot":
         """The same robot as a row of ``variants.json`` has it: hulls are never drawn."""
         alive = self.alive
         if variant["drawn"].get("thrust"):
@@ -77,7 +77,7 @@ class Robot:
         return low, high
 
 
-def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> Robot:
+def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> RefereeRobot:
     """The robot of an entry of ``fleet`` in a run's config.
 
     Args:
@@ -97,10 +97,10 @@ def read(entry: Mapping[str, Any], copies: Mapping[str, Path]) -> Robot:
         health = entry.get("thruster_health") or {}
         names = [str(one["name"]) for one in file["thrusters"]["layout"]]
         one_set = str(entry.get("parameter_set") or file["default_set"])
-        return Robot(
+        return RefereeRobot(
             names=(str(entry["vehicle"]), str(file["name"])),
             parameter_sets=tuple(entry.get("parameter_mix") or ()) or (one_set,),
-            hull=Hull(
+            hull=RefereeHull(
                 a_m=np.array([one["from_m"] for one in capsules], float) - centre,
                 b_m=np.array([one["to_m"] for one in capsules], float) - centre,
                 r_m=np.array([one["radius_m"] for one in capsules], float),

@@ -13,7 +13,7 @@ from angler_mjx.runs.storage.atomic import replacing
 from angler_mjx.testing.validation.place import describe
 
 
-class About(FileModel):
+class MeasurementMetadata(FileModel):
     """Where and when."""
 
     versions: dict[str, str | None]
@@ -43,7 +43,7 @@ class Deviation(FileModel):
 class Measured(FileModel):
     """A file that ``pytest --deviations`` wrote."""
 
-    about: About
+    about: MeasurementMetadata
     deviations: tuple[Deviation, ...]
 
 
@@ -56,10 +56,10 @@ class Number(FileModel):
     """Name of a [worse.NAME] of the terms."""
 
 
-class Result(FileModel):
+class TermResult(FileModel):
     """What a study wrote: numbers that are compared, and the text that stands on the page."""
 
-    about: About
+    about: MeasurementMetadata
     numbers: dict[str, Number]
     text: str
 
@@ -78,13 +78,13 @@ class Expected(FileModel):
     numbers: dict[str, Expectation] = Field(default_factory=dict)
 
 
-class Found(FileModel):
+class ValidationResult(FileModel):
     """``validation.json``: all that the page is made from."""
 
     tests: dict[str, Deviation] = Field(default_factory=dict)
-    about: dict[str, About] = Field(default_factory=dict)
+    about: dict[str, MeasurementMetadata] = Field(default_factory=dict)
     """Of each key of ``tests``."""
-    studies: dict[str, Result] = Field(default_factory=dict)
+    studies: dict[str, TermResult] = Field(default_factory=dict)
 
 
 def read[M: FileModel](model: type[M], path: Path) -> M:
@@ -114,11 +114,13 @@ def write(path: Path, data: dict[str, Any]) -> None:
         writing.write_text(text + "\n", encoding="utf-8")
 
 
-def merged(old: Found, measured: Measured | None, results: dict[str, Result]) -> Found:
+def merged(
+    old: ValidationResult, measured: Measured | None, results: dict[str, TermResult]
+) -> ValidationResult:
     """What was found before with what was found now in its place."""
     deviations = measured.deviations if measured else ()
     about = {d.key: measured.about for d in deviations} if measured else {}
-    return Found(
+    return ValidationResult(
         tests={**old.tests, **{d.key: d for d in deviations}},
         about={**old.about, **about},
         studies={**old.studies, **results},

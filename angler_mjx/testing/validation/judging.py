@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from angler_mjx.testing.validation.found import Deviation, Expected, Measured, Result
+from angler_mjx.testing.validation.found import Deviation, Expected, Measured, TermResult
 from angler_mjx.testing.validation.terms import Terms, Worse
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fault:
+class ValidationFault:
     """One number that is not as it should be."""
 
     key: str
@@ -24,9 +24,9 @@ def faults(
     terms: Terms,
     expected: Expected,
     measured: Measured | None,
-    results: Mapping[str, Result],
+    results: Mapping[str, TermResult],
     wanted: set[str],
-) -> list[Fault]:
+) -> list[ValidationFault]:
     """Everything that got worse, was not measured, or has no expectation.
 
     Args:
@@ -36,7 +36,7 @@ def faults(
         results: of studies, by name.
         wanted: keys of terms that the tests should have recorded.
     """
-    listed = list[Fault]()
+    listed = list[ValidationFault]()
     if measured is not None:
         by_key = {one.key: one for one in measured.deviations}
         for term in terms.term:
@@ -44,47 +44,60 @@ def faults(
             if one is not None:
                 listed += _of_term(one, terms.worse[term.worse], expected, term.unit)
             elif term.key in wanted:
-                listed.append(Fault(key=term.key, said=f"was not measured; see {term.test}"))
+                listed.append(
+                    ValidationFault(key=term.key, said=f"was not measured; see {term.test}")
+                )
         unknown = sorted(set(by_key) - {term.key for term in terms.term})
-        listed += [Fault(key=key, said="is recorded by a test, but is no term") for key in unknown]
+        listed += [
+            ValidationFault(key=key, said="is recorded by a test, but is no term")
+            for key in unknown
+        ]
     for name, result in results.items():
         listed += _of_study(name, result, terms, expected)
     return listed
 
 
-def _of_term(one: Deviation, worse: Worse, expected: Expected, unit: str) -> Iterator[Fault]:
+def _of_term(
+    one: Deviation, worse: Worse, expected: Expected, unit: str
+) -> Iterator[ValidationFault]:
     if isinstance(one.value, str):
-        yield Fault(key=one.key, said=f"is {one.value}; asked is {one.bound:.3g} ({unit})")
+        yield ValidationFault(
+            key=one.key, said=f"is {one.value}; asked is {one.bound:.3g} ({unit})"
+        )
         return
     if one.value > one.bound:
-        yield Fault(
+        yield ValidationFault(
             key=one.key, said=f"{one.value:.3g} exceeds its bound of {one.bound:.3g} ({unit})"
         )
         return
     yield from _against(one.key, one.value, one.bound, worse, expected, f"{unit}; {one.tests[0]}")
 
 
-def _of_study(name: str, result: Result, terms: Terms, expected: Expected) -> Iterator[Fault]:
+def _of_study(
+    name: str, result: TermResult, terms: Terms, expected: Expected
+) -> Iterator[ValidationFault]:
     for key, number in result.numbers.items():
         worse = terms.worse.get(number.worse)
         if worse is None:
-            yield Fault(key=f"{name}.{key}", said=f"no [worse.{number.worse}] in the terms")
+            yield ValidationFault(
+                key=f"{name}.{key}", said=f"no [worse.{number.worse}] in the terms"
+            )
             continue
         yield from _against(f"{name}.{key}", number.value, None, worse, expected, number.unit)
 
 
 def _against(
     key: str, value: float, bound: float | None, worse: Worse, expected: Expected, where: str
-) -> Iterator[Fault]:
+) -> Iterator[ValidationFault]:
     held = expected.numbers.get(key)
     if held is None:
-        yield Fault(
+        yield ValidationFault(
             key=key, said=f"{value:.3g} has no expectation; store it with --store ({where})"
         )
         return
     allowed = worse.allowed(held.value, bound)
     if not value <= allowed or math.isnan(value):
-        yield Fault(
+        yield ValidationFault(
             key=key,
             said=(
                 f"got worse: {value:.3g}, expected {held.value:.3g}, allowed {allowed:.3g} "

@@ -5,9 +5,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.found import About, Deviation, Found, Result
+from angler_mjx.testing.validation.found import (
+    Deviation,
+    MeasurementMetadata,
+    TermResult,
+    ValidationResult,
+)
 from angler_mjx.testing.validation.place import said
-from angler_mjx.testing.validation.terms import Part, Stored, Study, Term, Terms
+from angler_mjx.testing.validation.terms import Part, StoredTerm, StudyTerm, Term, Terms
 
 PAGE = Path("docs/validation.md")
 PARTS: tuple[Part, ...] = ("terms", "energy", "control", "engines", "clearance")
@@ -33,7 +38,9 @@ def replaced(text: str, name: str, body: str, source: str) -> str:
     return f"{text[:head]}\n{body}\n{text[tail:]}"
 
 
-def parts(terms: Terms, found: Found, stored: Mapping[str, Result], speed: str) -> dict[str, str]:
+def parts(
+    terms: Terms, found: ValidationResult, stored: Mapping[str, TermResult], speed: str
+) -> dict[str, str]:
     """Body of each computed part, by name.
 
     Args:
@@ -67,7 +74,7 @@ def rewritten(text: str, bodies: Mapping[str, str], source: str) -> str:
     return text
 
 
-def table(rows: Sequence[Term], found: Found) -> str:
+def table(rows: Sequence[Term], found: ValidationResult) -> str:
     """Rows of one part: what, against what, how near it may and how near it came."""
     head = ["what", "compared with", "unit", "bound", "found", "reason of the bound", "test"]
     lines = [head, ["---", "---", "---", "---:", "---:", "---", "---"]]
@@ -106,11 +113,13 @@ def _value(one: Deviation) -> str:
     return one.value if isinstance(one.value, str) else number(one.value)
 
 
-def _newest(abouts: Iterable[About]) -> About | None:
+def _newest(abouts: Iterable[MeasurementMetadata]) -> MeasurementMetadata | None:
     return max(abouts, key=lambda about: about.at_utc, default=None)
 
 
-def _mark(about: About | None, newest: About | None, older: dict[str, str]) -> str:
+def _mark(
+    about: MeasurementMetadata | None, newest: MeasurementMetadata | None, older: dict[str, str]
+) -> str:
     """A number of a note where a row was measured earlier than the others."""
     if about is None or newest is None or about == newest:
         return ""
@@ -118,15 +127,15 @@ def _mark(about: About | None, newest: About | None, older: dict[str, str]) -> s
     return " " + older.setdefault(text, f"({len(older) + 1})")
 
 
-def _result(result: Result | None, command: str) -> str:
+def _result(result: TermResult | None, command: str) -> str:
     if result is None:
         return f"{_NOT_YET} {command}"
     return f"{result.text}\n\n{command} Measured {said(result.about.model_dump())}."
 
 
-def _command(study: Study) -> str:
+def _command(study: StudyTerm) -> str:
     return f"`python -m {' '.join([study.module, *study.arguments])}`."
 
 
-def _stored(one: Stored) -> str:
+def _stored(one: StoredTerm) -> str:
     return f"`{one.command}`."

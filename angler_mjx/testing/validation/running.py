@@ -11,8 +11,8 @@ from pathlib import Path
 
 from angler_mjx.errors import RunError
 from angler_mjx.testing.validation import found
-from angler_mjx.testing.validation.found import Measured, Result
-from angler_mjx.testing.validation.terms import Study
+from angler_mjx.testing.validation.found import Measured, TermResult
+from angler_mjx.testing.validation.terms import StudyTerm
 
 TEST_XLA_FLAGS = (
     "--xla_backend_extra_options=xla_cpu_disable_new_fusion_emitters "
@@ -54,7 +54,7 @@ def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, lis
         return found.read(Measured, out), failed
 
 
-def run_study(root: Path, study: Study, arguments: Sequence[str], say: Say) -> Result:
+def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], say: Say) -> TermResult:
     """Run a program and read its result.
 
     Raises:
@@ -67,7 +67,7 @@ def run_study(root: Path, study: Study, arguments: Sequence[str], say: Say) -> R
         said, code = _run(command, root, {}, say, study.name)
         if code != 0 or not out.is_file():
             raise RunError(f"{study.module} ended with {code}; its last words:\n{_tail(said)}")
-        return found.read(Result, out)
+        return found.read(TermResult, out)
 
 
 def _spread() -> list[str]:

@@ -54,7 +54,7 @@ class Term(FileModel):
     """Whether its test runs only where all are asked for."""
 
 
-class Study(FileModel):
+class StudyTerm(FileModel):
     """A program that writes a result with ``--json FILE``."""
 
     name: str
@@ -64,7 +64,7 @@ class Study(FileModel):
     """Arguments of a quick run; None where it has none."""
 
 
-class Stored(FileModel):
+class StoredTerm(FileModel):
     """A result that comes from elsewhere and lies beside the terms as NAME.json."""
 
     name: str
@@ -77,8 +77,8 @@ class Terms(FileModel):
 
     worse: dict[str, Worse]
     term: tuple[Term, ...]
-    study: tuple[Study, ...] = ()
-    stored: tuple[Stored, ...] = ()
+    study: tuple[StudyTerm, ...] = ()
+    stored: tuple[StoredTerm, ...] = ()
 
     @model_validator(mode="after")
     def _hangs_together(self) -> Self:

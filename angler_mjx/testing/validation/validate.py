@@ -10,8 +10,14 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic import replacing
 from angler_mjx.testing.validation import found, page, running, speeds
 from angler_mjx.testing.validation import terms as all_terms
-from angler_mjx.testing.validation.found import Expectation, Expected, Found, Measured, Result
-from angler_mjx.testing.validation.judging import Fault, faults
+from angler_mjx.testing.validation.found import (
+    Expectation,
+    Expected,
+    Measured,
+    TermResult,
+    ValidationResult,
+)
+from angler_mjx.testing.validation.judging import ValidationFault, faults
 from angler_mjx.testing.validation.running import Say
 from angler_mjx.testing.validation.terms import EXPECTED, FOLDER, FOUND, Terms
 
@@ -20,7 +26,7 @@ AT_ONCE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class ValidationRequest:
     """What is asked for."""
 
     quick: bool = False
@@ -44,8 +50,8 @@ class Checkout:
     root: Path
     terms: Terms
     expected: Expected
-    found: Found
-    stored: Mapping[str, Result]
+    found: ValidationResult
+    stored: Mapping[str, TermResult]
 
     @property
     def folder(self) -> Path:
@@ -65,12 +71,12 @@ def opened(root: Path) -> Checkout:
         root=root,
         terms=terms,
         expected=found.read_or_empty(Expected, folder / EXPECTED),
-        found=found.read_or_empty(Found, folder / FOUND),
-        stored={n: found.read(Result, path) for n, path in files.items() if path.exists()},
+        found=found.read_or_empty(ValidationResult, folder / FOUND),
+        stored={n: found.read(TermResult, path) for n, path in files.items() if path.exists()},
     )
 
 
-def validate(request: Request, root: Path, say: Say) -> list[Fault]:
+def validate(request: ValidationRequest, root: Path, say: Say) -> list[ValidationFault]:
     """Measure, compare, write.
 
     Args:
@@ -92,7 +98,7 @@ def validate(request: Request, root: Path, say: Say) -> list[Fault]:
     expected = here.expected
     if request.store:
         expected = _with(expected, measured, results)
-    bad = [Fault(key=test, said="failed") for test in failed]
+    bad = [ValidationFault(key=test, said="failed") for test in failed]
     bad += faults(here.terms, expected, measured, results, wanted)
     whole = {} if request.quick else results
     after = found.merged(here.found, measured, whole)
@@ -105,7 +111,7 @@ def validate(request: Request, root: Path, say: Say) -> list[Fault]:
     return bad
 
 
-def _wanted(request: Request, terms: Terms) -> set[str]:
+def _wanted(request: ValidationRequest, terms: Terms) -> set[str]:
     """Keys of terms that must have been measured; tests run by others may be those of a day."""
     return {
         term.key
@@ -114,7 +120,7 @@ def _wanted(request: Request, terms: Terms) -> set[str]:
     }
 
 
-def _sensible(request: Request) -> None:
+def _sensible(request: ValidationRequest) -> None:
     if request.check and (request.store or request.out or request.page_only):
         raise ConfigError("--check: writes nothing; leave out --store, --out and --page")
     if request.page_only and (request.measured or request.quick or request.store):
@@ -122,8 +128,8 @@ def _sensible(request: Request) -> None:
 
 
 def _measure(
-    request: Request, here: Checkout, say: Say
-) -> tuple[Measured | None, dict[str, Result], list[str]]:
+    request: ValidationRequest, here: Checkout, say: Say
+) -> tuple[Measured | None, dict[str, TermResult], list[str]]:
     """What tests and studies found, and which tests failed."""
     if request.page_only:
         return None, {}, []
@@ -133,7 +139,7 @@ def _measure(
     say(_plan(request, here, len(tests)))
     # Side by side: each compiles on one core for most of its time, and nothing here is a timing.
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        begun = dict[str, Future[Result]]()
+        begun = dict[str, Future[TermResult]]()
         for study in here.terms.study:
             arguments = study.quick if request.quick else study.arguments
             if arguments is not None:
@@ -143,7 +149,7 @@ def _measure(
     return measured, results, failed
 
 
-def _plan(request: Request, here: Checkout, tests: int) -> str:
+def _plan(request: ValidationRequest, here: Checkout, tests: int) -> str:
     """What a person waits for, before it begins."""
     studies = [
         study.name
@@ -159,7 +165,9 @@ def _plan(request: Request, here: Checkout, tests: int) -> str:
     )
 
 
-def _with(expected: Expected, measured: Measured | None, results: dict[str, Result]) -> Expected:
+def _with(
+    expected: Expected, measured: Measured | None, results: dict[str, TermResult]
+) -> Expected:
     """Expectations with what was found now in their place."""
     numbers = dict(expected.numbers)
     if measured is not None:
@@ -177,7 +185,7 @@ def _with(expected: Expected, measured: Measured | None, results: dict[str, Resu
     return Expected(numbers=numbers)
 
 
-def _page(here: Checkout, held: Found) -> tuple[str, str]:
+def _page(here: Checkout, held: ValidationResult) -> tuple[str, str]:
     """The page as it is, and as it should be."""
     path = here.root / page.PAGE
     try:
@@ -189,15 +197,15 @@ def _page(here: Checkout, held: Found) -> tuple[str, str]:
     return text, page.rewritten(text, bodies, str(path))
 
 
-def _stale_page(here: Checkout) -> list[Fault]:
+def _stale_page(here: Checkout) -> list[ValidationFault]:
     text, right = _page(here, here.found)
     if text == right:
         return []
     said = "is not what terms, results and rows give; write it again with angler validate --page"
-    return [Fault(key=str(page.PAGE), said=said)]
+    return [ValidationFault(key=str(page.PAGE), said=said)]
 
 
-def _write(request: Request, here: Checkout, after: Found) -> None:
+def _write(request: ValidationRequest, here: Checkout, after: ValidationResult) -> None:
     _, text = _page(here, after)
     folder = request.out
     place = here.root / page.PAGE if folder is None else folder / page.PAGE.name
@@ -206,11 +214,11 @@ def _write(request: Request, here: Checkout, after: Found) -> None:
     found.write((folder or here.folder) / FOUND, _joined(here, after))
 
 
-def _joined(here: Checkout, after: Found) -> dict[str, Any]:
+def _joined(here: Checkout, after: ValidationResult) -> dict[str, Any]:
     """What is kept: what was found, without terms that are no more."""
     keys = {term.key for term in here.terms.term}
     names = {study.name for study in here.terms.study}
-    kept = Found(
+    kept = ValidationResult(
         tests={k: v for k, v in after.tests.items() if k in keys},
         about={k: v for k, v in after.about.items() if k in keys},
         studies={k: v for k, v in after.studies.items() if k in names},

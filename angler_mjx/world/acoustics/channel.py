@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.counting import once_in
+from angler_mjx.counting import every_n_steps
 from angler_mjx.draws import children
 from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.world.acoustics.link import Budget, Link
@@ -46,7 +46,7 @@ class Channel:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Said:
+class Packet:
     """The last packet of each robot; [R] leads."""
 
     p_m: Any
@@ -61,7 +61,7 @@ class Said:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Others:
+class HeardRobots:
     """What robots have heard of each other; [receiver, sender] leads.
 
     Of itself none has heard anything. Who was not heard yet is where it started, at rest, and has
@@ -86,10 +86,10 @@ class Others:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Air:
+class InFlight:
     """Packets on their way; [receiver, sender] leads where there are two."""
 
-    said: Said
+    said: Packet
     arrive_s: jax.Array
     """[R, R] when the first bit of the last packet comes in; its beginning on the diagonal."""
     passes: jax.Array
@@ -102,16 +102,16 @@ class Air:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Radio:
+class ModemState:
     """Memory of the channel of one world."""
 
-    air: Air
-    heard: Others
+    air: InFlight
+    heard: HeardRobots
     caught: jax.Array
     """int32 [R] packets that each understood."""
 
 
-def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> Radio:
+def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> ModemState:
     """Nothing said yet.
 
     Args:
@@ -121,24 +121,24 @@ def begin(channel: Channel, p_m: jax.Array, words: Any = None) -> Radio:
     """
     n, zero = p_m.shape[0], jnp.zeros_like(p_m)
     nobody, none = jnp.zeros((n, n), bool), jnp.zeros(n, jnp.int32)
-    air = Air(
-        said=Said(p_m=p_m, v_mps=zero, time_s=zero[:, 0], words=words),
+    air = InFlight(
+        said=Packet(p_m=p_m, v_mps=zero, time_s=zero[:, 0], words=words),
         arrive_s=jnp.full((n, n), NEVER_S, p_m.dtype),
         passes=nobody,
         loud=None if isinstance(channel.access, Tdma) else nobody,
         sent=none,
     )
-    return Radio(air=air, heard=unheard(p_m, words), caught=none)
+    return ModemState(air=air, heard=unheard(p_m, words), caught=none)
 
 
-def unheard(p_m: jax.Array, words: Any = None) -> Others:
+def unheard(p_m: jax.Array, words: Any = None) -> HeardRobots:
     """What robots that start at p_m [R, 3] know of each other before anything is said."""
     n = p_m.shape[0]
 
     def to_all(leaf: jax.Array) -> jax.Array:
         return jnp.broadcast_to(leaf, (n, *leaf.shape))
 
-    return Others(
+    return HeardRobots(
         p_m=to_all(p_m),
         v_mps=to_all(jnp.zeros_like(p_m)),
         time_s=jnp.zeros((n, n), p_m.dtype),
@@ -160,7 +160,7 @@ class Now:
     """[R, 3] where the robots are, in W."""
     grid: Grid
     """Rock."""
-    says: Callable[[], Said]
+    says: Callable[[], Packet]
     """What robots say now, worked out where packets begin."""
     silent: jax.Array | None = None
     """bool [R] who cannot send."""
@@ -168,15 +168,15 @@ class Now:
     """What the number is known to be a multiple of."""
 
     def once_in[T](self, period: int, do: Callable[[], T], otherwise: Callable[[], T]) -> T:
-        """See `counting.once_in`."""
-        return once_in(period, self.number, do, otherwise, self.every)
+        """See `counting.every_n_steps`."""
+        return every_n_steps(period, self.number, do, otherwise, self.every)
 
     def time_s(self, channel: Channel) -> jax.Array:
         """[] at the beginning of the step."""
         return self.number.astype(self.p_m.dtype) * channel.dt_s
 
 
-def step(channel: Channel, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+def step(channel: Channel, memory: ModemState, now: Now) -> tuple[ModemState, jax.Array]:
     """One control step of one world: packets come in, and others begin.
 
     Args:
@@ -192,7 +192,9 @@ def step(channel: Channel, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
     return _by_chance(channel, channel.access, memory, now)
 
 
-def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+def _in_turn(
+    channel: Channel, access: Tdma, memory: ModemState, now: Now
+) -> tuple[ModemState, jax.Array]:
     """One packet is on its way at a time: all that is looked at is of its sender."""
     robots = now.p_m.shape[0]
     last = _Columns(first=jnp.maximum(now.number - 1, 0) // access.slot % robots, count=1)
@@ -201,7 +203,7 @@ def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[R
     memory, came = _delivered(channel, memory, now, last, now.number % access.slot == 0)
     one = jnp.ones(1, bool)
 
-    def send(air: Air) -> Air:
+    def send(air: InFlight) -> InFlight:
         return _sent(channel, air, now, turn, one, jnp.full(1, now.time_s(channel)))
 
     air = now.once_in(access.slot, lambda: send(memory.air), lambda: memory.air)
@@ -209,13 +211,15 @@ def _in_turn(channel: Channel, access: Tdma, memory: Radio, now: Now) -> tuple[R
     return replace(memory, air=air), everybody
 
 
-def _by_chance(channel: Channel, access: Aloha, memory: Radio, now: Now) -> tuple[Radio, jax.Array]:
+def _by_chance(
+    channel: Channel, access: Aloha, memory: ModemState, now: Now
+) -> tuple[ModemState, jax.Array]:
     """Anybody may send, now and then."""
     robots, dtype = now.p_m.shape[0], now.p_m.dtype
     everybody = _Columns(first=None, count=robots)
     chance_s = access.chance * channel.dt_s
 
-    def send(air: Air) -> Air:
+    def send(air: InFlight) -> InFlight:
         of_who, of_when = children(jax.random.fold_in(now.key, OF_CHANCE), 2)
         begun_s, at_s = jnp.diagonal(air.arrive_s), jnp.full(robots, now.time_s(channel))
         rested = begun_s < at_s - (access.rests - 1) * chance_s
@@ -224,12 +228,12 @@ def _by_chance(channel: Channel, access: Aloha, memory: Radio, now: Now) -> tupl
         drawn = jax.random.uniform(of_who, (robots,), dtype) < access.probability
         return _sent(channel, air, now, everybody, drawn & rested, at_s)
 
-    def look(memory: Radio) -> tuple[Radio, jax.Array]:
+    def look(memory: ModemState) -> tuple[ModemState, jax.Array]:
         memory, came = _delivered(channel, memory, now, everybody)
         air = now.once_in(access.chance, lambda: send(memory.air), lambda: memory.air)
         return replace(memory, air=air), came
 
-    def wait() -> tuple[Radio, jax.Array]:
+    def wait() -> tuple[ModemState, jax.Array]:
         return memory, jnp.zeros((robots, robots), bool)
 
     return now.once_in(access.look, lambda: look(memory), wait)
@@ -266,8 +270,12 @@ class _Columns:
 
 
 def _delivered(
-    channel: Channel, memory: Radio, now: Now, senders: _Columns, over: jax.Array | bool = False
-) -> tuple[Radio, jax.Array]:
+    channel: Channel,
+    memory: ModemState,
+    now: Now,
+    senders: _Columns,
+    over: jax.Array | bool = False,
+) -> tuple[ModemState, jax.Array]:
     """Packets whose last bit has come in by now are understood, bool [receiver, count].
 
     Args:
@@ -280,16 +288,18 @@ def _delivered(
     air, robots = memory.air, memory.caught.shape[0]
     arrive, passes = senders.of((air.arrive_s, air.passes), 1)
     came = passes & ((arrive + channel.packet_s <= now.time_s(channel)) | over)
-    said: Said = senders.of(air.said, 0)
+    said: Packet = senders.of(air.said, 0)
     old = senders.of(memory.heard, 1)
-    new = Others(p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words)
+    new = HeardRobots(
+        p_m=said.p_m, v_mps=said.v_mps, time_s=said.time_s, known=came, words=said.words
+    )
 
     def put(new: jax.Array, old: jax.Array) -> jax.Array:
         took = came.reshape(robots, senders.count, *(1,) * (old.ndim - 2))
         return jnp.where(took, new, old)
 
     heard = replace(jax.tree.map(put, new, old), known=old.known | came)
-    after = Radio(
+    after = ModemState(
         air=replace(air, passes=senders.put(air.passes, passes & ~came, 1)),
         heard=senders.put(memory.heard, heard, 1),
         caught=memory.caught + jnp.sum(came, axis=1, dtype=jnp.int32),
@@ -298,8 +308,8 @@ def _delivered(
 
 
 def _sent(
-    channel: Channel, air: Air, now: Now, senders: _Columns, begins: jax.Array, at_s: jax.Array
-) -> Air:
+    channel: Channel, air: InFlight, now: Now, senders: _Columns, begins: jax.Array, at_s: jax.Array
+) -> InFlight:
     """Packets that begin in this step.
 
     Args:
@@ -340,7 +350,7 @@ def _sent(
     if loud is not None:
         loud = put(channel.link.loud(distance, rock_db) | own, loud, 1)
         passes &= ~_drowned(arrive, loud, channel.packet_s)
-    return Air(
+    return InFlight(
         said=put(senders.of(now.says(), 0), air.said, 0),
         arrive_s=arrive,
         passes=passes,

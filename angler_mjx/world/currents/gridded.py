@@ -18,7 +18,7 @@ from angler_mjx.files import FileModel, absolute, named
 from angler_mjx.quantities import FASTEST_MPS
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
-from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
+from angler_mjx.world.ocean.places import DeepestCells, Span, origin, places, span_in
 
 
 @jax.tree_util.register_dataclass
@@ -38,7 +38,7 @@ class Gridded:
     """[4] places on the axes by metre along y, x and z of W, and by second."""
     factor: jax.Array
     """[3] of the velocity along x, y and z."""
-    field: ocean.Field = field(metadata={"static": True})
+    field: ocean.OceanField = field(metadata={"static": True})
     numbers: Any = None
     """Where the field's ``numbers`` are to be looked up, for kernels; None for those of the
     field."""
@@ -64,13 +64,13 @@ class Gridded:
         return replace(self, factor=factor * self.factor)
 
 
-def fields_of(current: Current) -> tuple[ocean.Field, ...]:
+def fields_of(current: Current) -> tuple[ocean.OceanField, ...]:
     """The fields that a current looks up, each once."""
     found = [one.field for one in current if isinstance(one, Gridded)]
     return tuple(dict.fromkeys(found))
 
 
-def looked_up(current: Current, where: Callable[[ocean.Field], Sequence[Any]]) -> Current:
+def looked_up(current: Current, where: Callable[[ocean.OceanField], Sequence[Any]]) -> Current:
     """A current whose fields are looked up where ``where`` says."""
     return tuple(
         replace(one, numbers=tuple(where(one.field))) if isinstance(one, Gridded) else one
@@ -154,16 +154,16 @@ class GridConfig(FileModel):
             )
 
     @property
-    def field(self) -> ocean.Field:
+    def field(self) -> ocean.OceanField:
         """The file's."""
         return ocean.load(self.file, {"u": self.u, "v": self.v, "w": self.w})
 
     @cached_property
-    def places(self) -> Places:
+    def places(self) -> DeepestCells:
         """Where worlds may lie."""
         return self._places()
 
-    def _places(self) -> Places:
+    def _places(self) -> DeepestCells:
         field = self.field
         y = span_in("latitude", self.latitude, field.knots[0])
         x = span_in("longitude", self.longitude, field.knots[1], turns=field.degrees)

@@ -15,7 +15,7 @@ from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current
 from angler_mjx.world.currents.gridded import GridConfig, Gridded
 from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
-from angler_mjx.world.ocean.places import Places, Span, origin, places, span_in
+from angler_mjx.world.ocean.places import DeepestCells, Span, origin, places, span_in
 
 
 class BathymetryConfig(FileModel):
@@ -62,11 +62,11 @@ class BathymetryConfig(FileModel):
         return ocean.load_floor(self.file, self.variable, self.positive)
 
     @cached_property
-    def places(self) -> Places:
+    def places(self) -> DeepestCells:
         """Where worlds may lie, where no current says it."""
         return self._places()
 
-    def _places(self) -> Places:
+    def _places(self) -> DeepestCells:
         floor = self.floor
         y = span_in("latitude", self.latitude, floor.knots[0])
         x = span_in("longitude", self.longitude, floor.knots[1], turns=floor.degrees)

@@ -84,7 +84,7 @@ type Motion = Annotated[
 ]
 
 
-class _Placed(FileModel):
+class _PlacedTable(FileModel):
     position_m: Vector
     """Centre at the start; of the swing or circle for those motions."""
     rpy_deg: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
@@ -95,7 +95,7 @@ class _Placed(FileModel):
     """As heavy as the water it displaces if left out; matters for drifting ones only."""
 
 
-class SphereConfig(_Placed):
+class SphereConfig(_PlacedTable):
     """A sphere."""
 
     type: Literal["sphere"] = "sphere"
@@ -103,7 +103,7 @@ class SphereConfig(_Placed):
     """Of the sphere."""
 
 
-class BoxConfig(_Placed):
+class BoxConfig(_PlacedTable):
     """A box; ``size_m`` is its full length along its own x, y and z."""
 
     type: Literal["box"] = "box"
@@ -111,7 +111,7 @@ class BoxConfig(_Placed):
     """Full edges."""
 
 
-class CapsuleConfig(_Placed):
+class CapsuleConfig(_PlacedTable):
     """A capsule along its own z; ``length_m`` is that of the axis, without the caps."""
 
     type: Literal["capsule"] = "capsule"

@@ -4,7 +4,7 @@
 programs hold, `floor` a sea floor; `places` says where in them worlds may lie.
 """
 
-from angler_mjx.world.ocean.field import Field, load
+from angler_mjx.world.ocean.field import OceanField, load
 from angler_mjx.world.ocean.floor import Floor, load_floor
 
-__all__ = ["Field", "Floor", "load", "load_floor"]
+__all__ = ["Floor", "OceanField", "load", "load_floor"]

@@ -80,7 +80,7 @@ NORTH_OR_Y, EAST_OR_X = ("northward", "y_velocity"), ("eastward", "x_velocity")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class CoordinateAxis:
     """Knots of one axis, rising."""
 
     knots: np.ndarray
@@ -114,7 +114,7 @@ class Read:
 
     parts: tuple[np.ndarray, ...]
     """[y, x, depth, time] each; m/s, or m; NaN where nothing is known."""
-    axes: Mapping[str, Axis]
+    axes: Mapping[str, CoordinateAxis]
     names: tuple[str, ...]
     """Of the variables in the file."""
     attributes: tuple[Mapping[str, str], ...]
@@ -159,7 +159,7 @@ def read(path: Path, wanted: Sequence[Wanted], units: Mapping[str, float]) -> Re
             )
         except (OSError, RuntimeError) as error:
             raise ConfigError(f"{named(path)}: is damaged ({error}); fetch it again") from error
-    none = {kind: Axis(knots=np.zeros(1)) for kind in ("depth", "time")}
+    none = {kind: CoordinateAxis(knots=np.zeros(1)) for kind in ("depth", "time")}
     return Read(
         parts=parts,
         axes={**none, **{kind: axis for kind, (_, axis) in axes.items()}},
@@ -266,9 +266,9 @@ def _chosen(path: Path, data: Any, one: Wanted) -> str | None:
     )
 
 
-def _axes(path: Path, stored: Any, data: Any, array: Any) -> dict[str, tuple[str, Axis]]:
+def _axes(path: Path, stored: Any, data: Any, array: Any) -> dict[str, tuple[str, CoordinateAxis]]:
     """Dimension and knots of each axis of a variable, by our name of the axis."""
-    found: dict[str, tuple[str, Axis]] = {}
+    found: dict[str, tuple[str, CoordinateAxis]] = {}
     for dim in map(str, array.dims):
         if dim not in data.variables:
             flat = [str(name) for name in array.coords if array.coords[name].ndim == 2]
@@ -322,7 +322,7 @@ def _kind(path: Path, dim: str, coordinate: Any) -> str | None:
     return _LETTERS.get(str(about.get("axis", "")).upper(), _NAMES.get(dim.lower()))
 
 
-def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> Axis:
+def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> CoordinateAxis:
     """Return the knots of one axis in our units, rising where they may be turned round."""
     if kind == "time":
         return _times(path, dim, coordinate)
@@ -347,7 +347,7 @@ def _knots(path: Path, kind: str, dim: str, coordinate: Any) -> Axis:
             f"{named(path)}: {dim} goes from {values.min():g} to {values.max():g} degrees; "
             "correct it, or its units"
         )
-    return Axis(knots=np.sort(values), degrees=degrees, turned=values[0] > values[-1])
+    return CoordinateAxis(knots=np.sort(values), degrees=degrees, turned=values[0] > values[-1])
 
 
 def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
@@ -371,7 +371,9 @@ def _is_degrees(path: Path, kind: str, dim: str, coordinate: Any) -> bool:
     return True
 
 
-def _require_frame(path: Path, data: Any, array: Any, axes: Mapping[str, tuple[str, Axis]]) -> None:
+def _require_frame(
+    path: Path, data: Any, array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]
+) -> None:
     """Require that a variable's axes and components are east and north, or both of one plane.
 
     Raises:
@@ -434,7 +436,7 @@ def _upward(coordinate: Any, values: np.ndarray) -> bool:
     return bool(np.all(values <= 0.0) and np.any(values < 0.0))
 
 
-def _times(path: Path, dim: str, coordinate: Any) -> Axis:
+def _times(path: Path, dim: str, coordinate: Any) -> CoordinateAxis:
     """Return the knots of a time axis, s after the first.
 
     Raises:
@@ -461,7 +463,7 @@ def _times(path: Path, dim: str, coordinate: Any) -> Axis:
         raise ConfigError(f"{named(path)}: {dim} has missing times; cut them off")
     seconds = (values - values[0]) / np.timedelta64(1, "s")
     _require_rising(path, dim, seconds, either=False)
-    return Axis(knots=seconds, begin=values[0])
+    return CoordinateAxis(knots=seconds, begin=values[0])
 
 
 def _require_rising(path: Path, dim: str, knots: np.ndarray, *, either: bool) -> None:
@@ -476,7 +478,7 @@ def _require_rising(path: Path, dim: str, knots: np.ndarray, *, either: bool) ->
         )
 
 
-def _laid(array: Any, axes: Mapping[str, tuple[str, Axis]]) -> np.ndarray:
+def _laid(array: Any, axes: Mapping[str, tuple[str, CoordinateAxis]]) -> np.ndarray:
     """Values [y, x, depth, time] of a variable, axes rising."""
     kinds = [kind for kind in AXES if kind in axes]
     order = [axes[kind][0] for kind in kinds]

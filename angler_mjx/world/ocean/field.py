@@ -27,7 +27,7 @@ _EVEN = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Field:
+class OceanField:
     """Velocities on a grid; two are the same if their numbers are."""
 
     values: np.ndarray
@@ -58,7 +58,7 @@ class Field:
         return hash(self.digest)
 
     def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Field) and self.digest == other.digest)
+        return self is other or (isinstance(other, OceanField) and self.digest == other.digest)
 
     def __repr__(self) -> str:
         return f"Field({'x'.join(map(str, self.values.shape))}, {self.digest[:12]})"
@@ -99,7 +99,7 @@ def even_axis(knots: np.ndarray) -> Axis:
     return Axis(count=len(knots), step=None, knots=few)
 
 
-def load(path: str, names: Mapping[str, str | None]) -> Field:
+def load(path: str, names: Mapping[str, str | None]) -> OceanField:
     """The field of a file, read once for as long as the file stays as it is.
 
     Args:
@@ -123,7 +123,9 @@ def stamp(path: str) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=8)
-def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]) -> Field:
+def _load(
+    path: str, _: tuple[int, int], names: tuple[str | None, str | None, str | None]
+) -> OceanField:
     u, v, w = names
     wanted = (
         Wanted(key="u", name=u, standard=cf.EASTWARD, words=cf.EAST_OR_X),
@@ -144,7 +146,7 @@ def _load(path: str, _: tuple[int, int], names: tuple[str | None, str | None, st
         if len(axis.knots) < 2:
             raise ConfigError(f"{named(path)}: has one {name} only; two are the least")
     knots = (y.knots, x.knots, depth.knots, time.knots)
-    return Field(
+    return OceanField(
         values=carried_on(values, wet, knots, y.degrees).astype(np.float32),
         wet=wet,
         knots=knots,

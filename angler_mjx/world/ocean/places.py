@@ -31,7 +31,7 @@ def metres_per_degree(latitude_deg: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class DeepestCells:
     """Parts of cells of a field in which worlds may lie, those with the deepest water first.
 
     A cell lies between two knots along y and along x. It counts as water down to a depth if all
@@ -100,7 +100,7 @@ def places(
     degrees: bool,
     y: Span | None,
     x: Span | None,
-) -> Places:
+) -> DeepestCells:
     """Where worlds may lie.
 
     Args:
@@ -139,7 +139,7 @@ def places(
     width = [np.where(long_y > 0, long_y, 0.0)[iy], np.where(long_x > 0, long_x, 0.0)[ix]]
     sides = [one if one.any() else np.ones_like(one) for one in width]
     levels = np.arange(wet.shape[2])
-    return Places(
+    return DeepestCells(
         knot=np.stack([iy, ix], axis=1).astype(np.int32),
         low=np.stack([low_y[iy], low_x[ix]], axis=1),
         length=np.stack(width, axis=1),

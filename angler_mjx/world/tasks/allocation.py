@@ -1,8 +1,8 @@
 """Who takes which job: nearest first, auction, or a sweep cut into equal shares.
 
-An allocator is a function of what one robot knows of a world (`View`), which may be the truth; it
-gives the next job of every robot. Where all know the same, all come to the same; where each knows
-something else, each works all of it out for itself and takes its own part.
+An allocator is a function of what one robot knows of a world (`AllocationView`), which may be the
+truth; it gives the next job of every robot. Where all know the same, all come to the same; where
+each knows something else, each works all of it out for itself and takes its own part.
 """
 
 import importlib
@@ -18,7 +18,7 @@ from angler_mjx.world.tasks.travel import Travel
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
+class AllocationView:
     """What is known of a world when jobs are shared out."""
 
     open: jax.Array
@@ -48,11 +48,11 @@ class View:
         return self.travel.ways(self.p, jnp.arange(self.open.shape[0], dtype=jnp.int32))
 
 
-type Allocator = Callable[[View], jax.Array]
+type Allocator = Callable[[AllocationView], jax.Array]
 """Next job of each robot, int32 [R]; -1 for none. No job is given to two."""
 
 
-def nearest(view: View) -> jax.Array:
+def nearest(view: AllocationView) -> jax.Array:
     """Each robot takes the open job that is nearest to it, unless that is nearer to another.
 
     The shortest way of all is taken, again and again.
@@ -60,7 +60,7 @@ def nearest(view: View) -> jax.Array:
     return pairs.shortest_first(view.travel, view.p, view.able, view.open)
 
 
-def auction(view: View) -> jax.Array:
+def auction(view: AllocationView) -> jax.Array:
     """Sequential single-item auction: the lowest bid of all for any job wins, again and again.
 
     A bid is the way that the robot would have gone when the job is done, all that it has won before
@@ -90,7 +90,7 @@ def auction(view: View) -> jax.Array:
     return jax.lax.while_loop(going, sell, (bids, none))[1]
 
 
-def sweep(view: View) -> jax.Array:
+def sweep(view: AllocationView) -> jax.Array:
     """Jobs in boustrophedon order, cut into contiguous parts that are equal within one.
 
     Each robot does its part in order. Parts of robots that are lost are cut again among those that
@@ -124,7 +124,7 @@ def _first(may: jax.Array, rank: jax.Array) -> jax.Array:
     return jnp.where(jnp.any(may, axis=-1), least, -1).astype(jnp.int32)
 
 
-def in_order(view: View) -> jax.Array:
+def in_order(view: AllocationView) -> jax.Array:
     """Each robot takes the open job of the lowest number; for tours in order."""
     jobs = jnp.arange(view.open.shape[0], dtype=jnp.int32)
     return jnp.where(view.able, _first(view.open, jobs), -1)
@@ -164,7 +164,7 @@ def named_in_errors(name: str) -> Allocator:
     """Return an allocator as `by_name` does; what it raises names its file and line."""
     allocator = by_name(name)
 
-    def allocate(view: View) -> jax.Array:
+    def allocate(view: AllocationView) -> jax.Array:
         with raised_by(f"task.allocation = {shown(name)}: the function"):
             return allocator(view)
 

@@ -20,7 +20,7 @@ WHOLE: Part = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class GoalSampling:
     """Where places are drawn, or where they are."""
 
     within: Part = WHOLE
@@ -30,8 +30,8 @@ class Places:
 
 def draw(
     spec: TaskSpec,
-    begin: Places,
-    end: Places,
+    begin: GoalSampling,
+    end: GoalSampling,
     key: jax.Array,
     environment: Environment,
     reachable: jax.Array,
@@ -74,7 +74,7 @@ def draw(
 
 
 def _places(
-    wanted: Places, count: int, key: jax.Array, grid: Grid, reachable: jax.Array
+    wanted: GoalSampling, count: int, key: jax.Array, grid: Grid, reachable: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """Places [count, 3] in W that robots can reach, and bool [] whether there are so many.
 

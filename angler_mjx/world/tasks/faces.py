@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import Surface
 
 _OUT = 0.48
@@ -13,7 +13,7 @@ _OUT = 0.48
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faces:
+class SurfaceQuads:
     """Squares on faces of cells, a little on the water's side."""
 
     centre_m: np.ndarray
@@ -24,14 +24,14 @@ class Faces:
     """int [n] number of its cell among those of the survey, in the order of its array."""
 
 
-def faces(
+def surface_quads(
     of: Surface,
     cells: np.ndarray,
     occupied: np.ndarray,
     origin_m: np.ndarray,
     cell_m: float,
     floor_z_m: float,
-) -> Faces:
+) -> SurfaceQuads:
     """Faces through which the cells of a survey touch what it surveys.
 
     Args:
@@ -63,17 +63,17 @@ def faces(
             centres.append(centre)
             axes.append(np.full(len(mine), axis))
             owners.append(number[mine[:, 0], mine[:, 1], mine[:, 2]])
-    return Faces(
+    return SurfaceQuads(
         centre_m=np.concatenate(centres), axis=np.concatenate(axes), cell=np.concatenate(owners)
     )
 
 
-def surface(task: History, environment: Environment) -> Faces | None:
+def surface(task: TaskHistory, environment: Environment) -> SurfaceQuads | None:
     """What the survey of a world is to see; None where its task is another."""
     if task.cells is None or task.spec.survey is None:
         return None
     grid = environment.grid
-    return faces(
+    return surface_quads(
         task.spec.survey.of,
         task.cells,
         np.asarray(grid.occupied),

@@ -38,7 +38,7 @@ class Goods(IntEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class History:
+class TaskHistory:
     """The task of one world over time: T samples, R robots, M jobs, P places."""
 
     spec: TaskSpec

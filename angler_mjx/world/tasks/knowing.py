@@ -11,11 +11,11 @@ import jax.numpy as jnp
 
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.tasks import bits, deliver
-from angler_mjx.world.tasks.spec import Found, Report, TaskSpec, TaskState, TaskWorld
+from angler_mjx.world.tasks.spec import GoodsBelief, TaskReport, TaskSpec, TaskState, TaskWorld
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class TaskScene:
     """What a look sees of one world."""
 
     t: jax.Array
@@ -29,29 +29,29 @@ class Scene:
     believed_m: jax.Array
     """[R, 3] where they take themselves to be."""
     grid: Grid
-    others: "Others | None" = None
+    others: "HeardReports | None" = None
     """What they have heard of each other; None: all know all."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Others:
+class HeardReports:
     """What each robot knows of the others; the knowing one leads."""
 
     p: jax.Array
     """[R, R, 3] where they last said they were, m in W."""
     active: jax.Array
     """bool [R, R] who is taken to be at work."""
-    said: Report
+    said: TaskReport
     """What they last said, [R, R] leading."""
     lost_after_s: float
     """How long one has to be silent to be taken to be lost; so long empty places are believed."""
 
 
-def report(state: TaskState, running: jax.Array | None = None) -> Report:
+def report(state: TaskState, running: jax.Array | None = None) -> TaskReport:
     """What robots say; ``running`` is bool [R] whose episode goes on, all if left out."""
     at_work = jnp.ones(state.did.shape, bool) if running is None else running
-    return Report(over=state.knows, carrying=state.carrying, at_work=at_work)
+    return TaskReport(over=state.knows, carrying=state.carrying, at_work=at_work)
 
 
 def near(spec: TaskSpec, p: jax.Array, place_m: jax.Array) -> jax.Array:
@@ -60,7 +60,7 @@ def near(spec: TaskSpec, p: jax.Array, place_m: jax.Array) -> jax.Array:
     return jnp.sum(apart * apart, axis=-1) <= spec.tolerance_m**2
 
 
-def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
+def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -> TaskState:
     """Who knows which jobs to be over."""
     if not spec.shared:
         return state
@@ -84,12 +84,12 @@ def known(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> Ta
 
 def _found(
     spec: TaskSpec,
-    found: Found,
-    scene: Scene,
-    others: Others,
+    found: GoodsBelief,
+    scene: TaskScene,
+    others: HeardReports,
     gone: jax.Array,
     there: jax.Array,
-) -> Found:
+) -> GoodsBelief:
     """Whose hands which goods are in, as far as each robot knows.
 
     An empty place says no more than that somebody took what lay there: it is believed for as long
@@ -109,14 +109,14 @@ def _found(
     new = jnp.any(empty & ~old != 0, axis=1)
     carrying = jnp.where(others.active, others.said.carrying, -1)
     held = jnp.any(carrying[..., None] == jnp.arange(spec.jobs), axis=1)
-    return Found(
+    return GoodsBelief(
         missing=missing,
         at_s=jnp.where(new, scene.t, found.at_s),
         in_hand=missing | bits.pack(held),
     )
 
 
-def news(spec: TaskSpec, before: TaskState, after: TaskState, scene: Scene) -> jax.Array:
+def news(spec: TaskSpec, before: TaskState, after: TaskState, scene: TaskScene) -> jax.Array:
     """Whether a robot has learned anything since the last look, bool [R]: it then thinks anew."""
     learned = jnp.any(closed(before) != closed(after), axis=1) | (scene.t == 0.0)
     if scene.others is None and spec.shared:

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.matching import MOST_LANES, Pairs, matched
+from angler_kernels.matching import MOST_LANES, MatchedPairs, matched
 from angler_kernels.programs import on_gpu
 from angler_mjx.world import routes
 from angler_mjx.world.routes import Routes
@@ -36,7 +36,7 @@ def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Arr
         to the lower job.
     """
     shape = able.shape[0], open_.shape[0]
-    asking = Pairs.of(shape, lanes_a_warp=_LANES_A_WARP)
+    asking = MatchedPairs.of(shape, lanes_a_warp=_LANES_A_WARP)
     if on_gpu() and travel.routes is not None and asking.program.lanes <= MOST_LANES:
         return _Kernel(asking, travel.routes.words.shape).run(travel.routes, p, able, open_)
     way = travel.ways(p, jnp.arange(shape[1], dtype=jnp.int32))
@@ -45,7 +45,7 @@ def shortest_first(travel: Travel, p: jax.Array, able: jax.Array, open_: jax.Arr
 
 @dataclass(frozen=True)
 class _Kernel:
-    pairs: Pairs
+    pairs: MatchedPairs
     shape: tuple[int, ...]
     """Of `Routes.words`."""
 

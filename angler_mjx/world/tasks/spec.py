@@ -181,13 +181,13 @@ class TaskState:
     """uint32 [nx, ny, w] cells of a survey that some robot has seen, packed along z."""
     seen_at_s: jax.Array | None = None
     """[nx, ny, nz] when some robot saw each cell first; NaN before. None where nobody asks."""
-    found: "Found | None" = None
+    found: "GoodsBelief | None" = None
     """What each robot takes to be in hand; None where all know all, or no goods come back."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class GoodsBelief:
     """Goods that each robot takes to be in somebody's hands, so that it need not go there."""
 
     missing: jax.Array
@@ -200,7 +200,7 @@ class Found:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class TaskReport:
     """What robots say of their part of a task, [R] leading."""
 
     over: jax.Array

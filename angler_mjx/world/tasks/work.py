@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from angler_kernels import bit_grid
 from angler_kernels.quaternion import rotate
 from angler_mjx.world.tasks import allocation, bits, deliver, knowing, sight
-from angler_mjx.world.tasks.allocation import View
-from angler_mjx.world.tasks.knowing import Scene
+from angler_mjx.world.tasks.allocation import AllocationView
+from angler_mjx.world.tasks.knowing import TaskScene
 from angler_mjx.world.tasks.spec import (
-    Found,
+    GoodsBelief,
     SurveySpec,
     SurveyWorld,
     TaskSpec,
@@ -36,7 +36,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array, *, heard: bool = 
     """
     jobs, robots, kind = spec.jobs, spec.robots, start_m.dtype
     nothing = jnp.zeros((robots, spec.words), jnp.uint32)
-    found = Found(missing=nothing, at_s=jnp.zeros(robots, kind), in_hand=nothing)
+    found = GoodsBelief(missing=nothing, at_s=jnp.zeros(robots, kind), in_hand=nothing)
     return TaskState(
         done=jnp.zeros(jobs, bool),
         lost=jnp.zeros(jobs, bool),
@@ -60,7 +60,7 @@ def begin(spec: TaskSpec, task: TaskWorld, start_m: jax.Array, *, heard: bool = 
 
 
 def look(
-    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, travel: Travel
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene, travel: Travel
 ) -> TaskState:
     """The state after a look.
 
@@ -75,7 +75,7 @@ def look(
     return _sent(spec, task, after, scene, travel, knowing.news(spec, state, after, scene))
 
 
-def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene) -> TaskState:
+def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -> TaskState:
     """What has become true since the last look."""
     near = knowing.near(spec, scene.p, task.place_m) & scene.running[:, None]
     by = near[:, : spec.jobs]
@@ -123,7 +123,7 @@ def _with_progress(
 
 
 def _visited(
-    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: Scene, near: jax.Array
+    spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene, near: jax.Array
 ) -> TaskState:
     """A tour of which every robot visits all places: what each knows is where it was."""
     before = bits.unpack(state.knows, spec.jobs)
@@ -140,7 +140,7 @@ def _visited(
     return _with_progress(state, jnp.mean(visited), jnp.all(everybody), scene.t)
 
 
-def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: Scene) -> jax.Array:
+def _seen(survey: SurveySpec, world: SurveyWorld, seen: jax.Array, scene: TaskScene) -> jax.Array:
     """Cells that some robot has seen by now, uint32 [nx, ny, w]."""
     shape, wanted = scene.grid.occupied.shape, world.words & ~seen
     down = -jax.vmap(rotate, (0, None))(scene.q, jnp.array([0.0, 0.0, 1.0], scene.p.dtype))
@@ -167,7 +167,7 @@ def _over(
     task: TaskWorld,
     world: SurveyWorld,
     seen: jax.Array,
-    scene: Scene,
+    scene: TaskScene,
     near: jax.Array,
 ) -> jax.Array:
     """Whose jobs of a survey are over, bool [R, M].
@@ -193,7 +193,7 @@ def _sent(
     spec: TaskSpec,
     task: TaskWorld,
     state: TaskState,
-    scene: Scene,
+    scene: TaskScene,
     travel: Travel,
     news: jax.Array,
 ) -> TaskState:
@@ -228,7 +228,7 @@ def _jobs(
     spec: TaskSpec,
     task: TaskWorld,
     state: TaskState,
-    scene: Scene,
+    scene: TaskScene,
     travel: Travel,
     closed: jax.Array,
     news: jax.Array,
@@ -252,8 +252,8 @@ def _jobs(
 
     def view(
         p: jax.Array, active: jax.Array, able: jax.Array, open_: jax.Array, share: jax.Array
-    ) -> View:
-        return View(
+    ) -> AllocationView:
+        return AllocationView(
             open=open_,
             able=able & active,
             active=active,

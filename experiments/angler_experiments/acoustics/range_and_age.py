@@ -78,7 +78,7 @@ def mean_age_s(one: Channel, robots: int, seconds: float, worlds: int) -> float:
 
     def advance(number: jax.Array, key: jax.Array, p_m: jax.Array, memory: Any) -> Any:
         t = number * DT_S
-        said = channel.Said(p_m=p_m, v_mps=jnp.zeros_like(p_m), time_s=jnp.full(robots, t))
+        said = channel.Packet(p_m=p_m, v_mps=jnp.zeros_like(p_m), time_s=jnp.full(robots, t))
         now = Now(
             key=jax.random.fold_in(key, number),
             number=number,

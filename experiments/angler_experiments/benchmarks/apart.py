@@ -17,7 +17,7 @@ import tyro
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.vehicles import library
 from angler_mjx.studies.benchmark.paths import unpacked
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 QUERY = """
     SELECT plans.paths, plannerConfigs.name, runs.robots_planned AS robots, robots.text AS robots_of
@@ -63,7 +63,7 @@ def main(folder: Annotated[Path, tyro.conf.Positional]) -> None:
         folder: Results folder of a benchmark.
     """
     gaps: dict[str, list[float]] = {}
-    with Store(folder / "results.sqlite", only_read=True) as store:
+    with BenchmarkStore(folder / "results.sqlite", only_read=True) as store:
         for row in store.rows(QUERY):
             paths = unpacked(row["paths"])
             told = sorted(json.loads(row["robots_of"]), key=lambda one: one["robot"])

@@ -17,7 +17,7 @@ import tyro
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.benchmark.report import reading
 from angler_mjx.studies.benchmark.report.paired import compare
-from angler_mjx.studies.benchmark.report.rates import Rate, rate
+from angler_mjx.studies.benchmark.report.rates import ReportRate, rate
 from angler_mjx.studies.benchmark.report.reading import Results, Runs
 
 LEVELS = ("nothing", "observed", "predicted", "truth")
@@ -25,7 +25,7 @@ LEVELS = ("nothing", "observed", "predicted", "truth")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class FleetsStudy:
     """The runs of the study."""
 
     results: Results
@@ -64,7 +64,7 @@ class Study:
         return sorted(set(self.results.runs["robots"].tolist()))
 
 
-def read(folders: Sequence[Path]) -> Study:
+def read(folders: Sequence[Path]) -> FleetsStudy:
     """Read results folders of one study; they need not be complete.
 
     Raises:
@@ -97,7 +97,7 @@ def read(folders: Sequence[Path]) -> Study:
         world=reading.worlds(runs),
         examples=[],
     )
-    return Study(results=whole, ways=ways, left=int(unflown.sum()))
+    return FleetsStudy(results=whole, ways=ways, left=int(unflown.sum()))
 
 
 def _to_be_flown(runs: Runs) -> np.ndarray:
@@ -114,12 +114,12 @@ def _way(entry: dict[str, Any]) -> str:
     )
 
 
-def arrivals(runs: Runs) -> Rate:
+def arrivals(runs: Runs) -> ReportRate:
     """Teams that arrive whole."""
     return rate(runs["success"], np.ones(len(runs), bool))
 
 
-def by_team(study: Study, level: str) -> list[str]:
+def by_team(study: FleetsStudy, level: str) -> list[str]:
     """Whole teams that arrive, and of the robots, at one level: a table a scene."""
     lines = []
     for scene in study.results.scenes:
@@ -133,7 +133,7 @@ def by_team(study: Study, level: str) -> list[str]:
     return lines
 
 
-def by_level(study: Study) -> list[str]:
+def by_level(study: FleetsStudy) -> list[str]:
     """The same by what is known, where more than one level was flown."""
     lines = []
     for scene, robots in study.known:
@@ -146,7 +146,7 @@ def by_level(study: Study) -> list[str]:
     return lines
 
 
-def replans(study: Study) -> list[str]:
+def replans(study: FleetsStudy) -> list[str]:
     """How often a robot on its way got no new plan, where plans are made anew."""
     head = ["no new plan, times a robot", "told", *[f"{team}" for team in study.teams]]
     lines = ["", *_header(head)]
@@ -160,7 +160,7 @@ def replans(study: Study) -> list[str]:
     return lines
 
 
-def pairs(study: Study) -> list[str]:
+def pairs(study: FleetsStudy) -> list[str]:
     """Each planner that plans anew, less the same one told as much that does not."""
     runs = study.results.runs
     lines = ["", *_header(["planned anew less once", "problems", "points (95 %)", "McNemar's p"])]

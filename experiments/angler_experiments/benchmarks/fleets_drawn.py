@@ -7,13 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from angler_experiments.benchmarks.fleets import LEVELS, Study, arrivals
+from angler_experiments.benchmarks.fleets import LEVELS, FleetsStudy, arrivals
 from angler_mjx.report.viewing import style
 from angler_mjx.studies.benchmark.report import look
-from angler_mjx.studies.benchmark.report.rates import Rate
+from angler_mjx.studies.benchmark.report.rates import ReportRate
 
 
-def make(study: Study, level: str, folder: Path) -> list[Path]:
+def make(study: FleetsStudy, level: str, folder: Path) -> list[Path]:
     """Draw both; the second only where more than one level was flown."""
     drawn = {"fleets_teams.png": by_team(study, level)}
     if any(study.known):
@@ -21,7 +21,7 @@ def make(study: Study, level: str, folder: Path) -> list[Path]:
     return [style.save(figure, folder / name) for name, figure in drawn.items()]
 
 
-def by_team(study: Study, level: str) -> Figure:
+def by_team(study: FleetsStudy, level: str) -> Figure:
     """Whole teams that arrive, a panel a scene."""
     ticks = [str(team) for team in study.teams]
     panels = {
@@ -35,7 +35,7 @@ def by_team(study: Study, level: str) -> Figure:
     return _drawn(study, "Whole teams that arrive, by their robots", said, panels, ticks, "robots")
 
 
-def by_level(study: Study) -> Figure:
+def by_level(study: FleetsStudy) -> Figure:
     """Whole teams that arrive, by what may be known, a panel a scene and team."""
     panels = {
         f"{scene}, {robots} robot{'' if robots == 1 else 's'}": {
@@ -50,10 +50,10 @@ def by_level(study: Study) -> Figure:
 
 
 def _drawn(
-    study: Study,
+    study: FleetsStudy,
     title: str,
     said: str,
-    panels: Mapping[str, Mapping[str, Sequence[Rate]]],
+    panels: Mapping[str, Mapping[str, Sequence[ReportRate]]],
     ticks: Sequence[str],
     below: str,
 ) -> Figure:
@@ -71,7 +71,7 @@ def _drawn(
     return figure
 
 
-def _lines(axes: Axes, lines: Sequence[Sequence[Rate]], ticks: Sequence[str]) -> None:
+def _lines(axes: Axes, lines: Sequence[Sequence[ReportRate]], ticks: Sequence[str]) -> None:
     for place, rates in enumerate(lines):
         held = [(i, one) for i, one in enumerate(rates) if one.asked]
         shift = 0.35 * (place - (len(lines) - 1) / 2) / max(len(lines), 3)

@@ -10,7 +10,7 @@ _SHORT_M = 1e-6
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Straight:
+class StraightFrame:
     """Frame of one robot; ``vmap`` it for a team."""
 
     start_m: jax.Array
@@ -33,7 +33,7 @@ class Straight:
         return self.start_m + share[:, None] * self.length_m * self.axes[0]
 
 
-def straight(start_m: jax.Array, goal_m: jax.Array) -> Straight:
+def straight(start_m: jax.Array, goal_m: jax.Array) -> StraightFrame:
     """The frame of a robot from ``start_m`` [3] to ``goal_m`` [3].
 
     A way straight up or down takes x for its left; one of no length runs along x.
@@ -49,7 +49,7 @@ def straight(start_m: jax.Array, goal_m: jax.Array) -> Straight:
         jnp.stack([-along[1] / safe, along[0] / safe, jnp.zeros_like(safe)]),
         east,
     )
-    return Straight(
+    return StraightFrame(
         start_m=start_m,
         length_m=length,
         axes=jnp.stack([along, left, jnp.cross(along, left)]),

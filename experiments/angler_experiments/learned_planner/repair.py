@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 
 from angler_experiments.learned_planner import rock, ways
-from angler_experiments.learned_planner.frames import Straight
+from angler_experiments.learned_planner.frames import StraightFrame
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
 from angler_mjx.planning.ways.lattice import column_words
 from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import Traffic, beside, clear_of, met_by
+from angler_mjx.planning.ways.traffic import GridTraffic, beside, clear_of, met_by
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 _ROUNDING_M = 1e-3
 _STEP = 0.5
@@ -86,7 +86,7 @@ def pushed(
 
 
 def candidates(
-    problem: Problem, frames: Straight, drawn: jax.Array, config: RepairConfig
+    problem: Problem, frames: StraightFrame, drawn: jax.Array, config: RepairConfig
 ) -> Candidates:
     """All paths that the robots of one world may take.
 
@@ -103,7 +103,7 @@ def candidates(
     holds = jnp.array(config.hold_s)
 
     def of_robot(
-        mine: jax.Array, frame: Straight, goal: jax.Array, radius: jax.Array, speed: jax.Array
+        mine: jax.Array, frame: StraightFrame, goal: jax.Array, radius: jax.Array, speed: jax.Array
     ) -> Trajectory:
         need = radius + config.margin_m
 
@@ -146,14 +146,14 @@ def _stands_clear(
     return jnp.all(legs) & rock.within(problem.grid, problem.floor_z_m, place, need_m)
 
 
-def _bodies(known: KnownObstacles, horizon_s: float) -> Traffic | None:
+def _bodies(known: ObstacleInformation, horizon_s: float) -> GridTraffic | None:
     """All obstacles that are known, those that stand among them, as spheres along timed ways."""
     if known.radius_m.shape[-1] == 0:
         return None
     moving = bodies_traffic(known, horizon_s)
     if not known.some_stand:
         return moving
-    still = Traffic(
+    still = GridTraffic(
         time_s=jnp.zeros_like(known.radius_m)[:, None],
         position_m=known.p_m[:, :1],
         reach_m=known.radius_m,
@@ -162,7 +162,7 @@ def _bodies(known: KnownObstacles, horizon_s: float) -> Traffic | None:
     return beside(moving, still)
 
 
-def _passes(bodies: Traffic, path: Trajectory) -> jax.Array:
+def _passes(bodies: GridTraffic, path: Trajectory) -> jax.Array:
     """Whether a path meets no body until it is over and a little after; bool []."""
     place = jnp.concatenate([path.position_m, path.position_m[-1:]])
     time = jnp.append(path.time_s, path.time_s[-1] + STANDS_S)
@@ -200,7 +200,7 @@ def choose(
         plans, settled, order = state
         i = order[number]
         mine: Trajectory = jax.tree.map(lambda leaf: leaf[i], given.paths)
-        traffic = Traffic(
+        traffic = GridTraffic(
             time_s=plans.time_s,
             position_m=plans.position_m,
             reach_m=reach[i],

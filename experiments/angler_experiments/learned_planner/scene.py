@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner.frames import Straight, straight
+from angler_experiments.learned_planner.frames import StraightFrame, straight
 from angler_experiments.learned_planner.rock import depth_field, read_field
 from angler_experiments.learned_planner.shapes import ABOVE, ASIDE, LOOK_M, SLICES
 from angler_mjx.planning.problem import Problem
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 _FAR_M = 3.0
 """Gaps count up to this."""
@@ -41,7 +41,7 @@ class Scene:
     """bool [n]."""
 
 
-def lines(problem: Problem) -> Straight:
+def lines(problem: Problem) -> StraightFrame:
     """The frames [R] of a team."""
     return jax.vmap(straight)(problem.team.start_m, problem.team.goal_m)
 
@@ -59,7 +59,7 @@ def scene(problem: Problem) -> Scene:
     aside = (jnp.arange(ASIDE) - (ASIDE - 1) / 2) * LOOK_M
     above = (jnp.arange(ABOVE) - (ABOVE - 1) / 2) * LOOK_M
 
-    def around(frame: Straight, radius: jax.Array) -> jax.Array:
+    def around(frame: StraightFrame, radius: jax.Array) -> jax.Array:
         place = (
             frame.line(share)[:, None, None]
             + aside[:, None, None] * frame.axes[1]
@@ -68,7 +68,7 @@ def scene(problem: Problem) -> Scene:
         gap = read_field(problem.grid, field, place) - radius
         return jnp.clip(gap, -_FAR_M, _FAR_M) / _FAR_M
 
-    def flow(frame: Straight) -> jax.Array:
+    def flow(frame: StraightFrame) -> jax.Array:
         zero = jnp.zeros((), team.start_m.dtype)
         there = jax.vmap(lambda p: problem.current.velocity(p, zero))(frame.line(share))
         return frame.inward(there)
@@ -92,7 +92,7 @@ def scene(problem: Problem) -> Scene:
     )
 
 
-def _others(problem: Problem, frames: Straight) -> jax.Array:
+def _others(problem: Problem, frames: StraightFrame) -> jax.Array:
     team = problem.team
     speed = team.cruise_speed_mps
     needs = frames.length_m / speed
@@ -105,7 +105,7 @@ def _others(problem: Problem, frames: Straight) -> jax.Array:
     when = jnp.clip(when, 0.0, until)
     nearest = near + when[..., None] * relative
 
-    def of(frame: Straight, near: jax.Array, goal: jax.Array, met: jax.Array) -> jax.Array:
+    def of(frame: StraightFrame, near: jax.Array, goal: jax.Array, met: jax.Array) -> jax.Array:
         each = (near / 10.0, (goal - frame.start_m) / 10.0, met / 5.0)
         return jnp.concatenate([frame.inward(vector) for vector in each], axis=-1)
 
@@ -122,8 +122,8 @@ def _others(problem: Problem, frames: Straight) -> jax.Array:
     return jnp.concatenate([places, jnp.stack(numbers, axis=-1)], axis=-1)
 
 
-def _bodies(known: KnownObstacles, frames: Straight) -> jax.Array:
-    def of(frame: Straight) -> jax.Array:
+def _bodies(known: ObstacleInformation, frames: StraightFrame) -> jax.Array:
+    def of(frame: StraightFrame) -> jax.Array:
         place = frame.inward(known.p_m[:, 0] - frame.start_m) / 10.0
         return jnp.concatenate(
             [place, frame.inward(known.velocity_mps), known.radius_m[:, None]], axis=-1

@@ -8,7 +8,7 @@ the cruise speed along the path would be there. Start and goal are in none: they
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner.frames import Straight
+from angler_experiments.learned_planner.frames import StraightFrame
 from angler_experiments.learned_planner.shapes import DELAY_S, INNER, OFF_M
 from angler_mjx.robot.control.trajectory import Trajectory
 
@@ -16,7 +16,7 @@ _SLOWER = 0.999
 """Rounding must not make a robot faster than it may be."""
 
 
-def from_path(path: Trajectory, frame: Straight, speed_mps: jax.Array) -> jax.Array:
+def from_path(path: Trajectory, frame: StraightFrame, speed_mps: jax.Array) -> jax.Array:
     """The way [inner, 4] of one robot's path."""
     leg = path.position_m[1:] - path.position_m[:-1]
     length = jnp.sqrt(jnp.sum(leg * leg, axis=-1))
@@ -33,7 +33,7 @@ def from_path(path: Trajectory, frame: Straight, speed_mps: jax.Array) -> jax.Ar
     return jnp.concatenate([off, late[:, None]], axis=-1)
 
 
-def points(way: jax.Array, frame: Straight, goal_m: jax.Array) -> jax.Array:
+def points(way: jax.Array, frame: StraightFrame, goal_m: jax.Array) -> jax.Array:
     """Points [inner + 2, 3] in W of a way [inner, 4], from start to goal."""
     share = jnp.arange(1, INNER + 1) / (INNER + 1)
     inner = frame.line(share) + frame.outward(way[:, :3] * OFF_M)

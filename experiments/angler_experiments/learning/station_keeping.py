@@ -51,7 +51,7 @@ class Size:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class StationFlight:
     """How worlds were flown."""
 
     rms_m: float
@@ -125,7 +125,7 @@ def train(env: FleetEnv, size: Size, seed: int = 0) -> tuple[Callable[..., Any],
     return last["make"](params, deterministic=True), last["step"], time.perf_counter() - begun
 
 
-def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Flown:
+def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> StationFlight:
     """Fly all worlds of an environment's bank once, by a function of observations [W, 1, size]."""
 
     def fly(env: FleetEnv) -> Any:
@@ -140,7 +140,7 @@ def judge(env: FleetEnv, act: Callable[[jax.Array], jax.Array]) -> Flown:
     ended = np.cumsum(terminated, axis=0) - terminated > 0  # of the world that came in its place
     first = np.ma.masked_array(away, ended)
     half = len(away) // 2
-    return Flown(
+    return StationFlight(
         rms_m=float(np.sqrt((first**2).mean())),
         late_rms_m=float(np.sqrt((first[half:] ** 2).mean())),
         energy_j=float(np.ma.masked_array(energy, ended).max(axis=0).mean()),

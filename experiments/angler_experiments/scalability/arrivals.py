@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from angler_mjx.report.viewing import style, tables
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.simulator import cache
 from angler_mjx.runs.storage import claims, folder
 from angler_mjx.scenario.scenario import load_scenario
@@ -26,7 +26,7 @@ from angler_mjx.studies.settings import axes
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class ArrivalsStudy:
     """One sweep."""
 
     name: str
@@ -35,7 +35,7 @@ class Study:
     set: tuple[str, ...]
     """As for `angler sweep`."""
 
-    def asked(self, **given: Any) -> sweep.Asked:
+    def asked(self, **given: Any) -> sweep.SweepRequest:
         """What is to be flown.
 
         Args:
@@ -44,12 +44,12 @@ class Study:
         path = Path(__file__).with_name(self.scenario)
         source = str(path) if path.suffix == ".toml" else self.scenario
         loaded = load_scenario(source, time={"record_hz": 0.0}, **given)
-        return sweep.ask(loaded, axes(self.set), self.scenario)
+        return sweep.build_request(loaded, axes(self.set), self.scenario)
 
 
-STUDIES: dict[str, tuple[Study, ...]] = {
+STUDIES: dict[str, tuple[ArrivalsStudy, ...]] = {
     "teams": (
-        Study(
+        ArrivalsStudy(
             name="teams",
             scenario="dense_dynamic",
             set=(
@@ -62,18 +62,20 @@ STUDIES: dict[str, tuple[Study, ...]] = {
         ),
     ),
     "uncertainty": (
-        Study(name="estimate", scenario="reef_fleet", set=("fleet.*.estimate=truth,noisy,ekf",)),
-        Study(
+        ArrivalsStudy(
+            name="estimate", scenario="reef_fleet", set=("fleet.*.estimate=truth,noisy,ekf",)
+        ),
+        ArrivalsStudy(
             name="noise",
             scenario="reef_fleet",
             set=("randomise.sensor_noise=[1,1],[2,2],[4,4],[8,8]", "fleet.*.estimate=ekf"),
         ),
-        Study(
+        ArrivalsStudy(
             name="faults",
             scenario="reef_fleet",
             set=("randomise.fault_probability=0.0,0.05,0.1,0.2", "randomise.known=false,true"),
         ),
-        Study(
+        ArrivalsStudy(
             name="mix",
             scenario="reef_fleet",
             set=(
@@ -83,7 +85,7 @@ STUDIES: dict[str, tuple[Study, ...]] = {
         ),
     ),
     "smoke": (
-        Study(
+        ArrivalsStudy(
             name="smoke",
             scenario="smoke.toml",
             set=("world.currents.0.max_speed_mps=1.5,0.5",),
@@ -93,15 +95,15 @@ STUDIES: dict[str, tuple[Study, ...]] = {
 """By the word of the command line; ``smoke`` is quick, and flown to see that all of it works."""
 
 
-class Told(Silent):
+class ArrivalsProgress(SilentProgress):
     """Says which run begins."""
 
     def part(self, number: int, of: int, name: str) -> None:
-        """See `angler_mjx.runs.several.Told`."""
+        """See `angler_mjx.runs.several.ArrivalsProgress`."""
         print(f"  run {number + 1} of {of}: {name}", flush=True)
 
 
-def make(study: Study, out: Path, **given: Any) -> dict[str, Any]:
+def make(study: ArrivalsStudy, out: Path, **given: Any) -> dict[str, Any]:
     """Fly what is left of a sweep; returns what it came to.
 
     Args:
@@ -112,7 +114,7 @@ def make(study: Study, out: Path, **given: Any) -> dict[str, Any]:
     if (out / sweep.SWEEP).is_file() and sweep.read(out)["complete"]:
         return sweep.read(out)
     begun = claims.partial_path(out).is_dir() or out.is_dir()
-    return sweep.make(study.asked(**given), out, told=Told(), resume=begun)
+    return sweep.make(study.asked(**given), out, told=ArrivalsProgress(), resume=begun)
 
 
 def keep(found: dict[str, Any], name: str, data: Path, images: Path, page: Path | None) -> None:

@@ -26,7 +26,7 @@ from angler_mjx.runs.simulator import cache
 from angler_mjx.runs.simulator.devices import is_out_of_memory
 from angler_mjx.studies.speed import rows
 from angler_mjx.studies.speed.measured import free_motion, simulation
-from angler_mjx.studies.speed.rows import Row
+from angler_mjx.studies.speed.rows import SpeedRow
 
 type Engine = Literal["fused", "mjx"]
 type Key = tuple[str, int, str, str]
@@ -67,7 +67,7 @@ def key_of(row: dict[str, Any]) -> Key:
     return name, int(row["extra"]["size"]), row["engine"], row["device"]
 
 
-def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> Row:
+def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: str) -> SpeedRow:
     """One row; without a number where it was refused."""
     label = f"{PREFIX}{ladder.name}"
     worlds = size if ladder.key is None else WORLDS[backend][engine]
@@ -87,7 +87,7 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
                 counted=False,
             )
     except (AnglerError, jax.errors.JaxRuntimeError) as error:
-        row = Row(
+        row = SpeedRow(
             workload=label,
             inside="",
             worlds=worlds,
@@ -107,7 +107,7 @@ def measure(ladder: Ladder, engine: Engine, size: int, repeats: int, backend: st
 
 def run(
     asked: Sequence[tuple[Any, ...]], out: Path, repeats: int, limit_s: float
-) -> Iterator[tuple[Row, float]]:
+) -> Iterator[tuple[SpeedRow, float]]:
     """Measure what a file lacks; gives each row with the seconds that it took in all.
 
     Args:

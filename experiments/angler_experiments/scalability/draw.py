@@ -40,7 +40,7 @@ PUBLISHED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class PlotLine:
     """What one engine on one device took over one ladder."""
 
     ladder: str
@@ -71,7 +71,7 @@ class Line:
         return tuple(x for x, _ in known), tuple(y for _, y in known)
 
 
-def lines(path: Path) -> list[Line]:
+def lines(path: Path) -> list[PlotLine]:
     """All lines of a file of rows; of several rows of one size the last counts.
 
     Raises:
@@ -92,7 +92,7 @@ def lines(path: Path) -> list[Line]:
     ]
 
 
-def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, Any]]) -> Line:
+def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, Any]]) -> PlotLine:
     size = tuple(sorted(found))
     each = [found[x] for x in size]
     work = [row["worlds"] * row["robots"] * STEPS for row in each]
@@ -100,7 +100,7 @@ def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, An
     def seconds(key: str) -> tuple[float, ...]:
         return tuple(steps / row[key] for steps, row in zip(work, each, strict=True))
 
-    return Line(
+    return PlotLine(
         ladder=ladder,
         engine=engine,
         device=device,
@@ -112,7 +112,7 @@ def _line(ladder: str, engine: str, device: str, found: dict[float, dict[str, An
     )
 
 
-def table(found: Sequence[Line]) -> str:
+def table(found: Sequence[PlotLine]) -> str:
     """The fits, in Markdown."""
     several = _several_devices(found)
     head = ["what is varied", "engine", *["device"] * several, "from", "to", f"ms, {STEPS} steps"]
@@ -141,7 +141,7 @@ def table(found: Sequence[Line]) -> str:
     return tables.table(head, body)
 
 
-def _several_devices(found: Sequence[Line]) -> bool:
+def _several_devices(found: Sequence[PlotLine]) -> bool:
     return len({one.device for one in found}) > 1
 
 
@@ -159,7 +159,7 @@ def amount(n_byte: float) -> str:
     return f"{n_byte / 1e9:.3g} GB" if n_byte >= 1e9 else f"{n_byte / 1e6:.3g} MB"
 
 
-def draw(found: Sequence[Line], what: str) -> Figure:
+def draw(found: Sequence[PlotLine], what: str) -> Figure:
     """Costs on logarithmic axes, a panel for each thing that is varied.
 
     Args:
@@ -221,7 +221,7 @@ def _widen(axes: Axes) -> None:
         getattr(axes.yaxis, f"set_{axis}_formatter")(Plain())
 
 
-def _panel(axes: Axes, one: Line, what: str, label: str, color: str) -> None:
+def _panel(axes: Axes, one: PlotLine, what: str, label: str, color: str) -> None:
     fit = one.time if what == "time" else one.memory
     x, y = (one.size, one.seconds) if what == "time" else one.known_bytes
     if not x:

@@ -17,13 +17,13 @@ from angler_mjx.studies.speed.measured.free_motion import (
     VEHICLE,
     steps_of,
 )
-from angler_mjx.studies.speed.rows import Row, account, all_finite, seconds_of, spread, turns
+from angler_mjx.studies.speed.rows import SpeedRow, account, all_finite, seconds_of, spread, turns
 
 FEWER = 10
 """The equations of motion are repeated so many times as often in a call."""
 
 
-def measure(*, vehicles: int, repeats: int) -> Row:
+def measure(*, vehicles: int, repeats: int) -> SpeedRow:
     """Time `mjx.step` of independent free bodies.
 
     Args:
@@ -58,7 +58,7 @@ def measure(*, vehicles: int, repeats: int) -> Row:
         if not all_finite(after.qpos) or bool(jnp.any(after.qpos[:, :3] == data.qpos[:, :3])):
             raise RuntimeError("bodies stood still, or their places are not finite")
         rates += [vehicles * steps / taken] * counts
-    return Row(
+    return SpeedRow(
         workload="dynamics",
         inside=f"{steps} calls of mjx.step in one device call: one free body in each world",
         worlds=vehicles,

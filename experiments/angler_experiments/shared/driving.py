@@ -14,7 +14,7 @@ HOLD_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class DrivingCase:
     """How roughly the vehicles are driven."""
 
     name: str
@@ -29,12 +29,16 @@ class Case:
 
 
 CASES = (
-    Case(name="moderate", speed_mps=0.22, tilt_rad=0.03, moment_nm=(0.0, 0.0, 0.6), memory=0.95),
-    Case(name="violent", speed_mps=1.2, tilt_rad=0.0, moment_nm=(8.0, 8.0, 6.0), memory=0.5),
+    DrivingCase(
+        name="moderate", speed_mps=0.22, tilt_rad=0.03, moment_nm=(0.0, 0.0, 0.6), memory=0.95
+    ),
+    DrivingCase(name="violent", speed_mps=1.2, tilt_rad=0.0, moment_nm=(8.0, 8.0, 6.0), memory=0.5),
 )
 
 
-def draw_commands(case: Case, vehicles: VehicleParams, n: int, seed: int) -> NDArray[np.float64]:
+def draw_commands(
+    case: DrivingCase, vehicles: VehicleParams, n: int, seed: int
+) -> NDArray[np.float64]:
     """Thrusts [n_variant, n, n_thruster] N that settle random wrenches, held for 0.2 s each."""
     rng = np.random.default_rng(seed)
     noise = rng.uniform(-1.0, 1.0, (n, 6)) * math.sqrt(3.0)

@@ -25,7 +25,7 @@ type Array = NDArray[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class StudyFlight:
     """All worlds of one run; W worlds, R robots, T control steps, K obstacles, N way-points."""
 
     cells: Array
@@ -72,7 +72,7 @@ def at_control_rate(scenario: Scenario) -> Scenario:
     return Scenario.model_validate({**scenario.model_dump(), "time": timing})
 
 
-def fly(scenario: Scenario, tile: int) -> Flight:
+def fly(scenario: Scenario, tile: int) -> StudyFlight:
     """Fly all worlds of a scenario that is sampled at control rate, on JAX's default device."""
     simulator = Simulator(scenario, tile=tile)
     parts = []
@@ -86,7 +86,7 @@ def fly(scenario: Scenario, tile: int) -> Flight:
     return _together(parts, scenario.worlds)
 
 
-def fly_in_double(scenario: Scenario, tile: int) -> tuple[Flight, Flight]:
+def fly_in_double(scenario: Scenario, tile: int) -> tuple[StudyFlight, StudyFlight]:
     """The same worlds flown in float32 and in float64.
 
     Worlds are drawn and planned in float32, and their numbers taken over as they are: both fly the
@@ -104,7 +104,7 @@ def fly_in_double(scenario: Scenario, tile: int) -> tuple[Flight, Flight]:
         )
     )
 
-    def flown(kinds: Fleet, worlds: World) -> Flight:
+    def flown(kinds: Fleet, worlds: World) -> StudyFlight:
         state, samples = reset(kinds, worlds), []
         for _ in range(simulator.segments):
             state, sample = segment(kinds, worlds, state)
@@ -120,15 +120,15 @@ def fly_in_double(scenario: Scenario, tile: int) -> tuple[Flight, Flight]:
     return _together(singles, scenario.worlds), _together(doubles, scenario.worlds)
 
 
-def save(flight: Flight, path: Path) -> None:
+def save(flight: StudyFlight, path: Path) -> None:
     """Write a flight into a file."""
-    np.savez(path, **{name: getattr(flight, name) for name in Flight.__dataclass_fields__})
+    np.savez(path, **{name: getattr(flight, name) for name in StudyFlight.__dataclass_fields__})
 
 
-def load(path: Path) -> Flight:
+def load(path: Path) -> StudyFlight:
     """Read what `save` wrote."""
     with np.load(path) as held:
-        return Flight(**{name: held[name] for name in held.files})
+        return StudyFlight(**{name: held[name] for name in held.files})
 
 
 def _double[T](tree: T) -> T:
@@ -147,7 +147,7 @@ def _kept(sample: Sample) -> dict[str, Array]:
     return {name: np.asarray(getattr(sample, name)) for name in names}
 
 
-def _flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -> Flight:
+def _flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -> StudyFlight:
     drawn, tally = worlds.environment, state.tally
     constants = {
         "cells": drawn.grid.occupied,
@@ -161,18 +161,18 @@ def _flight(worlds: World, state: WorldState, samples: list[dict[str, Array]]) -
     }
     ends = ("outcome", "end_time_s", "path_length_m", "energy_j", "touched", "touched_index")
     whole = {name: np.concatenate([s[name] for s in samples], axis=1) for name in samples[0]}
-    return Flight(
+    return StudyFlight(
         **{name: np.asarray(leaf) for name, leaf in constants.items()},
         **{name: np.asarray(getattr(tally, name)) for name in ends},
         **whole,
     )
 
 
-def _together(parts: list[Flight], worlds: int) -> Flight:
+def _together(parts: list[StudyFlight], worlds: int) -> StudyFlight:
     """Tiles one after another, without the padding of the last."""
-    return Flight(
+    return StudyFlight(
         **{
             name: np.concatenate([getattr(part, name) for part in parts])[:worlds]
-            for name in Flight.__dataclass_fields__
+            for name in StudyFlight.__dataclass_fields__
         }
     )

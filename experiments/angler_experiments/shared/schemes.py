@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from angler_kernels import quaternion, rigid_body, spd_solve, thruster
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import step
-from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.physics.step import VehicleState, Water
 from angler_mjx.world.currents import Current
 
@@ -22,7 +22,7 @@ type Scheme = Callable[..., VehicleState]
 
 
 def accelerate(
-    engine: MjxEngine,
+    engine: MjxPhysics,
     body: BodyInertia,
     vehicle: VehicleParams,
     state: VehicleState,
@@ -38,7 +38,7 @@ def accelerate(
 
 
 def _euler_world(
-    engine: MjxEngine,
+    engine: MjxPhysics,
     body: BodyInertia,
     vehicle: VehicleParams,
     state: VehicleState,
@@ -60,7 +60,7 @@ def _euler_world(
 
 
 def _euler_body(
-    engine: MjxEngine,
+    engine: MjxPhysics,
     body: BodyInertia,
     vehicle: VehicleParams,
     state: VehicleState,
@@ -79,7 +79,7 @@ def _euler_body(
 
 
 def _explicit(
-    engine: MjxEngine,
+    engine: MjxPhysics,
     body: BodyInertia,
     vehicle: VehicleParams,
     state: VehicleState,
@@ -100,7 +100,7 @@ def _explicit(
 
 
 def _heun(
-    engine: MjxEngine,
+    engine: MjxPhysics,
     body: BodyInertia,
     vehicle: VehicleParams,
     state: VehicleState,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from angler_experiments.engine_parity import bound_m
-from angler_experiments.shared.flights import Flight
+from angler_experiments.shared.flights import StudyFlight
 from angler_mjx.sim.state import Outcome, Touched
 
 type Array = NDArray[Any]
@@ -60,7 +60,7 @@ class Trace:
     """And a second earlier."""
 
 
-def different(a: Flight, b: Flight) -> Array:
+def different(a: StudyFlight, b: StudyFlight) -> Array:
     """Which robots [W, R] end in another way, or on another thing."""
     same: Array = (
         (a.outcome == b.outcome) & (a.touched == b.touched) & (a.touched_index == b.touched_index)
@@ -68,7 +68,7 @@ def different(a: Flight, b: Flight) -> Array:
     return ~same
 
 
-def trace(a: Flight, b: Flight, dt_s: float, physics_steps: int) -> list[Trace]:
+def trace(a: StudyFlight, b: StudyFlight, dt_s: float, physics_steps: int) -> list[Trace]:
     """Every robot that ended otherwise, by world and number.
 
     Args:
@@ -93,7 +93,7 @@ class _Sign:
     """[T] m."""
 
 
-def _trace(a: Flight, b: Flight, w: int, r: int, bound: Array, dt_s: float) -> Trace:
+def _trace(a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, dt_s: float) -> Trace:
     ends = (float(a.end_time_s[w, r]), float(b.end_time_s[w, r]))
     last = min(len(bound) - 1, max(0, round(min(ends) / dt_s)))
     signs = sorted(_signs(a, b, w, r, bound, last), key=lambda sign: sign.step)
@@ -111,7 +111,9 @@ def _trace(a: Flight, b: Flight, w: int, r: int, bound: Array, dt_s: float) -> T
     )
 
 
-def _signs(a: Flight, b: Flight, w: int, r: int, bound: Array, last: int) -> Iterator[_Sign]:
+def _signs(
+    a: StudyFlight, b: StudyFlight, w: int, r: int, bound: Array, last: int
+) -> Iterator[_Sign]:
     """What is further apart than rounding explains before the first of the two ends.
 
     Things of the same step come in the order of cause and effect.
@@ -154,7 +156,7 @@ def _thrown(track: Array, step: int) -> bool:
     return bool(np.abs(np.diff(near, 2, axis=0)).max(initial=0.0) > TURN_M)
 
 
-def _threshold(a: Flight, b: Flight, w: int, r: int, last: int) -> _Sign:
+def _threshold(a: StudyFlight, b: StudyFlight, w: int, r: int, last: int) -> _Sign:
     """Two runs that were one until the first ended: which threshold lay between them."""
     kinds = {int(a.outcome[w, r]), int(b.outcome[w, r])}
     touching = {Outcome.COLLISION_STATIC, Outcome.COLLISION_DYNAMIC, Outcome.COLLISION_ROBOT}

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.clearance.shapes import Line, point_box, segment_point
+from angler_kernels.clearance.shapes import LineSegment, point_box, segment_point
 
 type Scalars = Sequence[jax.Array]
 
@@ -97,7 +97,7 @@ def capsules_neighbours(
     # From here on in coordinates of the window: they are small, so that rounding is.
     first = [[a[k, i] - lo[i] for i in range(3)] for k in range(n)]
     second = [[b[k, i] - lo[i] for i in range(3)] for k in range(n)]
-    lines = [Line.through(p, q) for p, q in zip(first, second, strict=True)]
+    lines = [LineSegment.through(p, q) for p, q in zip(first, second, strict=True)]
     held = jax.lax.stop_gradient((a, b, centre, r))
     reaches, depths = [], []
     for k in range(n):
@@ -113,7 +113,7 @@ def capsules_neighbours(
     held_by = jax.lax.stop_gradient((functools.reduce(jnp.minimum, depths), hull_radius))
     near = _cells_within_reach(point, mask, fixed[2], fixed[3], *held_by)
     bit, which, s = _nearest_pair(fixed[0], fixed[1], near, fixed[2], fixed[3])
-    chosen: Line = jax.tree.map(lambda *leaves: _pick(which, leaves), *lines)
+    chosen: LineSegment = jax.tree.map(lambda *leaves: _pick(which, leaves), *lines)
     low = _corner(bit, cell)
     gap = chosen.gap(s, low, [x + cell for x in low]) - _pick(which, [r[k] for k in range(n)])
     return jnp.where(bit >= 0, jnp.minimum(gap, cap), cap)
@@ -181,7 +181,7 @@ def _cells_within_reach(
 
 
 def _nearest_pair(
-    lines: Sequence[Line], r: Scalars, mask: jax.Array, cell: jax.Array, cap: jax.Array
+    lines: Sequence[LineSegment], r: Scalars, mask: jax.Array, cell: jax.Array, cap: jax.Array
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The cell and the capsule with the least gap below ``cap``.
 

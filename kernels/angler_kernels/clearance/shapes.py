@@ -72,11 +72,11 @@ def segment_segment(a1: jax.Array, b1: jax.Array, a2: jax.Array, b2: jax.Array) 
 
 def segment_box(a: jax.Array, b: jax.Array, lo: jax.Array, hi: jax.Array) -> jax.Array:
     """Distance [] of the segment from a [3] to b [3] to the box from lo [3] to hi [3]."""
-    line = Line.through(a, b)
+    line = LineSegment.through(a, b)
     return line.gap(line.foot(lo, hi), lo, hi)
 
 
-class Line(NamedTuple):
+class LineSegment(NamedTuple):
     """A segment a + s d, 0 <= s <= 1, made ready for distances to axis-aligned boxes."""
 
     a: list[jax.Array]

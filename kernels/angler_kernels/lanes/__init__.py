@@ -2,7 +2,7 @@
 
 from angler_kernels.lanes.folding import Instructions, instructions
 from angler_kernels.lanes.sharing import shared
-from angler_kernels.lanes.table import Table
+from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.transform import apply
 from angler_kernels.lanes.trees import (
     any_lane,
@@ -17,7 +17,7 @@ from angler_kernels.lanes.trees import (
 
 __all__ = [
     "Instructions",
-    "Table",
+    "LookupTable",
     "any_lane",
     "apply",
     "flatten",

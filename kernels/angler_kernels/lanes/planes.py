@@ -43,7 +43,7 @@ class Leaf:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class PlaneLayout:
     """Where the leaves of a tree lie."""
 
     tree: Any
@@ -51,7 +51,7 @@ class Layout:
     lanes: int
 
     @classmethod
-    def of(cls, tree: Any, lead: int) -> "Layout":
+    def of(cls, tree: Any, lead: int) -> "PlaneLayout":
         """Layout of arrays [W, (n,) ...] with ``lead`` axes of lanes, or of shapes of such."""
         flat, structure = jax.tree.flatten(tree)
         leaves, first = [], 0
@@ -112,7 +112,9 @@ class Layout:
             def entry(at: Any) -> Any:
                 return typed(load(at), leaf.dtype)
 
-            return lanes.Table(entry, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes)
+            return lanes.LookupTable(
+                entry, leaf.shape, leaf.dtype, base=start + lane, step=self.lanes
+            )
         rows = [typed(load(start + k * self.lanes + lane), leaf.dtype) for k in range(leaf.size)]
         return lanes.pack(rows, leaf.shape)
 
@@ -130,7 +132,7 @@ class Shelf:
     Every leaf is one block, so that a plain transposition gives its array.
     """
 
-    layout: Layout
+    layout: PlaneLayout
     """Of one sample."""
     samples: int
     rows: int

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.lanes.folding import two
-from angler_kernels.lanes.table import Table
+from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.trees import Elements
 
 type Rule = Callable[[Any, Sequence[Elements]], list[Elements]]
@@ -27,7 +27,7 @@ def from_array(value: np.ndarray) -> Elements:
 def _broadcast(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     shape, axes = eqn.params["shape"], eqn.params["broadcast_dimensions"]
     x = operands[0]
-    x = x.whole() if isinstance(x, Table) else x
+    x = x.whole() if isinstance(x, LookupTable) else x
     grown = np.ones(len(shape), int)
     grown[list(axes)] = x.shape
     return [np.broadcast_to(x.reshape(grown), shape)]
@@ -53,7 +53,7 @@ def _dynamic_slice(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     out = np.empty(sizes, object)
     for index in np.ndindex(*sizes):
         place = [at + i for at, i in zip(first, index, strict=True)]
-        out[index] = source.take(place) if isinstance(source, Table) else _pick(source, place)
+        out[index] = source.take(place) if isinstance(source, LookupTable) else _pick(source, place)
     return [out]
 
 
@@ -75,7 +75,7 @@ def _gather(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
     """Entries of a table [n], one for each index: what ``vmap`` makes of a look-up."""
     source, indices = operands
     shape = eqn.outvars[0].aval.shape
-    if not isinstance(source, Table) or eqn.params["slice_sizes"] != (1,):
+    if not isinstance(source, LookupTable) or eqn.params["slice_sizes"] != (1,):
         raise NotImplementedError(f"lanes: gather only looks up single entries of a Table: {eqn}")
     out = np.empty(indices.size, object)
     for i, at in enumerate(indices.ravel()):
@@ -125,7 +125,7 @@ def _iota(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
 def _reduce(combine: Callable[[Any, Any], Any]) -> Callable[[Any, Sequence[Elements]], list[Any]]:
     def rule(eqn: Any, operands: Sequence[Elements]) -> list[Elements]:
         axes = eqn.params["axes"]
-        x = operands[0].whole() if isinstance(operands[0], Table) else operands[0]
+        x = operands[0].whole() if isinstance(operands[0], LookupTable) else operands[0]
         x = np.moveaxis(x, axes, range(len(axes)))
         rows = x.reshape(-1, *x.shape[len(axes) :])
         out = np.empty(rows.shape[1:], object)

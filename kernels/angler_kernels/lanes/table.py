@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 
-class Table:
+class LookupTable:
     """An array [n, ...] of each body, read an entry at a time.
 
     Attributes:
@@ -40,10 +40,10 @@ class Table:
         self._base = base
         self._step = step
 
-    def where(self, condition: Any, other: "Table") -> "Table":
+    def where(self, condition: Any, other: "LookupTable") -> "LookupTable":
         """This table for lanes of which a condition holds, another of the same array for others."""
         base = jnp.where(condition, self._base, other._base)
-        return Table(self._load, self.shape, self.dtype, base=base, step=self._step)
+        return LookupTable(self._load, self.shape, self.dtype, base=base, step=self._step)
 
     def take(self, index: Sequence[Any]) -> Any:
         """The entry at ``index``, one number or lanes of them for each axis."""

@@ -21,7 +21,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from angler_kernels.lanes.folding import fold
 from angler_kernels.lanes.shaping import SHAPING, Rule, from_array
-from angler_kernels.lanes.table import Table
+from angler_kernels.lanes.table import LookupTable
 from angler_kernels.lanes.trees import Elements, any_lane, flatten, split, spread
 
 
@@ -31,13 +31,13 @@ def apply(function: Callable[..., Any], *args: Any) -> Any:
     Args:
         function: of one body, in JAX; see the list of rules below for what it may use.
         *args: pytrees as the function takes them, each leaf [...] an object array [...] of lanes
-            (from `split`), a `Table`, or a number that is the same for all.
+            (from `split`), a `LookupTable`, or a number that is the same for all.
 
     Returns:
         The function's result, each leaf [...] an object array [...] of lanes.
     """
     leaves, tree = jax.tree.flatten(args)
-    elements = [leaf if isinstance(leaf, Table) else _elements(leaf) for leaf in leaves]
+    elements = [leaf if isinstance(leaf, LookupTable) else _elements(leaf) for leaf in leaves]
     shapes = [jax.ShapeDtypeStruct(leaf.shape, _dtype(leaf)) for leaf in elements]
     closed, out = jax.make_jaxpr(function, return_shape=True)(*jax.tree.unflatten(tree, shapes))
     return jax.tree.unflatten(jax.tree.structure(out), _follow(closed, elements))
@@ -58,7 +58,7 @@ def _constant(value: Any) -> Any:
 
 
 def _dtype(leaf: Elements) -> Any:
-    if isinstance(leaf, Table):
+    if isinstance(leaf, LookupTable):
         return leaf.dtype
     traced = [x.dtype for x in leaf.ravel() if not isinstance(x, np.generic)]
     return traced[0] if traced else leaf.ravel()[0].dtype
@@ -140,7 +140,7 @@ def _closed_over(value: Any) -> Elements:
 def _elementwise(eqn: Any, operands: Sequence[Elements]) -> Elements:
     """One operation on each element; operands are broadcast as numpy would."""
     out = np.empty(eqn.outvars[0].aval.shape, object)
-    whole = (x.whole() if isinstance(x, Table) else x for x in operands)
+    whole = (x.whole() if isinstance(x, LookupTable) else x for x in operands)
     operands = [np.broadcast_to(x, out.shape) for x in whole]
     for index in np.ndindex(*out.shape):
         out[index] = fold(eqn, [operand[index] for operand in operands])

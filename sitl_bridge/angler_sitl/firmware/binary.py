@@ -36,7 +36,7 @@ class Binary:
     sha256: str
 
 
-class Record(FileModel):
+class BinaryRecord(FileModel):
     """What is written down beside an installed program."""
 
     version: str
@@ -85,7 +85,7 @@ def installed(path: Path) -> Binary:
     """
     check_program(path)
     noted = path.with_name(RECORD)
-    record = parse(Record, read_toml(noted), source=str(noted))
+    record = parse(BinaryRecord, read_toml(noted), source=str(noted))
     found = sha256(path)
     if found != record.sha256:
         raise ConfigError(

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from angler_mjx.errors import RunError
 from angler_sitl.firmware.parameters import Source
-from angler_sitl.steering.pilot import STREAMS_HZ, Pilot, mode_name
+from angler_sitl.steering.pilot import STREAMS_HZ, AutopilotCommander, mode_name
 
 FIRST_WORD_S = 15.0
 POSITION_S: dict[Source, float] = {"vision": 40.0, "vicon": 40.0, "gps": 120.0}
@@ -39,7 +39,7 @@ _REFUSALS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class WorldOrigin:
     """Where W's origin lies on the globe; the water's surface is at altitude 0."""
 
     lat_deg: float
@@ -55,12 +55,12 @@ class Ready:
 
 
 def boot(
-    pilots: Sequence[Pilot],
+    pilots: Sequence[AutopilotCommander],
     advance: Callable[[], float],
     *,
     mode: int,
     source: Source,
-    home: Place,
+    home: WorldOrigin,
 ) -> Ready:
     """Bring autopilots up that were just started.
 
@@ -96,7 +96,9 @@ class _Clock:
     time_s: float
 
 
-def _up(pilot: Pilot, clock: _Clock, mode: int, source: Source, home: Place) -> Iterator[None]:
+def _up(
+    pilot: AutopilotCommander, clock: _Clock, mode: int, source: Source, home: WorldOrigin
+) -> Iterator[None]:
     """The steps of one autopilot; it yields whenever time has to go on."""
     link = pilot.link
 
@@ -129,7 +131,7 @@ def _up(pilot: Pilot, clock: _Clock, mode: int, source: Source, home: Place) -> 
 
 
 def _told(
-    pilot: Pilot,
+    pilot: AutopilotCommander,
     clock: _Clock,
     limit_s: float,
     command: int,
@@ -151,7 +153,7 @@ def _told(
 
 def _until(
     holds: Callable[[], bool],
-    pilot: Pilot,
+    pilot: AutopilotCommander,
     clock: _Clock,
     limit_s: float,
     otherwise: str,
@@ -173,7 +175,7 @@ def _until(
         yield
 
 
-def _report(pilot: Pilot, otherwise: str, limit_s: float, command: int | None) -> str:
+def _report(pilot: AutopilotCommander, otherwise: str, limit_s: float, command: int | None) -> str:
     """What did not happen, how the autopilot stands, and what it says itself."""
     message = f"{pilot.name}: {otherwise} within {limit_s:g} s of its own clock"
     if pilot.link.latest:
@@ -185,7 +187,7 @@ def _report(pilot: Pilot, otherwise: str, limit_s: float, command: int | None) -
     return f"{message}; ArduSub says: {words}" if words else message
 
 
-def _origin(pilot: Pilot, home: Place) -> Callable[[], None]:
+def _origin(pilot: AutopilotCommander, home: WorldOrigin) -> Callable[[], None]:
     """Tells an autopilot where W's origin is, until it confirms."""
 
     def tell() -> None:
@@ -199,7 +201,7 @@ def _origin(pilot: Pilot, home: Place) -> Callable[[], None]:
     return tell
 
 
-def _request_version(pilot: Pilot) -> None:
+def _request_version(pilot: AutopilotCommander) -> None:
     """Request AUTOPILOT_VERSION, unless it has come; no flight waits for it."""
     if "AUTOPILOT_VERSION" not in pilot.link.latest:
         pilot.link.command(
@@ -207,13 +209,13 @@ def _request_version(pilot: Pilot) -> None:
         )
 
 
-def _complete(pilot: Pilot) -> Callable[[], bool]:
+def _complete(pilot: AutopilotCommander) -> Callable[[], bool]:
     """Whether all parameters have come."""
     link = pilot.link
     return lambda: 0 < link.parameter_count <= len(link.parameter_indices)
 
 
-def _missing(pilot: Pilot) -> Callable[[], None]:
+def _missing(pilot: AutopilotCommander) -> Callable[[], None]:
     """Asks for parameters whose messages were lost."""
 
     def ask() -> None:

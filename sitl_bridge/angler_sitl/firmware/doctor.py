@@ -21,7 +21,7 @@ _PORTS_OF = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
+class DoctorCheck:
     """One row.
 
     Attributes:
@@ -35,7 +35,7 @@ class Check:
     text: str
 
 
-def examine(ardusub: Path | None = None) -> Iterator[Check]:
+def examine(ardusub: Path | None = None) -> Iterator[DoctorCheck]:
     """Look at everything, a row at a time; what needs a program is left out where there is none.
 
     Args:
@@ -45,11 +45,11 @@ def examine(ardusub: Path | None = None) -> Iterator[Check]:
     try:
         binary = find(ardusub)
     except AnglerError as error:
-        yield Check(name="binary", good=False, text=str(error))
+        yield DoctorCheck(name="binary", good=False, text=str(error))
         return
     size = binary.path.stat().st_size
-    yield Check(name="binary", good=True, text=f"{binary.path}, {size / 1e6:.1f} MB")
-    yield Check(name="sha256", good=True, text=binary.sha256)
+    yield DoctorCheck(name="binary", good=True, text=f"{binary.path}, {size / 1e6:.1f} MB")
+    yield DoctorCheck(name="sha256", good=True, text=binary.sha256)
     for count, name in enumerate(library.available()):
         rows = list(_vehicle(binary, name, first=count == 0))
         yield from rows
@@ -57,26 +57,26 @@ def examine(ardusub: Path | None = None) -> Iterator[Check]:
             return
 
 
-def _ports() -> Check:
+def _ports() -> DoctorCheck:
     try:
         given = allocate(_PORTS_OF)
     except AnglerError as error:
-        return Check(name="ports", good=False, text=str(error))
+        return DoctorCheck(name="ports", good=False, text=str(error))
     used = sorted(number(bound) for one in given for bound in (one.fdm, one.mavlink, one.vision))
     for one in given:
         one.close()
     text = f"{len(used)} for {_PORTS_OF} robots, for example {used[0]} to {used[-1]}"
-    return Check(name="ports", good=True, text=text)
+    return DoctorCheck(name="ports", good=True, text=text)
 
 
-def _vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[Check]:
+def _vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[DoctorCheck]:
     """Boot it as one vehicle; the rows that do not depend on the vehicle come with the first."""
     row = f"parameters, {name}"
     try:
         vehicle = library.load(name)
         airframe.frame_of(vehicle)
     except AnglerError as error:
-        yield Check(name=row, good=None, text=str(error))
+        yield DoctorCheck(name=row, good=None, text=str(error))
         return
     ours = parameters.for_vehicle(vehicle, "guided", "vision", log=False)
     with tempfile.TemporaryDirectory(prefix="angler_sitl_") as folder:
@@ -85,29 +85,29 @@ def _vehicle(binary: Binary, name: str, *, first: bool) -> Iterator[Check]:
                 said = probe.ask(still)
                 open_ = sockets.of(still.instance.pid)
         except AnglerError as error:
-            yield Check(name="version" if first else row, good=False, text=str(error))
+            yield DoctorCheck(name="version" if first else row, good=False, text=str(error))
             return
     if first:
-        yield Check(name="version", good=True, text=f"{said.version} ({said.git})")
+        yield DoctorCheck(name="version", good=True, text=f"{said.version} ({said.git})")
         yield _sockets(open_)
     wrong = parameters.differences(ours, said.parameters)
     text = "; ".join(wrong) or f"{len(ours)} set and read back out of {len(said.parameters)}"
-    yield Check(name=row, good=not wrong, text=text)
+    yield DoctorCheck(name=row, good=not wrong, text=text)
 
 
-def _sockets(found: list[sockets.Bound]) -> Check:
+def _sockets(found: list[sockets.BoundSocket]) -> DoctorCheck:
     """Those of one autopilot that are not loopback's alone."""
     reachable = [str(one) for one in found if not one.loopback]
     if not reachable:
-        return Check(name="open sockets", good=True, text="none but on loopback")
+        return DoctorCheck(name="open sockets", good=True, text="none but on loopback")
     if _only_loopback():
         text = f"{', '.join(reachable)}: in a network namespace where there is only loopback"
-        return Check(name="open sockets", good=True, text=text)
+        return DoctorCheck(name="open sockets", good=True, text=text)
     text = (
         f"{', '.join(reachable)}: other machines can reach this one, ArduSub has no option against "
         "it; --isolate shuts it, or a firewall"
     )
-    return Check(name="open sockets", good=None, text=text)
+    return DoctorCheck(name="open sockets", good=None, text=text)
 
 
 def _only_loopback() -> bool:

@@ -17,7 +17,7 @@ from angler_sitl.firmware.binary import (
     RECORD,
     UNKNOWN,
     Binary,
-    Record,
+    BinaryRecord,
     cache_folder,
     check_program,
     sha256,
@@ -79,7 +79,7 @@ def from_file(path: Path, *, checksum: str | None = None) -> Binary:
     check_program(path, run_bit=False)
     beside = path.with_name(RECORD)
     if checksum is None and path.name == PROGRAM and beside.is_file():
-        checksum = parse(Record, read_toml(beside), source=str(beside)).sha256
+        checksum = parse(BinaryRecord, read_toml(beside), source=str(beside)).sha256
     part = cache_folder() / f"{PROGRAM}.copy.{os.getpid()}"
     try:
         part.parent.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def _install(part: Path, *, wanted: str, source: str, checksum: str | None) -> B
     number = wanted.removeprefix("stable-")
     if re.fullmatch(r"\d+\.\d+\.\d+", number) and said.version != number:
         raise ConfigError(f"{source}: {wanted} was asked for, but it says it is {said.version}")
-    record = Record(
+    record = BinaryRecord(
         version=said.version,
         git=said.git,
         wanted=wanted,
@@ -123,7 +123,7 @@ def _compare(noted: Path, wanted: str, source: str, found: str, checksum: str | 
         raise ConfigError(f"{source}: its sha256 is {found}, but it should be {checksum}")
     if not noted.is_file() or not wanted.startswith("stable-"):
         return
-    before = parse(Record, read_toml(noted), source=str(noted))
+    before = parse(BinaryRecord, read_toml(noted), source=str(noted))
     # What was released does not change; what is called latest does.
     if before.wanted == wanted and before.sha256 != found:
         raise ConfigError(

@@ -12,7 +12,7 @@ _LISTENING = "0A"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bound:
+class BoundSocket:
     """One socket that has an address.
 
     Attributes:
@@ -37,7 +37,7 @@ class Bound:
         return f"{self.protocol} {self.address}:{self.port}"
 
 
-def of(pid: int) -> list[Bound]:
+def of(pid: int) -> list[BoundSocket]:
     """Sockets with an address that a process of ours has; none if it has ended."""
     inodes = _inodes(pid)
     return [one for inode, one in _listed(pid) if inode in inodes]
@@ -54,7 +54,7 @@ def takers(pid: int, port: int) -> int:
     return sum(one.peer is None for one in here)
 
 
-def _listed(pid: int) -> Iterator[tuple[str, Bound]]:
+def _listed(pid: int) -> Iterator[tuple[str, BoundSocket]]:
     """All sockets with an address in the network of a process, by inode."""
     for table in _TABLES:
         try:
@@ -80,14 +80,16 @@ def _inodes(pid: int) -> set[str]:
     return found
 
 
-def _bound(protocol: str, local: str, remote: str, state: str) -> Bound | None:
+def _bound(protocol: str, local: str, remote: str, state: str) -> BoundSocket | None:
     address, port = _parse(local)
     peer, peer_port = _parse(remote)
     listens = protocol == "tcp" and state == _LISTENING
     if port == 0:
         return None
     connected = peer_port != 0 and not listens
-    return Bound(protocol=protocol, address=address, port=port, peer=peer if connected else None)
+    return BoundSocket(
+        protocol=protocol, address=address, port=port, peer=peer if connected else None
+    )
 
 
 def _parse(text: str) -> tuple[IPv4Address | IPv6Address, int]:

@@ -15,7 +15,7 @@ from angler_sitl.session import SitlSession
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class MissionFlight:
     """How it went."""
 
     steps: int
@@ -41,7 +41,7 @@ def fly(
     whole: bool = False,
     watchers: Sequence[Watcher] = (),
     stop: Stop | None = None,
-) -> Flight:
+) -> MissionFlight:
     """Fly until every robot has ended, or so long.
 
     A robot ends when it fails, when its autopilot is lost, and when it has come through: through
@@ -74,7 +74,7 @@ def fly(
         steps += 1
         for watcher in watchers:
             watcher.after(observation)
-    return Flight(
+    return MissionFlight(
         steps=steps,
         scene_s=observation.time_s,
         wall_s=time.perf_counter() - begun,

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control.joint_goal import JointGoal
-from angler_mjx.runs.session.recording import Course, SessionRecording
+from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import Scenario
@@ -23,7 +23,7 @@ from angler_sitl.firmware import parameters as firmware
 from angler_sitl.firmware.parameters import Level, Source
 from angler_sitl.firmware.probe import read_version
 from angler_sitl.missions import plans
-from angler_sitl.missions.flight import Flight, fly
+from angler_sitl.missions.flight import MissionFlight, fly
 from angler_sitl.session import SitlSession
 from angler_sitl.steering.levels import STICK_LEVELS
 from angler_sitl.wire.ground_station import GroundStation
@@ -36,7 +36,7 @@ type Display = Callable[[SitlSession], AbstractContextManager[Watcher]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class MissionSettings:
     """What a person chooses on the command line."""
 
     out: Path
@@ -75,7 +75,9 @@ class Settings:
             )
 
 
-def run(scenario: Scenario, settings: Settings, tell: Tell, display: Display) -> tuple[Flight, Run]:
+def run(
+    scenario: Scenario, settings: MissionSettings, tell: Tell, display: Display
+) -> tuple[MissionFlight, Run]:
     """Fly one world of a scenario.
 
     Args:
@@ -133,7 +135,7 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, display: Display) ->
             )
         stop.closing = True
         kept = recording.close(
-            Course(
+            RecordedCourse(
                 steps=flight.steps,
                 wall_s=flight.wall_s,
                 compile_s=opened_s - autopilots.ready.wall_s,
@@ -144,7 +146,7 @@ def run(scenario: Scenario, settings: Settings, tell: Tell, display: Display) ->
     return _result(flight, kept)
 
 
-def _inputs(settings: Settings) -> list[tuple[str, Path]]:
+def _inputs(settings: MissionSettings) -> list[tuple[str, Path]]:
     """Files that a flight takes beside those of its scenario."""
     given = [("plan", Path(name)) for name in settings.plan if name != plans.GRID]
     if settings.parameters is not None:
@@ -153,7 +155,7 @@ def _inputs(settings: Settings) -> list[tuple[str, Path]]:
 
 
 def _open(
-    scenario: Scenario, settings: Settings, given: Mapping[str, float], building: Path
+    scenario: Scenario, settings: MissionSettings, given: Mapping[str, float], building: Path
 ) -> SitlSession:
     return SitlSession(
         scenario,
@@ -177,7 +179,7 @@ def _say_ready(autopilots: Autopilots, tell: Tell) -> None:
             tell(f"{name}: {difference}")
 
 
-def _result(flight: Flight, kept: Run | None) -> tuple[Flight, Run]:
+def _result(flight: MissionFlight, kept: Run | None) -> tuple[MissionFlight, Run]:
     """The run, unless one of the autopilots broke it off."""
     if kept is None:
         raise RunError(flight.broken or "not one step was flown")
@@ -186,7 +188,7 @@ def _result(flight: Flight, kept: Run | None) -> tuple[Flight, Run]:
     return flight, kept
 
 
-def _version(autopilots: Autopilots, chosen: running.Settings) -> str:
+def _version(autopilots: Autopilots, chosen: running.AutopilotSettings) -> str:
     """Return the version that the first autopilot stated, or else that of the program's record."""
     stated = autopilots.pilots[0].link.latest.get("AUTOPILOT_VERSION")
     return chosen.binary.version if stated is None else read_version(stated)[0]
@@ -194,9 +196,9 @@ def _version(autopilots: Autopilots, chosen: running.Settings) -> str:
 
 def _summary(
     autopilots: Autopilots,
-    chosen: running.Settings,
+    chosen: running.AutopilotSettings,
     plan: Sequence[str],
-    flight: Flight,
+    flight: MissionFlight,
     goals: dict[int, JointGoal],
 ) -> dict[str, Any]:
     """What only a run on real autopilots has."""

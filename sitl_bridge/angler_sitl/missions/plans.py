@@ -14,7 +14,7 @@ from angler_mjx.robot.control import joint_goal
 from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.joint_trajectory import VEHICLE_JOINTS, sample
 from angler_mjx.runs.session.interface import Session
-from angler_mjx.runs.session.recording import Way
+from angler_mjx.runs.session.recording import FlownPath
 
 GRID = "grid"
 WAY_POINTS = 256
@@ -45,7 +45,7 @@ def read(given: Sequence[str], robots: int) -> dict[int, JointGoal]:
     return goals
 
 
-def way(session: Session, robot: int, goal: JointGoal) -> Way:
+def way(session: Session, robot: int, goal: JointGoal) -> FlownPath:
     """Where a trajectory takes a robot from where it is, as a path of many points."""
     now = session.observe()
     p, q = (np.asarray(part)[robot] for part in (now.estimate.p, now.estimate.q))
@@ -53,7 +53,7 @@ def way(session: Session, robot: int, goal: JointGoal) -> Way:
     made = joint_goal.build(goal, joints=VEHICLE_JOINTS, position=here)
     times = np.linspace(0.0, float(made.time_s[-1]), WAY_POINTS)
     points = np.asarray(jax.vmap(sample, (None, 0))(made, jnp.asarray(times)).position)
-    return Way(time_s=goal.stamp_s + times, position_m=points[:, :3], yaw_rad=points[:, 3])
+    return FlownPath(time_s=goal.stamp_s + times, position_m=points[:, :3], yaw_rad=points[:, 3])
 
 
 def check(session: Session, goals: dict[int, JointGoal]) -> None:

@@ -10,7 +10,7 @@ from angler_sitl.steering.pilot import mode_name
 
 
 @dataclass(frozen=True, kw_only=True)
-class Standing:
+class MissionStatus:
     """Of one robot."""
 
     name: str
@@ -37,7 +37,7 @@ class Standing:
         return ", ".join([*parts, *([self.remark] if self.remark else [])])
 
 
-def look(session: SitlSession, observation: Observation) -> list[Standing]:
+def look(session: SitlSession, observation: Observation) -> list[MissionStatus]:
     """How everybody stands.
 
     Args:
@@ -54,7 +54,7 @@ def look(session: SitlSession, observation: Observation) -> list[Standing]:
         note = autopilots.note(i) if gone else status.note.removesuffix(pilot.note())
         told = f"refused: {status.refused}" if status.refused and not gone else ""
         rows.append(
-            Standing(
+            MissionStatus(
                 name=session.robots[i].name,
                 mode="lost" if gone else mode_name(pilot.mode),
                 armed=pilot.armed and not gone,

@@ -24,7 +24,7 @@ from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import (
     INPUTS,
     ONE_THREAD,
-    Motion,
+    SceneMotion,
     signals,
 )
 
@@ -36,7 +36,8 @@ class Judging:
     step: Callable[
         [Arrays, Arrays, NDArray[Any], NDArray[np.int32], NDArray[np.bool_]], tuple[Arrays, Arrays]
     ]
-    """Constants, state, vehicles as `Motion.told` gives them, inputs of the last step, who is on
+    """Constants, state, vehicles as `SceneMotion.told` gives them, inputs of the last step, who is
+    on
     the last approach of its plan: to state and record."""
     world: Flat
     state: Flat
@@ -57,7 +58,7 @@ class Judging:
         return whole
 
 
-def build(spec: SimSpec, motion: Motion, world: World, state: WorldState) -> Judging:
+def build(spec: SimSpec, motion: SceneMotion, world: World, state: WorldState) -> Judging:
     """Compile for worlds like this one.
 
     Args:

@@ -58,11 +58,11 @@ type Step = Callable[[jax.Array, jax.Array, NDArray[np.int32]], jax.Array]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class SceneMotion:
     """The compiled step, and where things lie in its arrays."""
 
     step: Step
-    vehicles: "Rows"
+    vehicles: "MotionRows"
     """Of one vehicle, behind what is said of it."""
 
     def constants(self, world: World) -> jax.Array:
@@ -83,14 +83,14 @@ class Motion:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rows:
+class MotionRows:
     """Where the fields of a tree lie in a row."""
 
     tree: Any
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def of(cls, tree: Any) -> "Rows":
+    def of(cls, tree: Any) -> "MotionRows":
         """Rows of arrays [1, N, ...]."""
         leaves, structure = jax.tree.flatten(tree)
         return cls(tree=structure, shapes=tuple(leaf.shape[2:] for leaf in leaves))
@@ -107,7 +107,7 @@ class Rows:
         return jax.tree.unflatten(self.tree, parts)
 
 
-def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Motion:
+def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> SceneMotion:
     """Compile the step for worlds like this one.
 
     Args:
@@ -117,7 +117,7 @@ def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Mo
         vehicles: [1, N] lead.
     """
     given = (world.control.vehicle, world.environment.current)
-    rows = Rows.of(vehicles)
+    rows = MotionRows.of(vehicles)
     count = vehicles.p.shape[1]
 
     def step(constants: jax.Array, now: jax.Array, inputs: jax.Array) -> jax.Array:
@@ -137,7 +137,7 @@ def build(water: Water, dt_s: float, world: World, vehicles: VehicleState) -> Mo
             jax.ShapeDtypeStruct((count, INPUTS), jnp.int32),
         )
         compiled: Step = jax.jit(shared).lower(*like).compile(ONE_THREAD)
-    return Motion(step=compiled, vehicles=rows)
+    return SceneMotion(step=compiled, vehicles=rows)
 
 
 def compute_inline() -> None:
@@ -184,7 +184,7 @@ def _said(vehicle: VehicleState, acceleration: jax.Array) -> jax.Array:
 def _move(
     water: Water,
     dt_s: float,
-    rows: Rows,
+    rows: MotionRows,
     params: VehicleParams,
     current: Current,
     row: jax.Array,

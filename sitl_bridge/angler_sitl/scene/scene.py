@@ -60,7 +60,7 @@ class States:
         return self.numbers[:, 13:16]
 
 
-class Scene:
+class AutopilotScene:
     """Vehicles in the water of one world.
 
     Attributes:

@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
-from angler_mjx.robot.control.stack import Memory
+from angler_mjx.robot.control.stack import ControlMemory
 from angler_mjx.runs.session.fleet_facts import Facts
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus
-from angler_mjx.runs.session.orders import Orders
-from angler_mjx.runs.session.view import View, Watched, believed, look, shown
+from angler_mjx.runs.session.orders import CommandQueue
+from angler_mjx.runs.session.view import StateView, Watched, believed, look, shown
 from angler_mjx.sim import step
 from angler_mjx.sim.record import Belief, Sample
 from angler_mjx.sim.state import World, WorldState
 from angler_sitl.autopilots import Autopilots
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import HIGH_US, LOW_US
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.guidance import Decision, belief_of, trusting
-from angler_sitl.steering.helm import Helm
+from angler_sitl.steering.helm import CommandSender
 
 
-class Sight:
+class SessionView:
     """A scene as it was seen last.
 
     Attributes:
@@ -38,7 +38,9 @@ class Sight:
         sample: of the state before the last step, with its command; None before the first.
     """
 
-    def __init__(self, scene: Scene, facts: Facts, allowed: Tolerances, *, truth: bool) -> None:
+    def __init__(
+        self, scene: AutopilotScene, facts: Facts, allowed: Tolerances, *, truth: bool
+    ) -> None:
         """Nothing is seen yet.
 
         Args:
@@ -50,17 +52,17 @@ class Sight:
         self._scene, self._facts, self._allowed, self._truth = scene, facts, allowed, truth
         self._layout: Flat | None = None
         self.sample: Sample | None = None
-        self.view: View
-        self.seen: View
+        self.view: StateView
+        self.seen: StateView
         self.belief: Belief
         self.target_m: Floats
 
-    def begin(self, autopilots: Autopilots, orders: Orders, helm: Helm) -> None:
+    def begin(self, autopilots: Autopilots, orders: CommandQueue, helm: CommandSender) -> None:
         """Look for the first time: everybody aims at where it is."""
         self.look(autopilots, orders, helm)
         self.target_m = np.asarray(self.seen.p)
 
-    def look(self, autopilots: Autopilots, orders: Orders, helm: Helm) -> None:
+    def look(self, autopilots: Autopilots, orders: CommandQueue, helm: CommandSender) -> None:
         """Look at what is there now."""
         scene, watched = self._scene, None
         if JointTrajectory in orders.slots.kinds:
@@ -73,7 +75,7 @@ class Sight:
         if self._layout is None:
             self._layout = Flat.of(jax.eval_shape(partial(_look, scene.layout), *given))
         arrays = _look_flat(scene.layout, *given)
-        view: View = self._layout.unpack(tuple(map(np.asarray, arrays)))
+        view: StateView = self._layout.unpack(tuple(map(np.asarray, arrays)))
         vehicles = scene.state.vehicles
         self.belief = (
             trusting(vehicles) if self._truth else belief_of(autopilots.motion(), vehicles.p)
@@ -123,12 +125,12 @@ def _look(
     layout: Flat,
     worlds: World,
     judged: Arrays,
-    memory: Memory,
+    memory: ControlMemory,
     pwm_us: jax.Array,
     watched: Watched | None,
-) -> View:
+) -> StateView:
     state: WorldState = replace(layout.unpack(judged), carry=memory)
-    view: View = look(worlds, state, pwm_us, watched)
+    view: StateView = look(worlds, state, pwm_us, watched)
     return view
 
 

@@ -21,12 +21,12 @@ from angler_sitl.firmware.probe import identified
 from angler_sitl.missions.choosing import speed_of
 from angler_sitl.spotcheck import flight, flying, folder, page, picking, scenes
 from angler_sitl.spotcheck.flight import RECORDED
-from angler_sitl.spotcheck.flying import Flyer
-from angler_sitl.spotcheck.found import Found, Key, Settings
+from angler_sitl.spotcheck.flying import SpotcheckFlyer
+from angler_sitl.spotcheck.found import Key, SpotcheckResult, SpotcheckSettings
 from angler_sitl.spotcheck.picking import Pick
 
 
-class Progress(Protocol):
+class SpotcheckProgress(Protocol):
     """Who is told how far it is."""
 
     def start(self, flights: int, done: int) -> None:
@@ -47,8 +47,13 @@ class Progress(Protocol):
 
 
 def check(
-    run_path: Path, settings: Settings, out: Path, progress: Progress, *, resume: bool = False
-) -> Found:
+    run_path: Path,
+    settings: SpotcheckSettings,
+    out: Path,
+    progress: SpotcheckProgress,
+    *,
+    resume: bool = False,
+) -> SpotcheckResult:
     """Do a spot check and write its folder.
 
     Args:
@@ -92,7 +97,7 @@ def check(
     return found
 
 
-def load(run_path: Path, settings: Settings, out: Path) -> Found:
+def load(run_path: Path, settings: SpotcheckSettings, out: Path) -> SpotcheckResult:
     """A spot check that was done before, whole or as far as it came.
 
     Args:
@@ -115,7 +120,7 @@ def flies_plans(run: Run) -> bool:
     return run.scenario.online or not (run.path / POLICY).exists()
 
 
-def plan(run_path: Path, settings: Settings) -> Found:
+def plan(run_path: Path, settings: SpotcheckSettings) -> SpotcheckResult:
     """What is to be done, with everything refused that can be before anything is computed.
 
     Raises:
@@ -143,7 +148,7 @@ def plan(run_path: Path, settings: Settings) -> Found:
         run.episodes, settings.episodes, seed=settings.seed, stratify=settings.stratify
     )
     binary = identified(binaries.find(settings.binary))
-    return Found(
+    return SpotcheckResult(
         run=run,
         settings=settings,
         picks=picks,
@@ -154,19 +159,19 @@ def plan(run_path: Path, settings: Settings) -> Found:
     )
 
 
-def _asked(found: Found) -> dict[str, Any]:
+def _asked(found: SpotcheckResult) -> dict[str, Any]:
     """All that the results depend on; another ArduSub flies otherwise."""
     asked = {"run": str(found.run.path), "ardusub": found.autopilot}
     return {**asked, **found.settings.asked()}
 
 
-def _taken_up(found: Found, table: dict[str, Any]) -> Found:
+def _taken_up(found: SpotcheckResult, table: dict[str, Any]) -> SpotcheckResult:
     """With what an interrupted one knew; its worlds are those that it picked."""
     picks = tuple(Pick(**one) for one in table["picks"])
     return replace(found, picks=picks)
 
 
-def _table(found: Found) -> dict[str, Any]:
+def _table(found: SpotcheckResult) -> dict[str, Any]:
     return {
         "asked": _asked(found),
         "complete": found.complete,
@@ -176,7 +181,7 @@ def _table(found: Found) -> dict[str, Any]:
     }
 
 
-def _keys(found: Found) -> list[Key]:
+def _keys(found: SpotcheckResult) -> list[Key]:
     """All flights, those of the batch simulator first."""
     names = (*found.settings.against, *found.settings.levels)
     return [
@@ -187,14 +192,18 @@ def _keys(found: Found) -> list[Key]:
     ]
 
 
-def _likeness(found: Found, worlds: dict[int, World]) -> dict[int, str]:
+def _likeness(found: SpotcheckResult, worlds: dict[int, World]) -> dict[int, str]:
     return {
         index: scenes.compare(found.run, index, world).text() for index, world in worlds.items()
     }
 
 
 def _fly_all(
-    found: Found, worlds: dict[int, World], keys: list[Key], out: Path, progress: Progress
+    found: SpotcheckResult,
+    worlds: dict[int, World],
+    keys: list[Key],
+    out: Path,
+    progress: SpotcheckProgress,
 ) -> None:
     """Fly; whoever flies is made once for all worlds with so many robots."""
     for count in found.counts:
@@ -208,7 +217,7 @@ def _fly_all(
 
 
 def _cut(
-    found: Found, worlds: dict[int, World], count: int, progress: Progress
+    found: SpotcheckResult, worlds: dict[int, World], count: int, progress: SpotcheckProgress
 ) -> dict[int, World]:
     """The worlds with so many robots."""
     scenario = found.run.scenario
@@ -219,7 +228,7 @@ def _cut(
     return {index: scenes.cut(world, like, count) for index, world in worlds.items()}
 
 
-def _flyer(found: Found, name: str, count: int) -> Flyer:
+def _flyer(found: SpotcheckResult, name: str, count: int) -> SpotcheckFlyer:
     """Whoever flies under this name."""
     settings, scenario = found.settings, flying.crew(found.run.scenario, count)
     for against in settings.against:
@@ -230,7 +239,11 @@ def _flyer(found: Found, name: str, count: int) -> Flyer:
 
 
 def _fly(
-    flyer: Flyer, keys: Iterable[Key], worlds: dict[int, World], out: Path, progress: Progress
+    flyer: SpotcheckFlyer,
+    keys: Iterable[Key],
+    worlds: dict[int, World],
+    out: Path,
+    progress: SpotcheckProgress,
 ) -> None:
     for key in keys:
         world, name, count = key
@@ -240,9 +253,9 @@ def _fly(
         progress.flown()
 
 
-def _flights(found: Found, out: Path) -> dict[Key, flight.Flight]:
+def _flights(found: SpotcheckResult, out: Path) -> dict[Key, flight.SpotcheckFlight]:
     """All flights that are there, the recorded ones among them."""
-    there: dict[Key, flight.Flight] = {}
+    there: dict[Key, flight.SpotcheckFlight] = {}
     for pick in found.picks:
         for count in found.counts:
             there[pick.world, RECORDED, count] = flight.recorded(found.run, pick.world, count)

@@ -20,13 +20,18 @@ from angler_mjx.learning.datasets.keeping import attach
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.runs.storage.folder import Run
 from angler_sitl.spotcheck import checking, folder, gaps, page
-from angler_sitl.spotcheck.checking import Progress
-from angler_sitl.spotcheck.found import Found, Settings
+from angler_sitl.spotcheck.checking import SpotcheckProgress
+from angler_sitl.spotcheck.found import SpotcheckResult, SpotcheckSettings
 from angler_sitl.spotcheck.gaps import Gap, Sum
 
 
 def check(
-    place: Path, settings: Settings, out: Path, progress: Progress, *, resume: bool = False
+    place: Path,
+    settings: SpotcheckSettings,
+    out: Path,
+    progress: SpotcheckProgress,
+    *,
+    resume: bool = False,
 ) -> SpotCheck | None:
     """Do a spot check of a dataset, and write what it found into it.
 
@@ -86,7 +91,9 @@ def shared_out(worlds: Sequence[int], count: int, seed: int) -> list[int]:
     return [1 + int(one) for one in sampling.in_proportion(more, count - len(worlds))]
 
 
-def _asked(parts: Sequence[PartEntry], settings: Settings) -> list[tuple[PartEntry, Settings]]:
+def _asked(
+    parts: Sequence[PartEntry], settings: SpotcheckSettings
+) -> list[tuple[PartEntry, SpotcheckSettings]]:
     """Parts of which some episodes are flown, each with settings of its own."""
     worlds = [part.worlds for part in parts]
     if settings.episodes < 1:
@@ -105,8 +112,13 @@ def _asked(parts: Sequence[PartEntry], settings: Settings) -> list[tuple[PartEnt
 
 
 def _part(
-    run_path: Path, settings: Settings, out: Path, progress: Progress, *, resume: bool
-) -> Found:
+    run_path: Path,
+    settings: SpotcheckSettings,
+    out: Path,
+    progress: SpotcheckProgress,
+    *,
+    resume: bool,
+) -> SpotcheckResult:
     """The spot check of a part, or what is left of it."""
     begun = resume and (out / folder.TABLE).is_file()
     if begun and folder.read(out)["complete"]:
@@ -115,7 +127,7 @@ def _part(
 
 
 def _record(
-    whole: Manifest, done: Sequence[tuple[PartEntry, Found]], settings: Settings
+    whole: Manifest, done: Sequence[tuple[PartEntry, SpotcheckResult]], settings: SpotcheckSettings
 ) -> SpotCheck:
     starts = np.cumsum([0, *(part.worlds for part in whole.parts)])
     first = {part.path: int(at) for part, at in zip(whole.parts, starts[:-1], strict=True)}

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 from angler_mjx.report.viewing import style
 from angler_mjx.runs.storage import layout
 from angler_mjx.runs.storage.results import OUTCOMES
-from angler_sitl.spotcheck.flight import RECORDED, Flight
-from angler_sitl.spotcheck.found import Found
+from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight
+from angler_sitl.spotcheck.found import SpotcheckResult
 from angler_sitl.spotcheck.gaps import Gap
 
 COLORS = {
@@ -32,7 +32,7 @@ _LEAST_M = 1e-3
 """Distances below this are drawn as this."""
 
 
-def overlay(found: Found, world: int, robots: int) -> Figure:
+def overlay(found: SpotcheckResult, world: int, robots: int) -> Figure:
     """All flights of a world: a column for each robot, from above, from the south, and over time.
 
     Args:
@@ -75,7 +75,11 @@ def overlay(found: Found, world: int, robots: int) -> Figure:
 
 
 def _column(
-    found: Found, world: int, robot: int, flights: dict[str, Flight], panels: Sequence[Axes]
+    found: SpotcheckResult,
+    world: int,
+    robot: int,
+    flights: dict[str, SpotcheckFlight],
+    panels: Sequence[Axes],
 ) -> None:
     stored: Any = found.run.trajectories
     way = layout.courses(stored, world)[robot][1]
@@ -91,7 +95,9 @@ def _column(
     _distance(panels[2], flights, robot)
 
 
-def _track(panel: Axes, flight: Flight, robot: int, plane: tuple[int, int], name: str) -> None:
+def _track(
+    panel: Axes, flight: SpotcheckFlight, robot: int, plane: tuple[int, int], name: str
+) -> None:
     end = float(flight.end_s[robot])
     way = flight.p_m[flight.time_s <= end + 1e-6, robot]
     panel.plot(
@@ -136,7 +142,7 @@ def _frame(panel: Axes, ways: Sequence[Any], plane: tuple[int, int]) -> None:
     panel.set_aspect("equal", anchor="N")
 
 
-def _distance(panel: Axes, flights: dict[str, Flight], robot: int) -> None:
+def _distance(panel: Axes, flights: dict[str, SpotcheckFlight], robot: int) -> None:
     """Distance of each flight to what was recorded, over time, until either ends."""
     recorded = flights[RECORDED]
     for name, flight in flights.items():
@@ -160,7 +166,7 @@ def _distance(panel: Axes, flights: dict[str, Flight], robot: int) -> None:
     panel.grid()
 
 
-def summary(found: Found) -> Figure:
+def summary(found: SpotcheckResult) -> Figure:
     """Distances over time of each level to each reference, and all outcomes beside each other."""
     levels, references = found.settings.levels, found.settings.references
     count = max(found.counts)
@@ -213,7 +219,7 @@ def _band(panel: Axes, gaps: Sequence[Gap], color: str, label: str) -> None:
     panel.fill_between(time[there], low, high, color=color, alpha=0.2, linewidth=0)
 
 
-def _outcomes(panel: Axes, found: Found, count: int) -> None:
+def _outcomes(panel: Axes, found: SpotcheckResult, count: int) -> None:
     """A row for each kind of flight, a column for each robot of each world."""
     names = found.names()
     table = np.full((len(names), len(found.picks) * count), np.nan)

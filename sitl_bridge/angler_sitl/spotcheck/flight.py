@@ -30,7 +30,7 @@ RECORDED = "recorded"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class SpotcheckFlight:
     """One flight of one world; [T] samples and [R] robots lead."""
 
     time_s: Floats
@@ -53,7 +53,7 @@ class Flight:
         return np.array([np.interp(time_s, self.time_s, path[:, axis]) for axis in range(3)])
 
 
-def recorded(run: Run, world: int, robots: int) -> Flight:
+def recorded(run: Run, world: int, robots: int) -> SpotcheckFlight:
     """What a run recorded of its first so many robots.
 
     Raises:
@@ -64,7 +64,7 @@ def recorded(run: Run, world: int, robots: int) -> Flight:
     with reading(run.path / TRAJECTORIES):
         p = np.asarray(stored["p_m"][world], float)[:, :robots]
         there = np.isfinite(p).all(axis=(1, 2))
-        return Flight(
+        return SpotcheckFlight(
             time_s=np.asarray(stored["time_s"], float)[there],
             p_m=p[there],
             pwm_us=np.rint(stored["pwm_us"][world, :, :robots][there]).astype(np.int64),
@@ -81,7 +81,7 @@ def flown(
     variants: Sequence[tuple[str, str]],
     seed: int,
     sample_dt_s: float,
-) -> Flight:
+) -> SpotcheckFlight:
     """A flight from a simulation's own pytrees.
 
     Args:
@@ -105,7 +105,7 @@ def flown(
     p = np.concatenate([np.asarray(one.p).reshape(-1, robots, 3) for one in samples])
     pwm = [np.asarray(one.pwm_us) for one in samples]
     joined = np.concatenate([one.reshape(-1, robots, one.shape[-1]) for one in pwm])
-    return Flight(
+    return SpotcheckFlight(
         time_s=np.arange(len(p), dtype=float) * sample_dt_s,
         p_m=p.astype(float),
         pwm_us=np.rint(np.nan_to_num(joined)).astype(np.int64),
@@ -113,7 +113,7 @@ def flown(
     )
 
 
-def save(path: Path, flight: Flight) -> None:
+def save(path: Path, flight: SpotcheckFlight) -> None:
     """Write a flight, whole or not at all.
 
     Raises:
@@ -130,7 +130,7 @@ def save(path: Path, flight: Flight) -> None:
         )
 
 
-def load(path: Path) -> Flight:
+def load(path: Path) -> SpotcheckFlight:
     """Read a flight.
 
     Raises:
@@ -140,7 +140,7 @@ def load(path: Path) -> Flight:
         reading(path, "remove it and go on with --resume"),
         np.load(path, allow_pickle=False) as found,
     ):
-        return Flight(
+        return SpotcheckFlight(
             time_s=found["time_s"],
             p_m=found["p_m"],
             pwm_us=found["pwm_us"],

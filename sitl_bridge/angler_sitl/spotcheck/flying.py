@@ -19,7 +19,7 @@ from angler_sitl.firmware.parameters import Source
 from angler_sitl.missions.choosing import scenario_of
 from angler_sitl.session import SitlSession
 from angler_sitl.spotcheck import flight
-from angler_sitl.spotcheck.flight import Flight
+from angler_sitl.spotcheck.flight import SpotcheckFlight
 from angler_sitl.spotcheck.scenes import one_world
 
 type SpotLevel = Literal["guided", "thrusters"]
@@ -34,7 +34,7 @@ type Tell = Callable[[float], None]
 """Told the share of the horizon that was flown."""
 
 
-class Flyer(Protocol):
+class SpotcheckFlyer(Protocol):
     """Flies worlds."""
 
     def __enter__(self) -> Self:
@@ -50,7 +50,7 @@ class Flyer(Protocol):
         """Whatever it holds is let go."""
         ...
 
-    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
+    def fly(self, index: int, worlds: World, tell: Tell) -> SpotcheckFlight:
         """Fly a world.
 
         Args:
@@ -86,8 +86,8 @@ class BatchFlyer:
     ) -> None:
         """Nothing is held."""
 
-    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
-        """See `Flyer.fly`."""
+    def fly(self, index: int, worlds: World, tell: Tell) -> SpotcheckFlight:
+        """See `SpotcheckFlyer.fly`."""
         simulator = self._simulator
         sample_dt_s = simulator.steps_per_sample * simulator.spec.control_dt_s
         state, samples = simulator.reset(worlds), list[Sample]()
@@ -130,7 +130,7 @@ class SitlFlyer:
         self._session = SitlSession(
             scenario, level=level, source=source, speed=speed, binary=binary
         )
-        self._policy: online.Flyer | None = None
+        self._policy: online.OnlineFlyer | None = None
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -145,8 +145,8 @@ class SitlFlyer:
         """No autopilot is left running."""
         self._session.close()
 
-    def fly(self, index: int, worlds: World, tell: Tell) -> Flight:
-        """See `Flyer.fly`."""
+    def fly(self, index: int, worlds: World, tell: Tell) -> SpotcheckFlight:
+        """See `SpotcheckFlyer.fly`."""
         session, timing = self._session, self._scenario.time
         observed = session.reset(worlds=worlds)
         policy = self._looking_after()
@@ -170,12 +170,12 @@ class SitlFlyer:
             sample_dt_s=timing.steps_per_sample * timing.control_dt_s,
         )
 
-    def _looking_after(self) -> online.Flyer | None:
+    def _looking_after(self) -> online.OnlineFlyer | None:
         """What looks after the plans of the world that was just reset; compiled once for all."""
         if not self._scenario.online:
             return None
         if self._policy is None:
-            self._policy = online.Flyer(self._session)
+            self._policy = online.OnlineFlyer(self._session)
         else:
             self._policy.restart()
         return self._policy

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from angler_mjx.runs.storage.folder import Run
 from angler_sitl.firmware.parameters import Source
 from angler_sitl.spotcheck import gaps
-from angler_sitl.spotcheck.flight import RECORDED, Flight
+from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight
 from angler_sitl.spotcheck.flying import Against, SpotLevel
 from angler_sitl.spotcheck.gaps import Gap
 from angler_sitl.spotcheck.picking import Pick, Stratify
@@ -18,7 +18,7 @@ type Key = tuple[int, str, int]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class SpotcheckSettings:
     """What is asked for."""
 
     episodes: int = 8
@@ -45,11 +45,11 @@ class Settings:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class SpotcheckResult:
     """A spot check, whole or as far as it came."""
 
     run: Run
-    settings: Settings
+    settings: SpotcheckSettings
     picks: tuple[Pick, ...]
     counts: tuple[int, ...]
     """Robots."""
@@ -58,7 +58,7 @@ class Found:
     autopilot: str
     """Version and checksum of the ArduSub."""
     provenance: Mapping[str, Any]
-    flights: Mapping[Key, Flight] = field(default_factory=dict)
+    flights: Mapping[Key, SpotcheckFlight] = field(default_factory=dict)
     complete: bool = False
 
     def gaps(self, level: str, robots: int, reference: str) -> list[Gap]:

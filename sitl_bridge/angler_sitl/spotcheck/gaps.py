@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.runs.storage.intervals import clustered
-from angler_sitl.spotcheck.flight import Flight, Floats
+from angler_sitl.spotcheck.flight import Floats, SpotcheckFlight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Sum:
     """Median of the flight's effort over the other's."""
 
 
-def between(world: int, flight: Flight, other: Flight) -> list[Gap]:
+def between(world: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> list[Gap]:
     """Gaps of all robots of a world.
 
     Args:
@@ -83,7 +83,7 @@ def between(world: int, flight: Flight, other: Flight) -> list[Gap]:
     return [_gap(world, i, flight, other) for i in range(len(flight.rows))]
 
 
-def _gap(world: int, robot: int, flight: Flight, other: Flight) -> Gap:
+def _gap(world: int, robot: int, flight: SpotcheckFlight, other: SpotcheckFlight) -> Gap:
     ends = float(flight.end_s[robot]), float(other.end_s[robot])
     row, other_row = flight.rows[robot], other.rows[robot]
     count = min(flight.time_s.size, other.time_s.size)

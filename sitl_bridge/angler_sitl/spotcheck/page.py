@@ -12,7 +12,7 @@ from angler_mjx.report.viewing.tables import table
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck import figures, folder, gaps
 from angler_sitl.spotcheck.flight import RECORDED
-from angler_sitl.spotcheck.found import Found
+from angler_sitl.spotcheck.found import SpotcheckResult
 from angler_sitl.spotcheck.gaps import Sum
 
 REPORT, GAPS, SUMMARY = "report.md", "gaps.csv", "summary.png"
@@ -33,7 +33,7 @@ _COLUMNS = (
 )
 
 
-def write(out: Path, found: Found) -> None:
+def write(out: Path, found: SpotcheckResult) -> None:
     """Write everything that can be said so far.
 
     Raises:
@@ -53,7 +53,7 @@ def write(out: Path, found: Found) -> None:
     folder.save_text(out / REPORT, text(found, pictures))
 
 
-def rows(found: Found) -> list[tuple[str, int, str, Sum]]:
+def rows(found: SpotcheckResult) -> list[tuple[str, int, str, Sum]]:
     """What all gaps come to: who flew, robots, reference.
 
     The batch simulator's own flights are held against what was recorded, to tell how much of the
@@ -67,7 +67,7 @@ def rows(found: Found) -> list[tuple[str, int, str, Sum]]:
     ]
 
 
-def pairs(found: Found) -> list[tuple[str, str]]:
+def pairs(found: SpotcheckResult) -> list[tuple[str, str]]:
     """Who flew, and what that is held against."""
     settings = found.settings
     levels: list[tuple[str, str]] = [
@@ -76,7 +76,7 @@ def pairs(found: Found) -> list[tuple[str, str]]:
     return levels + [(against, RECORDED) for against in settings.against]
 
 
-def text(found: Found, pictures: Sequence[tuple[int, int, str]]) -> str:
+def text(found: SpotcheckResult, pictures: Sequence[tuple[int, int, str]]) -> str:
     """The report.
 
     Args:
@@ -125,7 +125,7 @@ _READING = (
 )
 
 
-def in_sum(found: Found) -> str:
+def in_sum(found: SpotcheckResult) -> str:
     """The table of all gaps."""
     head = [
         "flown by",
@@ -159,7 +159,7 @@ def in_sum(found: Found) -> str:
     return table(head, body)
 
 
-def ends(found: Found) -> str:
+def ends(found: SpotcheckResult) -> str:
     """The table of how robots ended in each kind of flight, over the worlds that were picked."""
     flown = [
         (
@@ -188,7 +188,7 @@ def _counted(listed: Sequence[Mapping[str, Any]], seen: Sequence[str]) -> list[s
     return [f"{number} of {len(listed)}" for number in numbers]
 
 
-def _world(found: Found, world: int, count: int) -> str:
+def _world(found: SpotcheckResult, world: int, count: int) -> str:
     """How each robot of a world ended, in each flight."""
     names = [name for name in found.names() if (world, name, count) in found.flights]
     body = []
@@ -203,7 +203,7 @@ def _world(found: Found, world: int, count: int) -> str:
     return table(["robot", *names], body)
 
 
-def _csv(found: Found) -> str:
+def _csv(found: SpotcheckResult) -> str:
     """One row for each robot of each world, level and reference."""
     written = io.StringIO()
     writer = csv.writer(written, lineterminator="\n")
@@ -218,7 +218,7 @@ def _csv(found: Found) -> str:
     return written.getvalue()
 
 
-def _levels(found: Found) -> tuple[str, ...]:
+def _levels(found: SpotcheckResult) -> tuple[str, ...]:
     return found.settings.levels
 
 

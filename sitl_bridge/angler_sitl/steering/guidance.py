@@ -11,13 +11,13 @@ import numpy as np
 from angler_mjx.robot.control import mixed, stack
 from angler_mjx.robot.control.commands import BodyWrench, ThrusterPwm
 from angler_mjx.robot.control.mixed import Mixed
-from angler_mjx.robot.control.stack import Memory
+from angler_mjx.robot.control.stack import ControlMemory
 from angler_mjx.sim import robot
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState
 from angler_mjx.world import currents
-from angler_sitl.steering.pilot import Motion
+from angler_sitl.steering.pilot import PilotMotion
 
 
 @jax.tree_util.register_dataclass
@@ -25,7 +25,7 @@ from angler_sitl.steering.pilot import Motion
 class Decision:
     """What came of one control step; [1, R] leads."""
 
-    memory: Memory
+    memory: ControlMemory
     target_m: jax.Array
     """[1, R, 3] position aimed at, in W."""
     output: Any
@@ -50,13 +50,13 @@ class Guidance:
         self._begin = jax.jit(partial(_begin, spec))
         self._decide = jax.jit(partial(_decide, spec))
 
-    def begin(self, worlds: World, vehicles: VehicleState) -> Memory:
+    def begin(self, worlds: World, vehicles: VehicleState) -> ControlMemory:
         """Memory of all robots at their starts, [1, R] leading."""
-        memory: Memory = self._begin(worlds, vehicles)
+        memory: ControlMemory = self._begin(worlds, vehicles)
         return memory
 
     def decide(
-        self, worlds: World, state: WorldState, memory: Memory, known: Belief, told: Mixed
+        self, worlds: World, state: WorldState, memory: ControlMemory, known: Belief, told: Mixed
     ) -> Decision:
         """One control step.
 
@@ -74,14 +74,14 @@ class Guidance:
         return decision
 
 
-def _begin(spec: SimSpec, worlds: World, vehicles: VehicleState) -> Memory:
+def _begin(spec: SimSpec, worlds: World, vehicles: VehicleState) -> ControlMemory:
     memory = jax.vmap(jax.vmap(partial(robot.begin, spec)))(
         vehicles, worlds.environment.start_yaw_rad
     )
     if spec.stages[-1].gives is not ThrusterPwm:
         return memory
     unasked = BodyWrench(tau=jnp.full_like(vehicles.nu, jnp.nan))
-    return Memory(stages=memory.stages, realised=memory.realised, demanded=unasked)
+    return ControlMemory(stages=memory.stages, realised=memory.realised, demanded=unasked)
 
 
 def _decide(
@@ -89,7 +89,7 @@ def _decide(
     worlds: World,
     p: jax.Array,
     step: jax.Array,
-    memory: Memory,
+    memory: ControlMemory,
     known: Belief,
     told: Mixed,
 ) -> Decision:
@@ -120,7 +120,7 @@ def _decide(
     return decision
 
 
-def belief_of(motion: Motion, like: Any) -> Belief:
+def belief_of(motion: PilotMotion, like: Any) -> Belief:
     """What autopilots believe, as controllers take it.
 
     They do not say how sure they are: the spreads are NaN. Nor do they know of a current: still

@@ -10,15 +10,15 @@ from angler_mjx.runs.session.interface import RobotInfo
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec
 from angler_sitl.firmware.parameters import Level
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering import sticks
 from angler_sitl.steering.guidance import Decision, Guidance, trusting
-from angler_sitl.steering.pilot import Pilot
+from angler_sitl.steering.pilot import AutopilotCommander
 from angler_sitl.wire import messages
 from angler_sitl.wire.link import Message
 
 
-class Helm:
+class CommandSender:
     """Our own controllers of all robots, and their voice.
 
     Attributes:
@@ -34,7 +34,7 @@ class Helm:
         """
         self._level, self._guidance = level, Guidance(spec)
 
-    def reset(self, scene: Scene, told: Mixed) -> None:
+    def reset(self, scene: AutopilotScene, told: Mixed) -> None:
         """Begin anew, with the vehicles at their starts.
 
         Args:
@@ -48,8 +48,8 @@ class Helm:
 
     def steer(
         self,
-        scene: Scene,
-        pilots: Sequence[Pilot],
+        scene: AutopilotScene,
+        pilots: Sequence[AutopilotCommander],
         robots: Sequence[RobotInfo],
         known: Belief,
         told: Mixed,
@@ -70,7 +70,7 @@ class Helm:
         return decision
 
     def _message(
-        self, i: int, pilot: Pilot, robot: RobotInfo, time_s: float, output: Any
+        self, i: int, pilot: AutopilotCommander, robot: RobotInfo, time_s: float, output: Any
     ) -> Message:
         def of(leaf: Any) -> Any:
             return np.asarray(leaf)[0, i]

@@ -27,7 +27,7 @@ from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.laws.model import wrap
 from angler_mjx.robot.control.laws.targets import TrackingTarget, as_tracking
-from angler_mjx.robot.control.stack import Given, NoGains, Stage
+from angler_mjx.robot.control.stack import NoGains, Stage, StageInput
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.fleet_facts import Facts
 from angler_mjx.sim.state import SimSpec
@@ -100,7 +100,10 @@ def _reset_guided(estimate: Estimate, yaw_rad: jax.Array) -> GuidedCarry:
 
 
 def _guided(
-    _: NoGains, carry: GuidedCarry, given: Given, command: PoseTarget | TrackingTarget | BodyTwist
+    _: NoGains,
+    carry: GuidedCarry,
+    given: StageInput,
+    command: PoseTarget | TrackingTarget | BodyTwist,
 ) -> tuple[GuidedCarry, TrackingTarget]:
     """The target of one control step."""
     if isinstance(command, BodyTwist):
@@ -136,7 +139,7 @@ def _moved(carry: GuidedCarry, estimate: Estimate, command: BodyTwist, dt: float
 
 
 def _sticks(
-    _: NoGains, carry: tuple[()], __: Given, command: PoseTarget | BodyTwist
+    _: NoGains, carry: tuple[()], __: StageInput, command: PoseTarget | BodyTwist
 ) -> tuple[tuple[()], BodyTwist]:
     """Sticks held as a twist; let go where a robot is to stay."""
     if isinstance(command, BodyTwist):

@@ -17,7 +17,7 @@ from angler_mjx.runs.session.interface import Floats
 from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Senses, SimSpec, World
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.pilot import Fix
 
 type Memory = tuple[Senses | None, ...]
@@ -26,7 +26,7 @@ type Memory = tuple[Senses | None, ...]
 class Navigation:
     """Navigation systems of all robots of a scene."""
 
-    def __init__(self, scene: Scene, spec: SimSpec) -> None:
+    def __init__(self, scene: AutopilotScene, spec: SimSpec) -> None:
         """Nothing is compiled where robots are told the truth."""
         self._scene, self._spec = scene, spec
         self._sense = jax.jit(partial(_sense, spec))

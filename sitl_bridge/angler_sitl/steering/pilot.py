@@ -50,7 +50,7 @@ _OLDEST_S = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class PilotMotion:
     """How robots move; [R] leads."""
 
     p: Floats
@@ -73,7 +73,7 @@ class Fix:
     attitude_std_rad: Floats
 
 
-class Pilot:
+class AutopilotCommander:
     """An autopilot behind its two links.
 
     Attributes:
@@ -179,7 +179,7 @@ class Pilot:
         ]
 
 
-def motion_of(pilots: Sequence[Pilot], time_s: float) -> Motion:
+def motion_of(pilots: Sequence[AutopilotCommander], time_s: float) -> PilotMotion:
     """What autopilots believe of their own motion, carried on to now.
 
     Args:
@@ -195,7 +195,7 @@ def motion_of(pilots: Sequence[Pilot], time_s: float) -> Motion:
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     velocity = _into_body(q, vector_ned_to_enu(v))
     nu = np.concatenate([velocity, body_frd_to_flu(omega)], axis=1)
-    return Motion(p=vector_ned_to_enu(p), q=q, nu=nu)
+    return PilotMotion(p=vector_ned_to_enu(p), q=q, nu=nu)
 
 
 def mode_name(number: int | None) -> str:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from angler_mjx.errors import RunError
 from angler_sitl.scene.motion import PULSES
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.wire import packets
 
 LOOK_S = 0.1
@@ -68,7 +68,7 @@ class LockStep:
     def __init__(
         self,
         sockets: Sequence[socket.socket],
-        scene: Scene,
+        scene: AutopilotScene,
         *,
         names: Sequence[str],
         fault: Callable[[int], str | None],

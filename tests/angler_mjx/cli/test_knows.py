@@ -14,7 +14,7 @@ from angler_mjx.files import check
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.notices import blind
 from angler_mjx.scenario.scenario import Scenario, find
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 
 
 def loaded(name, **keys):
@@ -91,7 +91,7 @@ def test_the_flag_holds_for_a_policy_whose_file_gives_another_level(tmp_path):
     (tmp_path / "own.toml").write_text(text)
     given = policy_given("mppi", knows_given("obstacles=observed"))
     found = scenario_given(str(tmp_path / "own.toml"), policy=given)
-    assert found.policy.knows.knows() == Knows(obstacles="observed")
+    assert found.policy.knows.knows() == Information(obstacles="observed")
     assert policy_given(None, None) is None
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import actions, observations, rewards
 from angler_mjx.learning.environment import FleetEnv, make
-from angler_mjx.learning.observations import Sight
+from angler_mjx.learning.observations import ObservedState
 from angler_mjx.learning.vector import FleetVectorEnv
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.robot.control.stack import wants_flow
@@ -348,7 +348,7 @@ def sight(env):
     q = Rotation.random(2 * WORLDS, rng=1).as_quat()[:, [3, 0, 1, 2]].reshape(WORLDS, 2, 4)
     begun = env.bank.begin(rows)
     vehicles = replace(begun.vehicles, p=jnp.asarray(p), q=jnp.asarray(q))
-    return Sight(
+    return ObservedState(
         worlds=worlds,
         rows=rows,
         state=replace(begun, vehicles=vehicles),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from angler_mjx.planning.problem import Problem, Team
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
+from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.currents import Uniform
 from angler_mjx.world.grid import Grid
 
@@ -44,7 +44,7 @@ def no_obstacles(**arrays):
     time = f32(arrays.get("time_s", [0.0]))
     attitude = np.zeros((count, len(time), 4), np.float32)
     attitude[..., 0] = 1.0
-    return KnownObstacles(
+    return ObstacleInformation(
         kind=np.zeros(count, np.int32),
         half_size_m=np.stack([radius, 0 * radius, 0 * radius], axis=-1),
         radius_m=radius,
@@ -80,10 +80,10 @@ def problem(
         floor_z_m=np.float32(0.0),
         team=team(starts, goals, **of_team),
         obstacles=no_obstacles() if obstacles is None else no_obstacles(**obstacles),
-        current=KnownCurrent(components=flow, stays=True),
+        current=CurrentInformation(components=flow, stays=True),
         seed=np.uint32(seed),
         horizon_s=horizon_s,
         goal_tolerance_m=0.5,
-        knows=Knows(),
+        knows=Information(),
         deadline_s=deadline_s,
     )

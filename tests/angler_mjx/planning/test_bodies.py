@@ -8,7 +8,7 @@ import pytest
 from angler_mjx.planning.grid import plan
 from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
 from angler_mjx.planning.ways.robot import WayConfig
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 from ..compiling import quickly
 from .test_grid import make_world
@@ -26,7 +26,7 @@ run = quickly(partial(plan, config=CONFIG))
 def told(places, moves=True, velocity=(0.0, 0.0, 0.0), times=TIMES):
     """One body at ``places`` [T, 3]."""
     n = len(places)
-    return KnownObstacles(
+    return ObstacleInformation(
         kind=np.int32([0]),
         half_size_m=np.float32([[BODY, 0.0, 0.0]]),
         radius_m=np.float32([BODY]),

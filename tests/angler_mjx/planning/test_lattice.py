@@ -15,7 +15,7 @@ from angler_mjx.planning.ways.lattice import EDGES, free_space, line_of_sight, s
 from angler_mjx.planning.ways.pulling import pull
 from angler_mjx.planning.ways.search import reachable
 from angler_mjx.planning.ways.tracing import Route, trace_back
-from angler_mjx.planning.ways.traffic import Balls, Others, Traffic, balls, clear_of
+from angler_mjx.planning.ways.traffic import Balls, GridTraffic, PlannedTraffic, balls, clear_of
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import SPHERE, STATIC, Obstacles
@@ -412,7 +412,7 @@ def draw_traffic(rng, n):
     time[-1, 3:], point[-1, 3:] = time[-1, 2], point[-1, 2]
     until = np.where(np.arange(n) % 3 == 0, rng.uniform(2.0, 15.0, n), np.inf)
     until[2] = -1.0
-    return Traffic(
+    return GridTraffic(
         time_s=np.float32(time),
         position_m=np.float32(point),
         reach_m=np.float32(rng.uniform(1.0, 3.0, n)),
@@ -485,13 +485,15 @@ def round_a_wall(until_s):
         begin=jnp.array(1),
         whole=jnp.array(True),
     )
-    stands = Traffic(
+    stands = GridTraffic(
         time_s=jnp.array([[0.0, 1.0]]),
         position_m=jnp.tile(jnp.array([0.5, 5.5, -8.0]), (1, 2, 1)),
         reach_m=jnp.array([0.5]),
         until_s=jnp.array([until_s]),
     )
-    return route, run_pull(make_world(occupied, FAR), Others(robots=stands, bodies=None), route)
+    return route, run_pull(
+        make_world(occupied, FAR), PlannedTraffic(robots=stands, bodies=None), route
+    )
 
 
 @quickly

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.ways import search, search_kernel
-from angler_mjx.planning.ways.lattice import FreeSpace, Layout, Terrain
+from angler_mjx.planning.ways.lattice import FreeSpace, LatticeLayout, Terrain
 from angler_mjx.planning.ways.traffic import Balls
 from angler_mjx.world.grid import Grid
 
 CELL = 1.5
 SHAPE = (5, 4, 7)
-LAYOUT = Layout(shape=SHAPE)
+LAYOUT = LatticeLayout(shape=SHAPE)
 N_LAYER = 20
 N_WORLD = 24
 

@@ -17,7 +17,7 @@ import zarr
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.planner import PathShape
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.rollout import resume, rollout
 from angler_mjx.runs.simulator.hosted import status_of
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -292,7 +292,7 @@ def test_a_world_that_is_not_planned_yet_is_named(asked, given, planned, tmp_pat
 def test_a_run_goes_on_with_its_own_plans(asked, given, planned, flown, tmp_path):
     path = shutil.copytree(planned, tmp_path / "plans.zarr")
 
-    class Stopping(Silent):
+    class Stopping(SilentProgress):
         def advance(self, worlds, steps):
             raise KeyboardInterrupt
 
@@ -323,7 +323,7 @@ def test_a_run_goes_on_with_the_planner_that_it_began_with(asked, simulator, flo
     assert "inputs/planners/straight.py:Lame" in said[0]
 
 
-class Once(Silent):
+class Once(SilentProgress):
     """Interrupts in the second tile."""
 
     def __init__(self):

@@ -11,7 +11,7 @@ import pytest
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.sim import fleet
-from angler_mjx.sim.admission import Gate
+from angler_mjx.sim.admission import WorldValidator
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
 
@@ -38,7 +38,7 @@ def packing():
 @pytest.fixture
 def gate(scene, packing):
     """As for the fused engine."""
-    return Gate(scene.fleet, take=partial(fleet.parameters, scene.fleet), pack=packing[0])
+    return WorldValidator(scene.fleet, take=partial(fleet.parameters, scene.fleet), pack=packing[0])
 
 
 def edited(worlds, path, change):
@@ -151,7 +151,7 @@ def test_edited_cells_are_packed_anew_and_never_twice(gate, scene, packing):
 
 
 def test_an_engine_that_looks_at_cells_is_given_no_packed_ones(scene):
-    gate = Gate(scene.fleet, take=partial(fleet.parameters, scene.fleet), pack=None)
+    gate = WorldValidator(scene.fleet, take=partial(fleet.parameters, scene.fleet), pack=None)
     cells = scene.worlds.environment.grid.occupied
     packed = replace(scene.worlds, cell_neighbours=jax.vmap(cell_neighbours)(cells))
     assert gate.admit(packed).cell_neighbours is None

@@ -24,12 +24,12 @@ from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
-from angler_mjx.sim.aboard.here import Aboard
+from angler_mjx.sim.aboard.here import WorldContext
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
-from angler_mjx.sim.policy import Known, Policy
+from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.world import currents
 
 from ..compiling import quickly
@@ -295,7 +295,7 @@ def begin(in_double):
     heavy = params.build(library.load("bluerov2_heavy"), "wu2018", 16.0)
     two = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), heavy)
     still = np.zeros((2, 3))
-    knows = Known(
+    knows = PolicyInput(
         belief=Estimate(p=still, q=np.zeros((2, 4)), nu=np.zeros((2, 6))),
         time_s=np.zeros(()),
         goal_m=still,
@@ -362,7 +362,7 @@ def told(scene):
 
     @quickly
     def known(number):
-        here = Aboard(
+        here = WorldContext(
             spec=scene.spec, policy=Guide(), world=world, number=number, vehicles=vehicles
         )
         known = here.known(None)

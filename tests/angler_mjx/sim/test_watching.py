@@ -16,7 +16,7 @@ from angler_mjx.sim import policy as policies
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import DRIFT
@@ -32,8 +32,8 @@ WORLDS, STEPS, AT = 2, 28, 16
 class Watcher(Policy):
     """Lies still and keeps what it was told last, and the step in which it was."""
 
-    knows: Knows | None = field(
-        default=Knows(obstacles="truth", current="truth"), metadata={"static": True}
+    knows: Information | None = field(
+        default=Information(obstacles="truth", current="truth"), metadata={"static": True}
     )
     period: int = field(default=AT, metadata={"static": True})
     ahead_s: float = field(default=0.5, metadata={"static": True})
@@ -110,7 +110,7 @@ def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
 
         @partial(quickly, static_argnums=1)
         def told(environment, obstacles):
-            knows = Knows(obstacles=obstacles, current="predicted")
+            knows = Information(obstacles=obstacles, current="predicted")
             return knowledge.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
 
         predicted, held = told(turns, "predicted"), told(stays, "truth")
@@ -123,7 +123,7 @@ def test_whether_any_may_stand_is_said(scene):
     """So that no code need look for them where a scenario has none."""
     place = jax.tree.map(lambda leaf: leaf[0], scene.worlds.environment)
     moving = replace(place, obstacles=replace(place.obstacles, motions=(DRIFT,)))
-    asked = (Knows(obstacles="observed"), 1.0, 0.05, 1000.0, 9.81)
+    asked = (Information(obstacles="observed"), 1.0, 0.05, 1000.0, 9.81)
     assert knowledge.obstacles(place, *asked).some_stand
     assert not knowledge.obstacles(moving, *asked).some_stand
 
@@ -131,7 +131,10 @@ def test_whether_any_may_stand_is_said(scene):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"knows": Knows(obstacles="all")}, "knows.obstacles = 'all'; there is nothing, observed"),
+        (
+            {"knows": Information(obstacles="all")},
+            "knows.obstacles = 'all'; there is nothing, observed",
+        ),
         ({"knows": "truth"}, "knows = 'truth'; give a Knows"),
         ({"ahead_s": -1.0}, "ahead_s = -1.0; give a time"),
     ],

@@ -11,7 +11,7 @@ from scipy import stats
 from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import rollout, several
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, compare, sweep, tables, told
@@ -46,7 +46,7 @@ KEY = "world.currents.0.max_speed_mps"
 SET = [f"{KEY}=1.5,0.5"]
 
 
-class Broken(Silent):
+class Broken(SilentProgress):
     """Someone who presses Ctrl-C when a certain run begins."""
 
     def __init__(self, at):
@@ -67,7 +67,7 @@ def file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def asked(file):
-    return sweep.ask(load_scenario(file), axes(SET), "short")
+    return sweep.build_request(load_scenario(file), axes(SET), "short")
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_an_interrupted_sweep_holds_what_was_finished_and_goes_on(halves):
 def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
     with pytest.raises(ConfigError, match="this sweep is complete"):
         sweep.make(asked, made, told=Broken(None), resume=True)
-    other = sweep.ask(load_scenario(file), axes([f"{KEY}=1.5"]), "short")
+    other = sweep.build_request(load_scenario(file), axes([f"{KEY}=1.5"]), "short")
     with pytest.raises(ConfigError, match="exists; give another folder"):
         sweep.make(other, made, told=Broken(None))
     with pytest.raises(SystemExit) as ended:
@@ -117,7 +117,7 @@ def test_a_whole_sweep_is_not_taken_up_again(file, asked, made, capsys):
 
 def test_a_sweep_of_other_settings_is_not_gone_on_with(file, asked, tmp_path):
     several.begin(tmp_path / "out", "sweep", asked.resolved()).release()
-    other = sweep.ask(load_scenario(file), axes([f"{KEY}=1.5,0.4"]), "short")
+    other = sweep.build_request(load_scenario(file), axes([f"{KEY}=1.5,0.4"]), "short")
     with pytest.raises(ConfigError, match=rf"begun with another set\.{KEY} \(see .*making\.json"):
         sweep.make(other, tmp_path / "out", told=Broken(None), resume=True)
 

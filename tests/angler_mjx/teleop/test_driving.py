@@ -15,9 +15,9 @@ from angler_mjx.runs.storage.folder import Run, reopen
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop import live_view, opening
-from angler_mjx.teleop.driving import Settings, run
+from angler_mjx.teleop.driving import TeleopSettings, run
 from angler_mjx.teleop.loop import drive
-from angler_mjx.teleop.pilot import SILENCE_S, Mode, Pilot
+from angler_mjx.teleop.pilot import SILENCE_S, Mode, TeleopPilot
 from angler_mjx.teleop.recording import KEYS, Recording
 from angler_mjx.teleop.script import Script, TimedKey, load
 from angler_mjx.teleop.signals import Stop
@@ -100,7 +100,7 @@ class Track:
 
 def fly(session, timed, duration_s=None, watchers=()):
     session.reset()
-    pilot = Pilot(session.robots, (0, 2), speed_mps=0.4, turn_radps=0.4)
+    pilot = TeleopPilot(session.robots, (0, 2), speed_mps=0.4, turn_radps=0.4)
     track = Track(pilot)
     done = drive(
         session,
@@ -262,7 +262,7 @@ def test_settings_that_cannot_be_used(scenario, folder, fault):
     given, message = SETTINGS_FAULTS[fault]
     script = folder / given.pop("script", "keys.txt")
     with pytest.raises(ConfigError, match=message):
-        run(scenario, Settings(script=script, **given))
+        run(scenario, TeleopSettings(script=script, **given))
 
 
 class Breaking:
@@ -285,7 +285,7 @@ class Breaking:
 
 def test_what_was_driven_until_a_robot_is_lost_is_kept(scenario, session, folder, tmp_path):
     session.reset()
-    settings = Settings(script=folder / "keys.txt", out=tmp_path / "run")
+    settings = TeleopSettings(script=folder / "keys.txt", out=tmp_path / "run")
     opened = opening.Opened(session=Breaking(session))
     with pytest.raises(RunError, match=r"robot_1 is gone.*is in .*run"):
         run(scenario, settings, opener=lambda *_: opened)
@@ -307,7 +307,7 @@ def test_autopilots_are_asked_for_by_name(folder, capsys):
 
 def test_worlds_are_counted_from_0(scenario, folder):
     with pytest.raises(ConfigError, match="--world -1"):
-        run(scenario, Settings(script=folder / "keys.txt", world=-1))
+        run(scenario, TeleopSettings(script=folder / "keys.txt", world=-1))
 
 
 def test_a_run_without_samples_cannot_be_recorded(folder, tmp_path):
@@ -331,7 +331,7 @@ def test_the_viewer_is_told_of_what_moves_and_who_drives(session, tmp_path):
     stream = rr.RecordingStream("test", recording_id="test")
     stream.save(tmp_path / "live.rrd")
     session.reset()
-    pilot = Pilot(session.robots, (0,), speed_mps=0.4, turn_radps=0.4)
+    pilot = TeleopPilot(session.robots, (0,), speed_mps=0.4, turn_radps=0.4)
     view = live_view.LiveView(stream, session, pilot, "world_1")
     for k in range(41):
         if k == 10:

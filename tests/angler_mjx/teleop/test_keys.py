@@ -3,7 +3,7 @@
 import itertools
 
 from angler_mjx.teleop import keys
-from angler_mjx.teleop.keys import ACTIONS, FACTORS, HELP, MOVES, Action, Direction
+from angler_mjx.teleop.keys import ACTIONS, FACTORS, HELP, MOVES, Direction, KeyAction
 from angler_mjx.teleop.status import WIDTH
 
 # "Moving around: u i o / j k l / m , ." and, with shift held, "U I O / J K L / M < >": the row says
@@ -34,7 +34,7 @@ def test_speeds_are_those_of_the_documentation():
 
 def test_our_own_keys_take_none_of_theirs():
     assert not set(ACTIONS) & {*MOVES, *FACTORS}
-    assert set(ACTIONS.values()) == set(Action)
+    assert set(ACTIONS.values()) == set(KeyAction)
 
 
 def test_help_shows_every_key_and_fits_the_screen():

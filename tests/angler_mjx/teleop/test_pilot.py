@@ -9,7 +9,7 @@ import pytest
 from angler_mjx.robot.control.commands import BodyTwist, PoseTarget
 from angler_mjx.teleop import pilot as module
 from angler_mjx.teleop.keys import FACTORS, MOVES, STILL
-from angler_mjx.teleop.pilot import BRAKE_S, Mode, Pilot
+from angler_mjx.teleop.pilot import BRAKE_S, Mode, TeleopPilot
 
 from .by_hand import observed, turned
 
@@ -20,7 +20,7 @@ FLOAT32 = 1e-6
 @pytest.fixture
 def pilot(robots):
     """Drives robots 0 and 2 of three."""
-    return Pilot(robots, (0, 2), speed_mps=0.5, turn_radps=0.4, silence_s=0.8)
+    return TeleopPilot(robots, (0, 2), speed_mps=0.5, turn_radps=0.4, silence_s=0.8)
 
 
 def told(pilot, **what):
@@ -200,7 +200,7 @@ def test_a_refusal_stops_the_robot_and_is_told_until_the_next_key(pilot):
 
 def test_the_end_is_asked_for_by_two_keys(robots):
     for key in ("Q", "\x03"):
-        pilot = Pilot(robots, (0,), speed_mps=0.5, turn_radps=0.5)
+        pilot = TeleopPilot(robots, (0,), speed_mps=0.5, turn_radps=0.5)
         assert not pilot.ended
         pilot.press(key, 0.0)
         assert pilot.ended
@@ -213,7 +213,7 @@ def test_the_silence_outlasts_the_longest_usual_delay_of_a_keyboard():
 
 def test_a_robot_that_takes_velocities_alone_is_let_go_where_another_holds(robots):
     sticks = [replace(robot, accepts=(BodyTwist,)) for robot in robots]
-    pilot = Pilot(sticks, (0,), speed_mps=0.5, turn_radps=0.5)
+    pilot = TeleopPilot(sticks, (0,), speed_mps=0.5, turn_radps=0.5)
     pilot.press("h", 0.0)
     (order,) = pilot.orders(observed()).commands.values()
     np.testing.assert_array_equal(order.nu, np.zeros(6))

@@ -9,14 +9,14 @@ from angler_mjx.runs.session.interface import RobotStatus
 from angler_mjx.sim.state import Outcome
 from angler_mjx.teleop import status
 from angler_mjx.teleop.pace import Overruns
-from angler_mjx.teleop.pilot import Pilot
+from angler_mjx.teleop.pilot import TeleopPilot
 
 from .by_hand import observed, turned
 
 
 @pytest.fixture
 def pilot(robots):
-    return Pilot(robots, (0, 2), speed_mps=0.5, turn_radps=0.4)
+    return TeleopPilot(robots, (0, 2), speed_mps=0.5, turn_radps=0.4)
 
 
 def shown(robots, pilot, observation, overruns=None):

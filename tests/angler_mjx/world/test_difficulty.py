@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from angler_kernels.bit_grid import pack
-from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_ways
+from angler_mjx.world.difficulty import line_is_free, open_ways, shortest_paths
 
 from ..compiling import quickly
 from ..lattice import least_costs
@@ -36,7 +36,7 @@ def found():
 
     @quickly
     def find(passable, *ends):
-        return shortest_ways(pack(passable), SHAPE[2], *ends)
+        return shortest_paths(pack(passable), SHAPE[2], *ends)
 
     return passable, start, goal, np.asarray(find(passable, start, goal))
 

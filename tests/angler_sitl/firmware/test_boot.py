@@ -8,18 +8,18 @@ import pytest
 
 from angler_mjx.errors import RunError
 from angler_sitl.firmware import boot as booting
-from angler_sitl.firmware.boot import Place, boot
+from angler_sitl.firmware.boot import WorldOrigin, boot
 from angler_sitl.firmware.process import Instance, Launch, kill_all
 from angler_sitl.steering.pilot import (
+    AutopilotCommander,
     Fix,
-    Pilot,
     mode_name,
     motion_of,
 )
 from angler_sitl.wire.lockstep import LockStep
 from angler_sitl.wire.ports import allocate
 
-HOME = Place(lat_deg=47.6, lon_deg=-122.3)
+HOME = WorldOrigin(lat_deg=47.6, lon_deg=-122.3)
 STEP_S, PERIOD = 1 / 100, 5
 """Coarser than a real one's, for speed: a stand-in has no controllers that would mind."""
 
@@ -55,7 +55,7 @@ def started(program, folder, *each):
                 parameters=parameters,
             )
             instances.append(Instance(launch))
-        pilots = [Pilot(f"robot_{i}", i + 1, ports) for i, ports in enumerate(bound)]
+        pilots = [AutopilotCommander(f"robot_{i}", i + 1, ports) for i, ports in enumerate(bound)]
         scene = Still(len(each))
         lockstep = LockStep(
             [ports.fdm for ports in bound],
@@ -128,7 +128,7 @@ def test_the_one_that_does_not_come_up_is_named(stand_in, tmp_path, monkeypatch,
 
 def test_who_never_spoke_is_named(ports):
     clock = iter(np.arange(0.0, 100.0, 0.05))
-    pilot = Pilot("robot_7", 8, ports)
+    pilot = AutopilotCommander("robot_7", 8, ports)
     with pytest.raises(RunError, match="robot_7: says nothing on MAVLink within 15 s"):
         boot([pilot], lambda: float(next(clock)), mode=4, source="vision", home=HOME)
     with pytest.raises(RunError, match=r"robot_7.*not told its motion"):

@@ -25,7 +25,7 @@ from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.teleop import driving, opening
 from angler_mjx.testing import referee
 from angler_sitl.missions import mission
-from angler_sitl.missions.mission import Settings
+from angler_sitl.missions.mission import MissionSettings
 from angler_sitl.session import SitlSession
 
 SCENARIO = """
@@ -125,7 +125,7 @@ def gone(pids):
 
 
 def fly(scenario, out, board, **given):
-    return mission.run(scenario, Settings(out=out, **given), lambda _: None, board)
+    return mission.run(scenario, MissionSettings(out=out, **given), lambda _: None, board)
 
 
 @both
@@ -350,7 +350,7 @@ def test_keys_drive_a_real_autopilot(session, scenario, tmp_path, ardusub):
         session.reset()
         return opening.Opened(session=Shared(session))
 
-    settings = driving.Settings(
+    settings = driving.TeleopSettings(
         script=tmp_path / "keys.txt", realtime=False, out=tmp_path / "run", speed_mps=0.3
     )
     _, run = driving.run(scenario, settings, opener=opened)

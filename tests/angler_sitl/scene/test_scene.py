@@ -6,7 +6,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import Outcome
-from angler_sitl.scene.scene import Scene
+from angler_sitl.scene.scene import AutopilotScene
 
 SCENARIO = {
     "name": "two_kinds",
@@ -25,7 +25,7 @@ NEUTRAL = np.full((2, 16), 1500, np.int32)
 
 @pytest.fixture(scope="module")
 def scene():
-    return Scene(Scenario.model_validate(SCENARIO), world=WORLD)
+    return AutopilotScene(Scenario.model_validate(SCENARIO), world=WORLD)
 
 
 @pytest.fixture
@@ -179,4 +179,4 @@ def test_another_seed_is_another_world_and_the_same_seed_the_same(scene):
 
 def test_a_control_period_must_be_whole_steps():
     with pytest.raises(ConfigError, match=r"control_dt_s = 0\.05.*steps of 3 ms"):
-        Scene(Scenario.model_validate(SCENARIO), dt_s=0.003)
+        AutopilotScene(Scenario.model_validate(SCENARIO), dt_s=0.003)

@@ -19,9 +19,9 @@ from angler_mjx.learning.datasets import card, describing, figures, gaps, index,
 from angler_mjx.learning.datasets.config import DatasetConfig, DatasetScene, Expert
 from angler_mjx.learning.datasets.keeping import repair
 from angler_mjx.learning.datasets.verifying import sound
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_sitl.spotcheck import checking, dataset, flight, picking
-from angler_sitl.spotcheck.found import Found, Settings
+from angler_sitl.spotcheck.found import SpotcheckResult, SpotcheckSettings
 
 ASIDE_M = {"000_near": 0.1, "001_far": 0.5}
 """How far real autopilots are from what each part recorded."""
@@ -75,7 +75,7 @@ def asked(monkeypatch):
     def plan(run_path, settings):
         run = checking.Run(run_path)
         picks = picking.pick(run.episodes, settings.episodes, seed=settings.seed)
-        return Found(
+        return SpotcheckResult(
             run=run,
             settings=settings,
             picks=picks,
@@ -108,7 +108,7 @@ def asked(monkeypatch):
     return SimpleNamespace(seen=seen, goes=goes)
 
 
-SETTINGS = Settings(episodes=3, against=(), levels=("guided",))
+SETTINGS = SpotcheckSettings(episodes=3, against=(), levels=("guided",))
 
 
 def files(place):
@@ -210,7 +210,7 @@ def test_a_damaged_spot_check_is_said_and_taken_away_by_repair(place, asked, tmp
     with pytest.raises(ConfigError, match=r"spotcheck\.json"):
         card.write_text(place, manifest.read(place), index.read(place))
     monkeypatch.setattr(figures, "draw", lambda *_: None)
-    assert repair.repair(place, Silent()).damaged == (gaps.FILE,)
+    assert repair.repair(place, SilentProgress()).damaged == (gaps.FILE,)
     assert gaps.read(place) is None
     assert files(place) == []
     assert "No episode of it was flown" in (place / card.README).read_text()

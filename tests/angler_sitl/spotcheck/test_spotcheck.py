@@ -35,8 +35,8 @@ from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware import parameters, probe
 from angler_sitl.spotcheck import checking, figures, flight, flying, gaps, picking, scenes
-from angler_sitl.spotcheck.flight import Flight
-from angler_sitl.spotcheck.found import Settings
+from angler_sitl.spotcheck.flight import SpotcheckFlight
+from angler_sitl.spotcheck.found import SpotcheckSettings
 
 SCENE = """
 schema_version = 1
@@ -157,7 +157,7 @@ def straight(*, delay_s=0.0, aside_m=0.0, end_s=20.0, outcome="reached", pwm_us=
         "failure_time_s": float("nan") if reached else end_s,
         "min_clearance_m": 1.0 - aside_m,
     }
-    return Flight(time_s=time, p_m=p, pwm_us=signals, rows=(row,))
+    return SpotcheckFlight(time_s=time, p_m=p, pwm_us=signals, rows=(row,))
 
 
 def test_a_way_aside_is_as_far_as_it_is():
@@ -366,7 +366,7 @@ def flyers(monkeypatch, run, stand_in, world):
 
 @pytest.fixture
 def settings(stand_in):
-    return Settings(episodes=1, binary=stand_in.path)
+    return SpotcheckSettings(episodes=1, binary=stand_in.path)
 
 
 def test_a_spot_check_reports_the_gaps(run, flyers, settings, tmp_path):
@@ -562,7 +562,7 @@ def test_the_surrogates_gains_are_those_of_the_firmware(ardusub, tmp_path):
 def test_a_real_autopilot_flies_the_plan_of_a_run(ardusub, tmp_path):
     (tmp_path / "small.toml").write_text(SCENE)
     run = rollout(load_scenario(tmp_path / "small.toml"), out=tmp_path / "run")
-    settings = Settings(
+    settings = SpotcheckSettings(
         episodes=1, against=("cascade",), levels=("thrusters",), binary=ardusub.path
     )
     found = checking.check(run.path, settings, tmp_path / "check", Told())
@@ -581,7 +581,7 @@ def test_a_real_autopilot_is_planned_for_anew_as_in_a_run(ardusub, tmp_path):
     """A sphere drifts into the way of the first robot, and no plan before the start knows of it."""
     (tmp_path / "crossing.toml").write_text(CROSSING)
     run = rollout(load_scenario(tmp_path / "crossing.toml"), out=tmp_path / "run")
-    settings = Settings(episodes=1, against=(), levels=("guided",), binary=ardusub.path)
+    settings = SpotcheckSettings(episodes=1, against=(), levels=("guided",), binary=ardusub.path)
     found = checking.check(run.path, settings, tmp_path / "check", Told())
     rows = found.flights[0, "guided", 2].rows
     # Along its first plan it is hit: see the flights of planning/online, in the same scene.

@@ -13,7 +13,7 @@ from angler_experiments.learned_planner.checkpoint import Checkpoint
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
 from angler_experiments.learned_planner.shapes import SCHEMA, Width
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.register import PlannerSpec, Reference
+from angler_mjx.planning.register import PlannerReference, PlannerSpec
 
 WIDTH = Width(units=8, blocks=1)
 
@@ -79,7 +79,8 @@ def test_the_entry_point_names_the_planner():
     place = table["project"]["entry-points"]["angler_mjx.planners"]["learned"]
     module, _, name = place.partition(":")
     spec = PlannerSpec(
-        reference=Reference(name="learned", module=module, qualname=name), settings={"samples": 2}
+        reference=PlannerReference(name="learned", module=module, qualname=name),
+        settings={"samples": 2},
     )
     planner = spec.make()
     assert planner.settings.samples == 2

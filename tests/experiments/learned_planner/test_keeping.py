@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner.evaluate.book import Book
+from angler_experiments.learned_planner.evaluate.book import EvaluationLog
 from angler_experiments.learned_planner.scene import Scene
 from angler_experiments.learned_planner.training import keeping
 from angler_experiments.learned_planner.training.drawn import Source
@@ -69,8 +69,8 @@ def test_what_is_no_file_of_examples_is_refused(tmp_path, content):
 
 def test_rows_are_found_by_all_of_their_keys(tmp_path):
     file = tmp_path / "out" / "rows.json"
-    Book(file).add({"sea": "reef", "samples": 2}, {"found": 0.5})
-    book = Book(file)
+    EvaluationLog(file).add({"sea": "reef", "samples": 2}, {"found": 0.5})
+    book = EvaluationLog(file)
     assert book.find({"sea": "reef", "samples": 2})["found"] == 0.5
     assert book.find({"sea": "reef", "samples": 3}) is None
     assert book.find({"sea": "reef"}) is None
@@ -81,4 +81,4 @@ def test_a_damaged_file_of_rows_is_refused(tmp_path):
     file = tmp_path / "rows.json"
     file.write_text('{"rows": [')
     with pytest.raises(ConfigError, match=r"rows.json: holds no rows"):
-        Book(file)
+        EvaluationLog(file)

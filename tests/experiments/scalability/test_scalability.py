@@ -132,7 +132,7 @@ def test_rows_that_are_there_are_not_measured_again(file, monkeypatch):
 
     def measure(ladder, engine, size, repeats, backend):
         measured.append((ladder.name, engine, size))
-        return speed.Row(
+        return speed.SpeedRow(
             workload=f"scalability/{ladder.name}", inside="", worlds=size, robots=2,
             unit="vehicle-steps/s", median=1.0, low=1.0, high=1.0, repeats=10, compile_s=0.0,
             engine=engine, extra={"size": float(size)},

@@ -107,7 +107,7 @@ def test_lanes_that_look_up_give_the_same(found):
 
     def table(values):
         flat = jnp.asarray(values).reshape(-1)
-        return lanes.Table(lambda at: flat[at], flat.shape, flat.dtype)
+        return lanes.LookupTable(lambda at: flat[at], flat.shape, flat.dtype)
 
     def one(p, t, values, x, depth):
         axes = list(zip(AXES, (None, x, depth, None), strict=True))

@@ -81,7 +81,7 @@ def test_profile_on_lanes_is_that_of_one_body():
 
     def table(values):
         flat = jnp.asarray(values.reshape(-1))
-        return lanes.Table(lambda at: flat[at], values.shape, values.dtype)
+        return lanes.LookupTable(lambda at: flat[at], values.shape, values.dtype)
 
     given = (lanes.split(jnp.asarray(p), 1), table(depth), table(knots), table(slopes))
     v, _, J = lanes.join(lanes.apply(current_field.depth_profile, *given))

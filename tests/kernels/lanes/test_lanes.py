@@ -221,7 +221,7 @@ def test_thruster_in_a_table_in_memory(assert_same):
         return ahead, back
 
     flat = jnp.asarray(rows).ravel()
-    table = lanes.Table(lambda at: flat[at], (33,), flat.dtype, base=33 * jnp.arange(W))
+    table = lanes.LookupTable(lambda at: flat[at], (33,), flat.dtype, base=33 * jnp.arange(W))
     pwm, value = jnp.asarray(pwm), jnp.asarray(value)
     ours = lanes.join(lanes.apply(both, table, *lanes.split((pwm, value))))
     theirs = quickly(jax.vmap(both))(jnp.asarray(rows), pwm, value)
@@ -236,7 +236,9 @@ def test_thruster_in_a_table_in_memory(assert_same):
 def test_tables_of_many_axes():
     rows = normal(6, 3, 2)
     flat = jnp.asarray(rows).transpose(1, 2, 3, 0).ravel()  # bodies side by side: step W
-    table = lanes.Table(lambda at: flat[at], (6, 3, 2), flat.dtype, base=jnp.arange(W), step=W)
+    table = lanes.LookupTable(
+        lambda at: flat[at], (6, 3, 2), flat.dtype, base=jnp.arange(W), step=W
+    )
     at = integers(6)
 
     def read(x, i):

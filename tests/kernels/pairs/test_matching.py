@@ -35,7 +35,7 @@ def test_the_shortest_is_taken_of_all_that_are_left() -> None:
 
 
 def test_the_program_for_gpus_gives_the_same() -> None:
-    pairs = matching.Pairs.of((ROWS, COLUMNS), lanes_a_warp=64, interpret=True)
+    pairs = matching.MatchedPairs.of((ROWS, COLUMNS), lanes_a_warp=64, interpret=True)
     kernel = matching._Kernel(pairs)
     ways = lengths()
     found = np.asarray(jax.jit(jax.vmap(kernel.run))(jnp.array(ways)))

@@ -50,7 +50,7 @@ NEEDED = ("p_m", "q", "nu", "target_m", "current_mps", "pwm_us")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class ExportedFlight:
     """One robot's, until its end."""
 
     episode: int
@@ -98,7 +98,7 @@ def other_names(data: Dataset) -> tuple[str, ...]:
     return tuple(f"other_{i}_{name}" for i in range(int(data.robots.max()) - 1) for name in OTHER)
 
 
-def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterator[Flight]:
+def flights(data: Dataset, action: str, *, of: Dataset | None = None) -> Iterator[ExportedFlight]:
     """All of a dataset, one after another.
 
     Args:
@@ -134,7 +134,7 @@ def _one_of_each(data: Dataset) -> np.ndarray:
 
 def _flight(
     number: int, episode: Episode, robot: int, others: int, action: str, width: int
-) -> Flight:
+) -> ExportedFlight:
     steps = int(episode.running[:, robot].sum())
     arrays: dict[str, np.ndarray] = {n: values[:steps] for n, values in episode.arrays.items()}
     given = arrays["target_m" if action == "target" else "pwm_us"][:, robot]
@@ -144,7 +144,7 @@ def _flight(
     state = [arrays[name][:, robot] for name in ("p_m", "q", "nu")]
     state += [goal, arrays["current_mps"][:, robot]]
     about = episode.about
-    return Flight(
+    return ExportedFlight(
         episode=number,
         robot=robot,
         outcome=episode.outcomes[robot],

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.exports import flights, lerobot_statistics
-from angler_mjx.learning.datasets.exports.flights import Flight
+from angler_mjx.learning.datasets.exports.flights import ExportedFlight
 from angler_mjx.learning.datasets.exports.lerobot_statistics import Statistics
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 from angler_mjx.runs.storage import folder
@@ -90,7 +90,7 @@ class _Writing:
             [*vectors, ("timestamp", pa.float32()), *((name, pa.int64()) for name in _COUNTED)]
         )
 
-    def add(self, flight: Flight) -> None:
+    def add(self, flight: ExportedFlight) -> None:
         """Write a flight."""
         steps = len(flight.time_s)
         task = self._tasks.setdefault(flight.task, len(self._tasks))

@@ -50,7 +50,7 @@ def write(data: Dataset, out: Path, action: str, tell: Callable[[int], None]) ->
             file.close()
 
 
-def solution(flight: flights.Flight) -> np.ndarray:
+def solution(flight: flights.ExportedFlight) -> np.ndarray:
     """[POINTS, 4] of a flight: x, y, z, m, and heading, rad, evenly in time."""
     at = np.linspace(flight.time_s[0], flight.time_s[-1], POINTS)
     w, x, y, z = flight.state[:, 3:7].T

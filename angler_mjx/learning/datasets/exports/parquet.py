@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from angler_mjx.learning.datasets.exports import flights
-from angler_mjx.learning.datasets.exports.flights import Flight
+from angler_mjx.learning.datasets.exports.flights import ExportedFlight
 from angler_mjx.learning.datasets.reading.dataset import Dataset
 
 FLIGHTS = 500
@@ -55,7 +55,7 @@ def _schema(data: Dataset, actions: tuple[str, ...], about: dict[str, object]) -
     return pa.schema(fields, metadata={"angler": json.dumps(about)})
 
 
-def _rows(flight: Flight, schema: pa.Schema) -> pa.RecordBatch:
+def _rows(flight: ExportedFlight, schema: pa.Schema) -> pa.RecordBatch:
     steps = len(flight.time_s)
     columns = list(_columns(flight, steps))
     return pa.record_batch(
@@ -67,7 +67,7 @@ def _rows(flight: Flight, schema: pa.Schema) -> pa.RecordBatch:
     )
 
 
-def _columns(flight: Flight, steps: int) -> Iterator[object]:
+def _columns(flight: ExportedFlight, steps: int) -> Iterator[object]:
     yield np.full(steps, flight.episode, np.int64)
     yield np.full(steps, flight.robot, np.int32)
     for text in (flight.split, flight.outcome):

@@ -50,7 +50,7 @@ def export(
     data = open_dataset(place, split=split, success=success, fields=flights.NEEDED)
     flights.action_names(data, action)
     most = flights.count(data)
-    claimed = claims.claim(out, what="export", left=lambda _: None)
+    claimed = claims.acquire(out, what="export", left=lambda _: None)
     try:
         FORMATS[to](data, claimed.building, action, lambda done: tell(done, most))
     except OSError as error:

@@ -32,7 +32,7 @@ def merge(places: Sequence[Path], out: Path, name: str | None = None) -> Path:
         raise ConfigError("merge: give two datasets or more")
     found = [manifest.read(place) for place in places]
     _require_alike(places, found)
-    claimed = claims.claim(out, what="dataset")
+    claimed = claims.acquire(out, what="dataset")
     try:
         whole = _merged(places, found, claimed.building, name or out.name)
         table = of_manifest(claimed.building, whole)

@@ -10,11 +10,11 @@ import jax
 import numpy as np
 
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
-from angler_mjx.learning.datasets.verifying.report import Check
+from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.runs import sizes, waves
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.hosted import PlanNotes
 from angler_mjx.runs.simulator.simulator import Simulator
@@ -47,7 +47,9 @@ class _Compared:
     worlds: int = 0
 
 
-def fly(place: Path, manifest: Manifest, count: int, tell: Callable[[int, int], None]) -> Check:
+def fly(
+    place: Path, manifest: Manifest, count: int, tell: Callable[[int, int], None]
+) -> DatasetCheck:
     """Fly episodes again, spread over the parts, whole tiles of them.
 
     Where device and versions are those that made the dataset, every byte must be the same; else
@@ -59,7 +61,7 @@ def fly(place: Path, manifest: Manifest, count: int, tell: Callable[[int, int], 
         count: of the episodes.
         tell: told how many are done, and of how many.
     """
-    check = Check(name="flown again")
+    check = DatasetCheck(name="flown again")
     differing = unlike(manifest)
     found = _Compared(at=round(GROWTH_S * manifest.time["record_hz"]))
     chosen = choose(manifest.parts, count)
@@ -80,7 +82,7 @@ def fly(place: Path, manifest: Manifest, count: int, tell: Callable[[int, int], 
     return check
 
 
-def _hold_against_bounds(check: Check, found: _Compared, differing: Sequence[str]) -> None:
+def _hold_against_bounds(check: DatasetCheck, found: _Compared, differing: Sequence[str]) -> None:
     """Note how far flights parted, and what is more than they may."""
     alike = f"{found.alike} of {found.robots} robots ended alike"
     apart = np.array(found.apart_m)
@@ -126,14 +128,14 @@ def choose(parts: Sequence[PartEntry], count: int) -> list[tuple[PartEntry, list
 
 @dataclass(frozen=True)
 class _Stored:
-    """Plans of a run, for planners that do not plan alike twice; a `waves.Given`."""
+    """Plans of a run, for planners that do not plan alike twice; a `waves.StoredPlans`."""
 
     run: Run
 
     def of(
         self, firsts: list[int], worlds: World, simulator: Simulator
     ) -> tuple[Plan, PlanNotes | None]:
-        """See `waves.Given`."""
+        """See `waves.StoredPlans`."""
         robots = worlds.path.time_s.shape[1]
         planned = self.run.episodes["planned"].to_numpy(zero_copy_only=False).reshape(-1, robots)
         stored: Any = self.run.trajectories
@@ -144,7 +146,13 @@ class _Stored:
 
 
 def _part(
-    place: Path, part: PartEntry, worlds: list[int], found: _Compared, check: Check, *, exact: bool
+    place: Path,
+    part: PartEntry,
+    worlds: list[int],
+    found: _Compared,
+    check: DatasetCheck,
+    *,
+    exact: bool,
 ) -> None:
     """Fly the worlds' tile again, and compare them."""
     run = Run(place / part.path)
@@ -160,7 +168,11 @@ def _part(
     try:
         simulator.compile()
         (tile,) = next(
-            iter(waves.simulate(simulator, [first], recorded=True, progress=Silent(), plans=plans))
+            iter(
+                waves.simulate(
+                    simulator, [first], recorded=True, progress=SilentProgress(), plans=plans
+                )
+            )
         )
     finally:
         simulator.close()
@@ -180,7 +192,7 @@ def _read(values: np.ndarray, steps: Any) -> np.ndarray:
 
 def _compare(
     found: _Compared,
-    check: Check,
+    check: DatasetCheck,
     part: PartEntry,
     world: int,
     flown: Mapping[str, np.ndarray],

@@ -6,10 +6,10 @@ from pathlib import Path
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import index, manifest
 from angler_mjx.learning.datasets.verifying import again, sound
-from angler_mjx.learning.datasets.verifying.report import Check, Report
+from angler_mjx.learning.datasets.verifying.report import DatasetCheck, VerificationReport
 
 
-def verify(place: Path, flights: int, tell: Callable[[str, int, int], None]) -> Report:
+def verify(place: Path, flights: int, tell: Callable[[str, int, int], None]) -> VerificationReport:
     """Judge a dataset.
 
     Args:
@@ -21,20 +21,20 @@ def verify(place: Path, flights: int, tell: Callable[[str, int, int], None]) -> 
         ConfigError: there is no manifest, or it cannot be read.
     """
     found = manifest.read(place)
-    steps: list[Callable[[], Check]] = [
+    steps: list[Callable[[], DatasetCheck]] = [
         lambda: sound.files(place, found),
         lambda: sound.parts(place, found),
         lambda: sound.rows(place, found, index.read(place)),
         lambda: sound.values(place, found),
     ]
     names = ("files", "parts", "index", "values")
-    checks: list[Check] = []
+    checks: list[DatasetCheck] = []
     for number, (name, step) in enumerate(zip(names, steps, strict=True)):
         tell(name, number, len(steps))
         try:
             checks.append(step())
         except ConfigError as error:
-            broken = Check(name=name, looked_at="broke off")
+            broken = DatasetCheck(name=name, looked_at="broke off")
             broken.wrong(name, str(error))
             checks.append(broken)
     if flights and not any(check.findings for check in checks):
@@ -44,11 +44,11 @@ def verify(place: Path, flights: int, tell: Callable[[str, int, int], None]) -> 
     else:
         why = "what is stored is damaged" if flights else "--again N flies N episodes again"
         checks.append(
-            Check(
+            DatasetCheck(
                 name="flown again",
                 looked_at=f"not checked: {why}",
                 unchecked=found.episodes,
                 why=why,
             )
         )
-    return Report(dataset=str(place), checks=tuple(checks))
+    return VerificationReport(dataset=str(place), checks=tuple(checks))

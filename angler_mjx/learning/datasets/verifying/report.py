@@ -5,7 +5,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class DatasetFinding:
     """Something that is wrong."""
 
     what: str
@@ -21,7 +21,7 @@ class Finding:
 
 
 @dataclass(kw_only=True)
-class Check:
+class DatasetCheck:
     """One kind of check."""
 
     name: str
@@ -35,11 +35,11 @@ class Check:
     """Of the same kind, not looked at."""
     why: str = ""
     """Why some were only bounded, or not looked at."""
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[DatasetFinding] = field(default_factory=list)
 
     def wrong(self, where: str, text: str) -> None:
         """Note something that is wrong."""
-        self.findings.append(Finding(what=self.name, where=where, text=text))
+        self.findings.append(DatasetFinding(what=self.name, where=where, text=text))
 
     def line(self) -> str:
         """Return how much was checked and what was wrong, for a terminal."""
@@ -56,11 +56,11 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class VerificationReport:
     """All checks of a dataset."""
 
     dataset: str
-    checks: tuple[Check, ...]
+    checks: tuple[DatasetCheck, ...]
 
     @property
     def agrees(self) -> bool:
@@ -68,7 +68,7 @@ class Report:
         return not any(check.findings for check in self.checks)
 
     @property
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[DatasetFinding]:
         """Of all checks, in their order."""
         return [one for check in self.checks for one in check.findings]
 

@@ -15,7 +15,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import index, sums
 from angler_mjx.learning.datasets.manifest import SPLITS, Manifest, PartEntry
 from angler_mjx.learning.datasets.reading.stored import StoredArray
-from angler_mjx.learning.datasets.verifying.report import Check
+from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.runs.storage import folder
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome
@@ -28,9 +28,9 @@ WORLDS = 16
 """Looked at by one thread at a time."""
 
 
-def files(place: Path, manifest: Manifest) -> Check:
+def files(place: Path, manifest: Manifest) -> DatasetCheck:
     """Every file against its sum."""
-    check = Check(name="files")
+    check = DatasetCheck(name="files")
     said = sums.read(place, manifest.sums)
     there = set(sums.files(place))
     for name in sorted(said.keys() - there):
@@ -49,9 +49,9 @@ def files(place: Path, manifest: Manifest) -> Check:
     return check
 
 
-def parts(place: Path, manifest: Manifest) -> Check:
+def parts(place: Path, manifest: Manifest) -> DatasetCheck:
     """Every part against what the manifest says of it."""
-    check = Check(name="parts")
+    check = DatasetCheck(name="parts")
     for part in manifest.parts:
         try:
             run = Run(place / part.path)
@@ -85,9 +85,9 @@ def _names(stored: Any) -> set[str]:
     return {name for name, _ in stored.members(max_depth=None)}
 
 
-def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
+def rows(place: Path, manifest: Manifest, table: pa.Table) -> DatasetCheck:
     """The index made again of the parts, and its splits."""
-    check = Check(name="index", looked_at=f"{len(table):,} episodes", exact=len(table))
+    check = DatasetCheck(name="index", looked_at=f"{len(table):,} episodes", exact=len(table))
     try:
         made = index.of_manifest(place, manifest)
     except ConfigError as error:
@@ -111,9 +111,9 @@ def rows(place: Path, manifest: Manifest, table: pa.Table) -> Check:
     return check
 
 
-def values(place: Path, manifest: Manifest) -> Check:
+def values(place: Path, manifest: Manifest) -> DatasetCheck:
     """Every sample against what it can be."""
-    check = Check(name="values")
+    check = DatasetCheck(name="values")
     worlds = samples = 0
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 16)) as pool:
         for part in manifest.parts:

@@ -13,9 +13,9 @@ from angler_mjx.planning.host.ompl.settings import Common
 from angler_mjx.planning.host.ompl.shortcut import ways
 from angler_mjx.planning.host.ompl.still import still_timed
 from angler_mjx.planning.host.ompl.straightening import fewer, straighter, through
-from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task, motion
+from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask, motion
 from angler_mjx.planning.host.ompl.timing import PADDED, apart
-from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.host.timed import TimedTraffic
 from angler_mjx.planning.planner import NoPlan, Path, joint_path, way_points
 from angler_mjx.planning.problem import Problem
 
@@ -36,7 +36,7 @@ def planned(
         problem: arrays of NumPy.
     """
     limit = problem.deadline_s if settings.time_limit_s is None else settings.time_limit_s
-    task = Task(
+    task = TeamTask(
         planner=planner,
         settings=settings,
         seed=(int(problem.seed),),
@@ -67,7 +67,7 @@ def warm_up(planner: str, settings: Common, problem: Problem) -> None:
     fewer(ways(checks), bent, speed, 2, 1)
     when, flown = still_timed(bent, speed, settings.turn_radps)
     apart(when, flown[:, 0], 0.0)
-    none = Traffic.none()
+    none = TimedTraffic.none()
     checks.timed_edge(0, start[0], 0.0, start[0], np.inf, none)
     checks.timed_edges(0, start[:1], np.zeros(1), start[:1], np.full(1, np.inf), none)
     if problem.current.components:
@@ -75,7 +75,7 @@ def warm_up(planner: str, settings: Common, problem: Problem) -> None:
     planned(planner, replace(settings, first=True), problem)
 
 
-def _together(problem: Problem, task: Task) -> list[Path | NoPlan]:
+def _together(problem: Problem, task: TeamTask) -> list[Path | NoPlan]:
     robots = list(range(problem.robots))
     try:
         found = motion(problem, robots, task)
@@ -89,7 +89,7 @@ def _together(problem: Problem, task: Task) -> list[Path | NoPlan]:
     return [_path(found, robot, task.settings) for robot in robots]
 
 
-def _path(answer: Motion | str, robot: int, settings: Common) -> Path | NoPlan:
+def _path(answer: TeamMotion | str, robot: int, settings: Common) -> Path | NoPlan:
     if isinstance(answer, str):
         return NoPlan(answer)
     when, path = apart(answer.time_s, answer.path[:, robot], answer.delay_s)

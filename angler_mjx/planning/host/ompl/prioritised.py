@@ -16,17 +16,17 @@ import numpy as np
 
 from angler_mjx.planning.host.ompl import seeing
 from angler_mjx.planning.host.ompl.spacetime import motion as in_time
-from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task
+from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
 from angler_mjx.planning.host.ompl.team import motion as together
 from angler_mjx.planning.host.ompl.timing import apart
-from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.host.timed import TimedTraffic
 from angler_mjx.planning.problem import Problem
 
 ORDERS = 8
 """That are tried while there is time, after the first: by turns in space and time, and in space."""
 
 
-def one_by_one(problem: Problem, task: Task) -> list[Motion | str]:
+def one_by_one(problem: Problem, task: TeamTask) -> list[TeamMotion | str]:
     """A motion of each robot, or why it has none.
 
     Args:
@@ -53,13 +53,13 @@ def one_by_one(problem: Problem, task: Task) -> list[Motion | str]:
     return [taken.get(robot, best.get(robot, "")) for robot in robots]
 
 
-def _planned(answers: Mapping[int, Motion | str]) -> int:
-    return sum(isinstance(answer, Motion) for answer in answers.values())
+def _planned(answers: Mapping[int, TeamMotion | str]) -> int:
+    return sum(isinstance(answer, TeamMotion) for answer in answers.values())
 
 
-def _taken(problem: Problem, task: Task) -> dict[int, Motion | str]:
+def _taken(problem: Problem, task: TeamTask) -> dict[int, TeamMotion | str]:
     """Robots that cannot be at their start or goal, whoever else is where; and why."""
-    found: dict[int, Motion | str] = {}
+    found: dict[int, TeamMotion | str] = {}
     for robot in range(problem.robots):
         try:
             seeing.checker(problem, [robot], task.settings.margin_m)
@@ -69,8 +69,8 @@ def _taken(problem: Problem, task: Task) -> dict[int, Motion | str]:
 
 
 def _in_order(
-    problem: Problem, order: list[int], held: list[int], task: Task, standing: bool
-) -> dict[int, Motion | str]:
+    problem: Problem, order: list[int], held: list[int], task: TeamTask, standing: bool
+) -> dict[int, TeamMotion | str]:
     """Motions of robots in an order, of which some more hold their starts.
 
     Args:
@@ -84,7 +84,7 @@ def _in_order(
     goal = np.asarray(problem.team.goal_m, float)
     radius = np.asarray(problem.team.radius_m, float)
     stands = np.array(problem.team.start_m, float)
-    answers: dict[int, Motion | str] = {}
+    answers: dict[int, TeamMotion | str] = {}
     for number, robot in enumerate(order):
         others = held + (_beside(problem, robot, order, stands, task) if standing else [])
         alone = seeing.among(problem, stands[others], radius[others])
@@ -103,8 +103,8 @@ def _in_order(
 
 
 def _without_blocked(
-    problem: Problem, answers: dict[int, Motion | str], task: Task
-) -> dict[int, Motion | str]:
+    problem: Problem, answers: dict[int, TeamMotion | str], task: TeamTask
+) -> dict[int, TeamMotion | str]:
     """The same, but nobody goes where a robot that has no way holds its start."""
     start = np.asarray(problem.team.start_m, float)
     answers = dict(answers)
@@ -123,7 +123,7 @@ def _without_blocked(
 
 
 def _beside(
-    problem: Problem, robot: int, order: Sequence[int], stands: np.ndarray, task: Task
+    problem: Problem, robot: int, order: Sequence[int], stands: np.ndarray, task: TeamTask
 ) -> list[int]:
     """Others that a robot goes around where they stand: all that are not at its start or goal."""
     radius = np.asarray(problem.team.radius_m, float)
@@ -137,17 +137,17 @@ def _beside(
     return found
 
 
-def _traffic(movers: Sequence[tuple[Motion | str, float]]) -> Traffic:
+def _traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> TimedTraffic:
     """Paths of robots with a motion, all with as many points."""
     paths = [
         (*apart(each.time_s, each.path[:, 0, :3], each.delay_s), radius)
         for each, radius in movers
-        if isinstance(each, Motion)
+        if isinstance(each, TeamMotion)
     ]
     if not paths:
-        return Traffic.none()
+        return TimedTraffic.none()
     most = max(len(when) for when, _, _ in paths)
-    return Traffic.of(
+    return TimedTraffic.of(
         np.stack([np.pad(when, (0, most - len(when)), "edge") for when, _, _ in paths]),
         np.stack([np.pad(p, ((0, most - len(p)), (0, 0)), "edge") for _, p, _ in paths]),
         np.array([radius for _, _, radius in paths]),

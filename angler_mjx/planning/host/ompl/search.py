@@ -60,7 +60,7 @@ class Space:
 
 
 @dataclass
-class Found:
+class SearchResult:
     """What a search found."""
 
     points: np.ndarray | None
@@ -73,7 +73,7 @@ class Found:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class PlanningOrder:
     """How to search."""
 
     planner: str
@@ -186,7 +186,7 @@ def make(planner: str, info: Any, parameters: dict[str, Any]) -> Any:
     return made
 
 
-def search(space: Space, start: np.ndarray, goal: np.ndarray, order: Order) -> Found:
+def search(space: Space, start: np.ndarray, goal: np.ndarray, order: PlanningOrder) -> SearchResult:
     """A path from start to goal.
 
     Args:
@@ -207,7 +207,7 @@ def search(space: Space, start: np.ndarray, goal: np.ndarray, order: Order) -> F
     taken = time.perf_counter() - begin
     extras = {"search_s": taken, "edges": float(setup.motions.count)}
     if not setup.problem.hasExactSolution():
-        return Found(None, extras)
+        return SearchResult(None, extras)
     path = setup.problem.getSolutionPath()
     progress = progress or [(taken, float(path.length()))]
     best_s, best_cost = progress[-1]
@@ -215,10 +215,10 @@ def search(space: Space, start: np.ndarray, goal: np.ndarray, order: Order) -> F
     if order.simplify_s > 0.0:
         setup.motions.end = math.inf
         og.PathSimplifier(setup.info).simplify(path, order.simplify_s)
-    return Found(setup.points(path), extras, progress)
+    return SearchResult(setup.points(path), extras, progress)
 
 
-def _improving(setup: _Setup, order: Order, begin: float) -> list[tuple[float, float]]:
+def _improving(setup: _Setup, order: PlanningOrder, begin: float) -> list[tuple[float, float]]:
     """Runs a planner that improves; when there was a better path, and its cost.
 
     It is asked each time that it asks whether to stop.
@@ -252,7 +252,7 @@ def _improving(setup: _Setup, order: Order, begin: float) -> list[tuple[float, f
     return told
 
 
-def _once(setup: _Setup, order: Order, begin: float) -> None:
+def _once(setup: _Setup, order: PlanningOrder, begin: float) -> None:
     """Runs a planner that ends with its first path, or a roadmap."""
     end = begin + order.limit_s
     most, clock, motions = order.edge_limit or math.inf, time.perf_counter, setup.motions

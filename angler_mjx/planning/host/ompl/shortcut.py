@@ -10,8 +10,8 @@ import time
 import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.ompl.straightening import Ways, fewer, straighter, through
-from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.host.ompl.straightening import SmoothingProblem, fewer, straighter, through
+from angler_mjx.planning.host.timed import TimedTraffic
 
 ROUNDS = 4
 """Of straightening, each from the path of the one before."""
@@ -25,11 +25,13 @@ FINEST = 96
 MOST_TRIED = 400
 """Points of a path that is thinned; one with more is left."""
 
-NOBODY = Traffic.none()
+NOBODY = TimedTraffic.none()
 """Nothing is met."""
 
 
-def ways(checks: EdgeChecker, traffic: Traffic = NOBODY, clock_mps: float = 0.0) -> Ways:
+def ways(
+    checks: EdgeChecker, traffic: TimedTraffic = NOBODY, clock_mps: float = 0.0
+) -> SmoothingProblem:
     """What edges are looked at among.
 
     Args:
@@ -37,12 +39,14 @@ def ways(checks: EdgeChecker, traffic: Traffic = NOBODY, clock_mps: float = 0.0)
         traffic: that one robot meets in space and time.
         clock_mps: over which the fourth number of its places is its time; 0: places have no time.
     """
-    return Ways(
+    return SmoothingProblem(
         *checks.packed, traffic.time_s, traffic.position_m, traffic.radius_m, float(clock_mps)
     )
 
 
-def shortened(points: np.ndarray, among: Ways, speed: np.ndarray, end: float) -> np.ndarray:
+def shortened(
+    points: np.ndarray, among: SmoothingProblem, speed: np.ndarray, end: float
+) -> np.ndarray:
     """A path that is quicker, or as it was.
 
     Args:
@@ -61,7 +65,9 @@ def shortened(points: np.ndarray, among: Ways, speed: np.ndarray, end: float) ->
     return path
 
 
-def thinned(points: np.ndarray, among: Ways, speed: np.ndarray, most: int) -> np.ndarray:
+def thinned(
+    points: np.ndarray, among: SmoothingProblem, speed: np.ndarray, most: int
+) -> np.ndarray:
     """The quickest path through points of one, or between them, with few enough; or as it was.
 
     Args:

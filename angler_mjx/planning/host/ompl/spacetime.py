@@ -14,13 +14,13 @@ import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.search import Order, Space, search
+from angler_mjx.planning.host.ompl.search import PlanningOrder, Space, search
 from angler_mjx.planning.host.ompl.settings import parameters
 from angler_mjx.planning.host.ompl.shortcut import shortened, thinned, ways
 from angler_mjx.planning.host.ompl.still import SAFE
-from angler_mjx.planning.host.ompl.team import Motion, NoWayError, Task
+from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
 from angler_mjx.planning.host.ompl.timing import fastest, limits, water_at
-from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.host.timed import TimedTraffic
 from angler_mjx.planning.problem import Problem
 
 LONGER = (1.2, 1.6, 2.4, 4.0)
@@ -33,7 +33,7 @@ SHORTEST_WAY_M = 2.0
 class _Clock:
     """Edges of one robot in space and time."""
 
-    def __init__(self, checks: EdgeChecker, speed: float, traffic: Traffic) -> None:
+    def __init__(self, checks: EdgeChecker, speed: float, traffic: TimedTraffic) -> None:
         self.checks, self.speed, self.traffic = checks, speed, traffic
         self.ways = ways(checks, traffic, speed)
 
@@ -70,8 +70,8 @@ class _Clock:
 
 
 def motion(
-    problem: Problem, robots: Sequence[int], task: Task, traffic: Traffic, share: float
-) -> Motion:
+    problem: Problem, robots: Sequence[int], task: TeamTask, traffic: TimedTraffic, share: float
+) -> TeamMotion:
     """A motion of one robot among the paths of others.
 
     Args:
@@ -114,14 +114,14 @@ def motion(
             yaw = float(np.asarray(problem.team.start_yaw_rad)[robots[0]])
             place = np.concatenate([place, np.full_like(place[..., :1], yaw)], axis=-1)
         task.note({"attempts": attempt + 1.0})
-        return Motion(time_s=when, path=place, delay_s=0.0)
+        return TeamMotion(time_s=when, path=place, delay_s=0.0)
     raise NoWayError(reason)
 
 
 def _searched(
     problem: Problem,
     robots: Sequence[int],
-    task: Task,
+    task: TeamTask,
     clock: _Clock,
     ends: tuple[np.ndarray, np.ndarray],
     arrival: float,
@@ -142,7 +142,7 @@ def _searched(
     if clock.edge(start, goal):
         path = np.stack([start, goal])
     else:
-        order = Order(
+        order = PlanningOrder(
             planner=task.planner,
             parameters=parameters(task.settings),
             seed=(*task.seed, attempt),
@@ -168,7 +168,7 @@ def _searched(
 
 
 def _slow(
-    problem: Problem, path: np.ndarray, when: np.ndarray, robots: Sequence[int], task: Task
+    problem: Problem, path: np.ndarray, when: np.ndarray, robots: Sequence[int], task: TeamTask
 ) -> bool:
     """Whether the robot can be as fast as that in the current, at both ends of each edge."""
     if not problem.current.components:

@@ -25,7 +25,7 @@ SAME_SHARE = 1e-5
 """By how much, and by what share of a coordinate, places on a line may lie beside it."""
 
 
-class Ways(NamedTuple):
+class SmoothingProblem(NamedTuple):
     """What edges are looked at among: those of a team, or one robot's in space and time."""
 
     head: np.ndarray
@@ -41,7 +41,7 @@ class Ways(NamedTuple):
 
 
 @compiled
-def _goes(ways: Ways, world: Fields, a: np.ndarray, b: np.ndarray) -> bool:
+def _goes(ways: SmoothingProblem, world: Fields, a: np.ndarray, b: np.ndarray) -> bool:
     """Whether all can go from a [R, d] to b, where they can be."""
     if ways.clock_mps > 0.0:
         gone = b[0, 3] - a[0, 3]
@@ -107,7 +107,7 @@ def _picked(path: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 @compiled
 def _through(
-    ways: Ways, world: Fields, path: np.ndarray, ends: np.ndarray, speed: np.ndarray
+    ways: SmoothingProblem, world: Fields, path: np.ndarray, ends: np.ndarray, speed: np.ndarray
 ) -> np.ndarray:
     """The quickest way through the points, in their order, from the first to the last.
 
@@ -181,7 +181,7 @@ def _lined_up(path: np.ndarray, begin: int, end: int, robot: int, tried: np.ndar
 
 @compiled
 def _straight_for_one(
-    ways: Ways, world: Fields, path: np.ndarray, begin: int, end: int, robot: int
+    ways: SmoothingProblem, world: Fields, path: np.ndarray, begin: int, end: int, robot: int
 ) -> None:
     """Puts one robot on a line from begin to end where it may go there, as the others go."""
     tried = path[begin : end + 1].copy()
@@ -194,7 +194,7 @@ def _straight_for_one(
 
 
 @compiled
-def _one_by_one(ways: Ways, world: Fields, path: np.ndarray) -> None:
+def _one_by_one(ways: SmoothingProblem, world: Fields, path: np.ndarray) -> None:
     """Each robot straight over as much of the path as can be, the others as they go.
 
     Tried are the whole, its halves, quarters and eighths, each with those between.
@@ -210,7 +210,7 @@ def _one_by_one(ways: Ways, world: Fields, path: np.ndarray) -> None:
 
 
 @compiled
-def through(ways: Ways, path: np.ndarray, speed: np.ndarray) -> np.ndarray:
+def through(ways: SmoothingProblem, path: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """The quickest way through the points of a path [k, R, d], of speeds [R] m/s."""
     world = fields(ways.head, ways.reals)
     last = path.shape[0] - 1
@@ -220,7 +220,9 @@ def through(ways: Ways, path: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def straighter(ways: Ways, path: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, float, float]:
+def straighter(
+    ways: SmoothingProblem, path: np.ndarray, speed: np.ndarray
+) -> tuple[np.ndarray, float, float]:
     """A round, where no way goes straight to the goal: the path, and its cost before and after."""
     world = fields(ways.head, ways.reals)
     before = cost(path, speed)
@@ -233,7 +235,9 @@ def straighter(ways: Ways, path: np.ndarray, speed: np.ndarray) -> tuple[np.ndar
 
 
 @compiled
-def fewer(ways: Ways, path: np.ndarray, speed: np.ndarray, most: int, pieces: int) -> np.ndarray:
+def fewer(
+    ways: SmoothingProblem, path: np.ndarray, speed: np.ndarray, most: int, pieces: int
+) -> np.ndarray:
     """The quickest way through points of a path with at most ``most`` of them; none: no rows.
 
     Args:

@@ -14,11 +14,11 @@ import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl import seeing
-from angler_mjx.planning.host.ompl.search import Order, Space, search
+from angler_mjx.planning.host.ompl.search import PlanningOrder, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
 from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
 from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
-from angler_mjx.planning.host.timed import Traffic
+from angler_mjx.planning.host.timed import TimedTraffic
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.ways.bodies import STANDS_S
 
@@ -43,7 +43,7 @@ class NoWayError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class TeamMotion:
     """Of some robots."""
 
     time_s: np.ndarray
@@ -55,7 +55,7 @@ class Motion:
 
 
 @dataclass(kw_only=True)
-class Task:
+class TeamTask:
     """What is planned, and what was noted on the way."""
 
     planner: str
@@ -82,10 +82,10 @@ class Task:
 def motion(
     problem: Problem,
     robots: Sequence[int],
-    task: Task,
-    traffic: Traffic | None = None,
+    task: TeamTask,
+    traffic: TimedTraffic | None = None,
     share: float = 1.0,
-) -> Motion:
+) -> TeamMotion:
     """A motion of some robots from their starts to their goals.
 
     Args:
@@ -134,7 +134,7 @@ def motion(
         delay = _delay(problem, robots, checks, settings.margin_m, when, path, traffic or NOBODY)
         if delay is not None:
             task.note({"delay_s": delay, "attempts": attempt + 1.0})
-            return Motion(time_s=when, path=path, delay_s=delay)
+            return TeamMotion(time_s=when, path=path, delay_s=delay)
         reason = "what moves is in the way, however long it waits"
     raise NoWayError(reason)
 
@@ -156,7 +156,7 @@ def _flown(
 def _searched(
     problem: Problem,
     robots: Sequence[int],
-    task: Task,
+    task: TeamTask,
     space: Space,
     checks: EdgeChecker,
     end: float,
@@ -166,7 +166,7 @@ def _searched(
     settings = task.settings
     start, goal = seeing.ends(problem, robots, settings.heading)
     left = max(0.0, end - time.perf_counter())
-    order = Order(
+    order = PlanningOrder(
         planner=task.planner,
         parameters=parameters(settings),
         seed=(*task.seed, attempt),
@@ -198,7 +198,7 @@ def _delay(
     margin_m: float,
     when: np.ndarray,
     path: np.ndarray,
-    traffic: Traffic,
+    traffic: TimedTraffic,
 ) -> float | None:
     """How long all have to wait so that nothing that moves is met; None if it always is."""
     known = problem.obstacles
@@ -217,7 +217,7 @@ def _delay(
 
 
 def _may_stand(
-    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: Traffic
+    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: TimedTraffic
 ) -> bool:
     """Whether no other robot ever comes where some stand at their goals.
 
@@ -239,7 +239,7 @@ def _clear(
     checks: EdgeChecker,
     when: np.ndarray,
     path: np.ndarray,
-    traffic: Traffic,
+    traffic: TimedTraffic,
     wait: float,
     stays: float,
 ) -> bool:

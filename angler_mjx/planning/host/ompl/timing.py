@@ -35,7 +35,7 @@ class TooStrongError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class TimingLimits:
     """How fast each robot can be; [R]."""
 
     cruise_mps: np.ndarray
@@ -46,7 +46,7 @@ class Limits:
     turn_radps: float
 
 
-def limits(problem: Problem, robots: list[int], share: float, turn_radps: float) -> Limits:
+def limits(problem: Problem, robots: list[int], share: float, turn_radps: float) -> TimingLimits:
     """Of some robots of a team.
 
     Args:
@@ -57,7 +57,7 @@ def limits(problem: Problem, robots: list[int], share: float, turn_radps: float)
     """
     terminal = np.asarray(problem.team.terminal_speed_mps, float)[robots]
     surge, sway, heave = terminal.T
-    return Limits(
+    return TimingLimits(
         cruise_mps=np.asarray(problem.team.cruise_speed_mps, float)[robots],
         level_mps=share * np.where(sway > 0.0, np.minimum(surge, sway), surge),
         upright_mps=share * np.where(heave > 0.0, heave, surge),
@@ -110,7 +110,7 @@ def timed(
     return time[kept], path[kept]
 
 
-def fastest(ahead: np.ndarray, water: np.ndarray, bounds: Limits) -> np.ndarray:
+def fastest(ahead: np.ndarray, water: np.ndarray, bounds: TimingLimits) -> np.ndarray:
     """Highest speed over ground [..., R]; 0 where a robot cannot go that way at all.
 
     Args:

@@ -13,7 +13,7 @@ from matplotlib import colors
 
 from angler_mjx.report.viewing import style
 from angler_mjx.report.viewing.outlines import rotation
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.robot.vehicles.config import Box, Cylinder, Sphere, VehicleConfig
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 
@@ -36,7 +36,7 @@ type Rgba = tuple[int, int, int, int]
 type Shape = type[rr.Boxes3D] | type[rr.Capsules3D] | type[rr.Ellipsoids3D]
 
 
-def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+def log_surroundings(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
     """Log rock, floor and bounds of a world under ``root``, and how currents look."""
     grid = scene.environment.grid
     low, high = scene.bounds_m
@@ -81,7 +81,7 @@ def log_surroundings(recording: rr.RecordingStream, scene: Scene, root: str) -> 
     recording.log(f"{root}/current", arrow, static=True)
 
 
-def log_obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> None:
+def log_obstacles(recording: rr.RecordingStream, scene: ReplayScene, root: str) -> None:
     """Sizes and colours of the obstacles under ``root``: one entity a shape."""
     given = scene.environment.obstacles
     for kind, name, rows in _by_shape(scene):
@@ -102,7 +102,7 @@ def log_obstacles(recording: rr.RecordingStream, scene: Scene, root: str) -> Non
         recording.log(f"{root}/{name}", solid, static=True)
 
 
-def poses(scene: Scene) -> list[tuple[str, Shape, dict[str, Any]]]:
+def poses(scene: ReplayScene) -> list[tuple[str, Shape, dict[str, Any]]]:
     """Where the obstacles are at the times of the scene, one entry an entity.
 
     Returns:
@@ -123,7 +123,7 @@ def poses(scene: Scene) -> list[tuple[str, Shape, dict[str, Any]]]:
     return found
 
 
-def _by_shape(scene: Scene) -> list[tuple[int, str, np.ndarray]]:
+def _by_shape(scene: ReplayScene) -> list[tuple[int, str, np.ndarray]]:
     """Shapes of which there are obstacles: kind, name and rows."""
     given = scene.environment.obstacles
     kind, exists = np.asarray(given.kind), np.asarray(given.exists)

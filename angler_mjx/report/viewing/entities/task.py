@@ -16,9 +16,9 @@ from angler_mjx.report.viewing.entities.scenery import (
     rgba,
     times,
 )
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
-from angler_mjx.world.tasks.faces import Faces, surface
-from angler_mjx.world.tasks.history import Goods, History
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
+from angler_mjx.world.tasks.faces import SurfaceQuads, surface
+from angler_mjx.world.tasks.history import Goods, TaskHistory
 
 SEEN, UNSEEN = rgba("#5fd3b0"), rgba("#c7663f")
 """Of surfaces: light green and dark orange differ in lightness as well."""
@@ -32,7 +32,9 @@ _BOX = 0.22
 """Half edge of goods, m."""
 
 
-def log_task(recording: rr.RecordingStream, scene: Scene, task: History, root: str) -> None:
+def log_task(
+    recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str
+) -> None:
     """Log the task of a world.
 
     Args:
@@ -69,7 +71,9 @@ def changes(rows: np.ndarray, most: int | None = None) -> np.ndarray:
     return chosen
 
 
-def _progress(recording: rr.RecordingStream, scene: Scene, task: History, path: str) -> None:
+def _progress(
+    recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, path: str
+) -> None:
     """A line of text above the world."""
     low, high = scene.bounds_m
     above = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2]])
@@ -86,7 +90,7 @@ def _progress(recording: rr.RecordingStream, scene: Scene, task: History, path: 
 
 
 def _faces(
-    recording: rr.RecordingStream, task: History, found: Faces, cell_m: float, path: str
+    recording: rr.RecordingStream, task: TaskHistory, found: SurfaceQuads, cell_m: float, path: str
 ) -> None:
     """The surface of a survey: seen or not."""
     half = np.full((len(found.axis), 3), _FACE * cell_m)
@@ -102,7 +106,7 @@ def _faces(
     )
 
 
-def _places(recording: rr.RecordingStream, task: History, path: str) -> None:
+def _places(recording: rr.RecordingStream, task: TaskHistory, path: str) -> None:
     """Places of a tour, or viewpoints of a survey: white, then in the colour of who did them."""
     there = np.flatnonzero(task.exists)
     toured = task.spec.kind == "tour"
@@ -123,12 +127,12 @@ def _places(recording: rr.RecordingStream, task: History, path: str) -> None:
     )
 
 
-def _of_doer(task: History, job: int) -> Rgba:
+def _of_doer(task: TaskHistory, job: int) -> Rgba:
     """Of a place that was done; where all have to come there it is nobody's."""
     return color_of(int(task.by[job])) if task.spec.shared else ending(arrived=True)
 
 
-def _goods(recording: rr.RecordingStream, scene: Scene, task: History, root: str) -> None:
+def _goods(recording: rr.RecordingStream, scene: ReplayScene, task: TaskHistory, root: str) -> None:
     """Goods where they are, and the ways that they are to go."""
     there, jobs = np.flatnonzero(task.exists), task.spec.jobs
     ends = task.place_m[jobs + there]
@@ -172,7 +176,7 @@ def _goods(recording: rr.RecordingStream, scene: Scene, task: History, root: str
 
 def _one_good(
     recording: rr.RecordingStream,
-    task: History,
+    task: TaskHistory,
     at_m: np.ndarray,
     samples: np.ndarray,
     job: int,
@@ -200,7 +204,7 @@ def _one_good(
     )
 
 
-def _way(recording: rr.RecordingStream, task: History, robot: RobotTrack, path: str) -> None:
+def _way(recording: rr.RecordingStream, task: TaskHistory, robot: RobotTrack, path: str) -> None:
     """A thin line from a robot to where it is to go; none where it stays."""
     still = rr.LineStrips3D.from_fields(colors=[color_of(robot.index)], radii=[-0.5])
     recording.log(path, still, static=True)

@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 
 from angler_mjx.report.viewing.entities.scenery import ARROW_S, DOT, rgba, times
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.slices import Slices, through
 
 _STILL_MPS = 1e-3
@@ -13,7 +13,7 @@ _USUAL, _LONGEST = 0.8, 1.5
 """Lengths of arrows in spacings of the lattice: at most points no longer, and nowhere."""
 
 
-def log_flow(recording: rr.RecordingStream, scene: Scene, path: str) -> float:
+def log_flow(recording: rr.RecordingStream, scene: ReplayScene, path: str) -> float:
     """Log the current of a world, with a label that tells its greatest speed on the lattice.
 
     Args:

@@ -17,7 +17,7 @@ from angler_mjx.report.viewing import style
 from angler_mjx.report.viewing.maps import ground
 from angler_mjx.report.viewing.maps.pairing import Beside
 from angler_mjx.report.viewing.outlines import outline
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.robot.vehicles import library
 from angler_mjx.world.obstacles import SPHERE
 
@@ -65,11 +65,11 @@ def draw(what: Beside) -> Figure:
     return figure
 
 
-def _index(one: Scene, t: float) -> int:
+def _index(one: ReplayScene, t: float) -> int:
     return int(np.clip(np.searchsorted(one.time_s, t + 1e-6) - 1, 0, len(one.time_s) - 1))
 
 
-def _at(one: Scene, robot: RobotTrack, t: float) -> np.ndarray:
+def _at(one: ReplayScene, robot: RobotTrack, t: float) -> np.ndarray:
     """Where a robot [3] is, or ended."""
     place: np.ndarray = robot.p_m[_index(one, min(t, robot.end_time_s))]
     return place if np.isfinite(place).all() else one.way_taken(robot)[-1]
@@ -82,7 +82,7 @@ def _window(what: Beside, t: float) -> tuple[np.ndarray, float]:
     return middle, max(_ASIDE_M, float(np.max(np.ptp(places, axis=0))) / 2 + 2.5)
 
 
-def _picture(axes: Axes, one: Scene, robot: int, t: float) -> None:
+def _picture(axes: Axes, one: ReplayScene, robot: int, t: float) -> None:
     mine = one.robots[robot]
     height = float(_at(one, mine, t)[2])
     low, high = one.bounds_m
@@ -100,7 +100,7 @@ def _picture(axes: Axes, one: Scene, robot: int, t: float) -> None:
         axes.plot(x, y, "X", ms=13, color=style.INK, mec=style.PAPER, mew=1.4, zorder=9)
 
 
-def _rock(axes: Axes, one: Scene, height_m: float) -> None:
+def _rock(axes: Axes, one: ReplayScene, height_m: float) -> None:
     """Cells that the slice goes through."""
     grid = one.environment.grid
     origin, cell = np.asarray(grid.origin_m), float(grid.cell_m)
@@ -113,7 +113,7 @@ def _rock(axes: Axes, one: Scene, height_m: float) -> None:
         )
 
 
-def _obstacles(axes: Axes, one: Scene, height_m: float, t: float) -> None:
+def _obstacles(axes: Axes, one: ReplayScene, height_m: float, t: float) -> None:
     """Those that the slice goes through filled, with where they came from; others as lines."""
     given, now = one.environment.obstacles, _index(one, t)
     since = _index(one, max(t - _TRAIL_S, 0.0))
@@ -143,7 +143,7 @@ def _obstacles(axes: Axes, one: Scene, height_m: float, t: float) -> None:
             axes.plot(*way.T[:2], color=style.OBSTACLE_DYNAMIC, lw=1.3, ls=":", zorder=3)
 
 
-def _robot(axes: Axes, one: Scene, robot: RobotTrack, t: float, *, faint: bool) -> None:
+def _robot(axes: Axes, one: ReplayScene, robot: RobotTrack, t: float, *, faint: bool) -> None:
     """Its body, the way until now, and what it flew afterwards."""
     color = style.robot_color(robot.index)
     way, place = one.way_taken(robot), _at(one, robot, t)

@@ -7,14 +7,14 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
 from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.grid import Grid
 
 ABOVE, SOUTH = (0, 1), (0, 2)
 """World axes of pictures from above and from the south: x and y, x and z."""
 
 
-def bounds(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
+def bounds(axes: Axes, scene: ReplayScene, plane: tuple[int, int]) -> None:
     """The water of the cube, and the floor below it."""
     low, high = scene.bounds_m
     a, b = plane

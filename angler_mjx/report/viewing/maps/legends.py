@@ -5,14 +5,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from angler_mjx.report.viewing import style
-from angler_mjx.report.viewing.scene import Scene
+from angler_mjx.report.viewing.scene import ReplayScene
 from angler_mjx.world.obstacles import STATIC
 
 LISTED = 12
 """Robots listed below the map; a larger fleet is drawn whole but not listed whole."""
 
 
-def robots(scene: Scene) -> list[Line2D]:
+def robots(scene: ReplayScene) -> list[Line2D]:
     """A line for each robot: who it is, how it ended and when."""
     handles = [
         Line2D(
@@ -31,7 +31,7 @@ def robots(scene: Scene) -> list[Line2D]:
     return handles
 
 
-def signs(scene: Scene) -> list[Line2D | Patch]:
+def signs(scene: ReplayScene) -> list[Line2D | Patch]:
     """What the other signs mean, of those that occur."""
     given = scene.environment.obstacles
     there = np.asarray(given.exists)

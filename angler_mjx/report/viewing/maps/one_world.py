@@ -11,13 +11,13 @@ from matplotlib.patches import Polygon
 from angler_mjx.report.viewing import style
 from angler_mjx.report.viewing.maps import ground, legends
 from angler_mjx.report.viewing.outlines import outline
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.world.obstacles import STATIC
 
 _HALO = [effects.withStroke(linewidth=2.6, foreground=style.PAPER)]
 
 
-def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
+def draw(scene: ReplayScene, *, title: str, subtitle: str) -> Figure:
     """The map of a world.
 
     Args:
@@ -54,7 +54,7 @@ def draw(scene: Scene, *, title: str, subtitle: str) -> Figure:
     return figure
 
 
-def describe(scene: Scene) -> str:
+def describe(scene: ReplayScene) -> str:
     """How the world went, in words: arrivals, then the causes of failure."""
     ends = [robot.outcome for robot in scene.robots]
     arrived = ends.count("reached")
@@ -67,7 +67,7 @@ def describe(scene: Scene) -> str:
     return ", ".join([f"{arrived} of {len(ends)} robots {well}", *causes])
 
 
-def _arrows(axes: Axes, scene: Scene) -> None:
+def _arrows(axes: Axes, scene: ReplayScene) -> None:
     """The current at the start, in the middle of the cube's height."""
     if not scene.environment.current:
         return
@@ -110,7 +110,7 @@ def _arrows(axes: Axes, scene: Scene) -> None:
     )
 
 
-def _obstacles(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
+def _obstacles(axes: Axes, scene: ReplayScene, plane: tuple[int, int]) -> None:
     """Outlines at the start; of moving ones the way and a thin outline at the end as well."""
     given = scene.environment.obstacles
     ways = []
@@ -148,7 +148,7 @@ def _obstacles(axes: Axes, scene: Scene, plane: tuple[int, int]) -> None:
     )
 
 
-def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) -> None:
+def _track(axes: Axes, scene: ReplayScene, robot: RobotTrack, plane: tuple[int, int]) -> None:
     a, b = plane
     color = style.robot_color(robot.index)
     flown = scene.way_taken(robot)
@@ -181,7 +181,7 @@ def _track(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) 
         _cross(axes, scene, robot, plane)
 
 
-def _cross(axes: Axes, scene: Scene, robot: RobotTrack, plane: tuple[int, int]) -> None:
+def _cross(axes: Axes, scene: ReplayScene, robot: RobotTrack, plane: tuple[int, int]) -> None:
     x, y = (float(robot.failure_m[axis]) for axis in plane)
     if not (np.isfinite(x) and np.isfinite(y)):  # diverged
         return

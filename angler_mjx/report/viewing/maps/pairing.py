@@ -7,7 +7,7 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.report.viewing import scene
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.runs.storage.folder import Run
 
 BEFORE_S = (8.0, 4.0, 0.0)
@@ -19,7 +19,7 @@ _SAME = ("start_m", "goal_m", "floor_z_m")
 class Beside:
     """What is to be drawn."""
 
-    scenes: tuple[Scene, ...]
+    scenes: tuple[ReplayScene, ...]
     names: tuple[str, ...]
     robot: int
     at_s: tuple[float, ...]
@@ -92,7 +92,7 @@ def _differing(runs: Sequence[Run], world: int | None) -> tuple[int, int]:
     return (hit or differ or mine)[0]
 
 
-def _check_same(runs: Sequence[Run], scenes: Sequence[Scene], world: int) -> None:
+def _check_same(runs: Sequence[Run], scenes: Sequence[ReplayScene], world: int) -> None:
     first = scenes[0]
     for run, other in zip(runs[1:], scenes[1:], strict=True):
         pairs = {key: [getattr(one.environment, key) for one in (first, other)] for key in _SAME}

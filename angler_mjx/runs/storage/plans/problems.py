@@ -46,7 +46,7 @@ def make(
         RunError: the path cannot be written.
     """
     total, tile = simulator.scenario.worlds, simulator.tile
-    claimed = claims.claim(path, what="file of problems", left=lambda building: None)
+    claimed = claims.acquire(path, what="file of problems", left=lambda building: None)
     try:
         group = zarr.open_group(claimed.building, mode="a")
         for first in range(0, total, tile):

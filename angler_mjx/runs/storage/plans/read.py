@@ -52,7 +52,7 @@ two points may lie apart than that: float32."""
 
 
 @dataclass(frozen=True)
-class Plans:
+class PlanFile:
     """Plans of a file, for the problems of one scenario and seed."""
 
     path: Path
@@ -160,7 +160,7 @@ def how_planned(path: Path) -> dict[str, Any]:
     """Return how the planning of a file of plans ended, as in `angler_mjx.runs.storage.planned`."""
     with reading(path):
         group = zarr.open_group(path, mode="r")
-        plans = Plans(path=path, group=group, shape=PathShape(points=2))
+        plans = PlanFile(path=path, group=group, shape=PathShape(points=2))
         count: Any = group["points"]
         points = np.asarray(count[:])
         rows = np.arange(len(points))
@@ -177,7 +177,7 @@ def how_planned(path: Path) -> dict[str, Any]:
     )
 
 
-def open_plans(path: Path, scenario: Scenario) -> Plans:
+def open_plans(path: Path, scenario: Scenario) -> PlanFile:
     """A file of plans for the worlds of a scenario.
 
     Raises:
@@ -212,7 +212,7 @@ def open_plans(path: Path, scenario: Scenario) -> Plans:
                 "be there too"
             )
     width = _width(points, scenario.planner.points)
-    return Plans(path=path, group=group, shape=PathShape(points=width, joints=joints))
+    return PlanFile(path=path, group=group, shape=PathShape(points=width, joints=joints))
 
 
 def _require_same(

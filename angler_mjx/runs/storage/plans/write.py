@@ -15,10 +15,10 @@ from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.joint_trajectory import LINEAR, JointTrajectory
 from angler_mjx.robot.control.plans import Plan, points_m
-from angler_mjx.runs.simulator.hosted import Drawn, PlanNotes, status_of
+from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch, status_of
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import Claim
+from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
 from angler_mjx.scenario.scenario import Scenario
@@ -30,7 +30,7 @@ _UNPLANNED = -1
 class Writer:
     """Makes a file of plans, some worlds at a time; what was written can be gone on with."""
 
-    def __init__(self, claimed: Claim, group: zarr.Group) -> None:
+    def __init__(self, claimed: OutputLock, group: zarr.Group) -> None:
         """Use `begin`."""
         self._claimed, self._group = claimed, group
         about: dict[str, Any] = dict(group.attrs)
@@ -104,7 +104,7 @@ def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, til
     """
     if resume:
         return _again(path, scenario, shape)
-    claimed = claims.claim(path, what="file of plans", left=lambda building: claims.RESUMABLE)
+    claimed = claims.acquire(path, what="file of plans", left=lambda building: claims.RESUMABLE)
     try:
         group = zarr.open_group(claimed.building, mode="a")
         group.attrs.update({"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_about(scenario)})
@@ -118,7 +118,7 @@ def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, til
 def _again(path: Path, scenario: Scenario, shape: PathShape) -> Writer:
     if path.is_dir() and any(path.iterdir()):
         raise ConfigError(f"--resume {path}: this file is complete; nothing is left to do")
-    claimed = claims.reclaim(path, what="file of plans")
+    claimed = claims.acquire_unfinished(path, what="file of plans")
     if claimed is None:
         raise ConfigError(f"--resume {path}: there is no interrupted file of that name")
     try:
@@ -214,7 +214,7 @@ def make(
         done, planned = total - len(left), writer.planned()
         advance(done, planned)
         kept_of = {first: min(tile, total - first) for first in tiles}
-        drawn: deque[Drawn] = deque()
+        drawn: deque[SampledBatch] = deque()
         for i, first in enumerate(tiles):
             # Two tiles are with the planner, so that no worker waits while one is written.
             for coming in tiles[i + len(drawn) : i + 2]:

@@ -18,15 +18,15 @@ from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import nearness, start
 from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import pairs
 from angler_mjx.sim.engines.lanes.layout import (
-    Given,
+    GroupConstants,
+    LaneRobots,
+    LaneScene,
     Moving,
-    Robots,
-    Scene,
     carried,
     lanes_of_group,
     moving_of,
@@ -91,11 +91,11 @@ class FusedEngine:
             return repeated(again, state, steps)
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
-        policy = telling.asked(policy, command)
-        minds, told = Minds.of(state), Told()
-        if telling.tells(spec, policy):
+        policy = telling.active_policy(policy, command)
+        minds, told = WorldMemory.of(state), WorldPhaseOutput()
+        if telling.has_world_phases(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-            minds, told = telling.tell_tile(
+            minds, told = telling.run_tile_phases(
                 spec,
                 policy,
                 here,
@@ -131,7 +131,7 @@ class FusedEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         del begins
-        scene, policy = scene_of(fleet, worlds), telling.asked(policy, command)
+        scene, policy = scene_of(fleet, worlds), telling.active_policy(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []
         begin_s = None
@@ -139,13 +139,17 @@ class FusedEngine:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(worlds, command)
 
         @jax.jit  # traced once, for the types of its results and for the loop
-        def fly(row: list[jax.Array], minds: Minds, number: jax.Array) -> tuple[Any, Any, Any]:
-            moving, told = rebuild(row), Told()
-            if telling.tells(spec, policy):
+        def fly(
+            row: list[jax.Array], minds: WorldMemory, number: jax.Array
+        ) -> tuple[Any, Any, Any]:
+            moving, told = rebuild(row), WorldPhaseOutput()
+            if telling.has_world_phases(spec, policy):
                 there = vehicles_of(moving)
-                bodies = to_arrays(moving.obstacles, 2) if telling.watches(policy) else None
+                bodies = (
+                    to_arrays(moving.obstacles, 2) if telling.observes_obstacles(policy) else None
+                )
                 ended = outcome_of(moving) if spec.by_task else None
-                minds, told = telling.tell_tile(
+                minds, told = telling.run_tile_phases(
                     spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
                 )
             after, sample = _control_step(spec, scene, moving, number, command, told, begin_s)
@@ -154,7 +158,7 @@ class FusedEngine:
             both = zip(lanes.flatten(after)[0], row, strict=True)
             return [lanes.spread(x, old) for x, old in both], minds, (now, told.record)
 
-        begun = Minds.of(state)
+        begun = WorldMemory.of(state)
         template = jax.eval_shape(fly, row, begun, state.step[0])[2]
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
@@ -182,10 +186,10 @@ class FusedEngine:
 
 @dataclass(frozen=True, kw_only=True)
 class Everywhere(OnLanes):
-    """Obstacles of all worlds of a scene; see `phase.Here`."""
+    """Obstacles of all worlds of a scene; see `phase.BatchContext`."""
 
     spec: SimSpec
-    scene: Scene
+    scene: LaneScene
     t: jax.Array
     shape: Shape
     _flows: list[tuple[VehicleState, Any]] = field(default_factory=list, init=False)
@@ -206,7 +210,7 @@ class Everywhere(OnLanes):
         return self.scene.obstacles
 
     def flow(self, vehicle: VehicleState) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         for known, flow in self._flows:  # controllers and the record ask for the same
             if known is vehicle:
                 return flow
@@ -215,26 +219,26 @@ class Everywhere(OnLanes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OfGroup(Everywhere):
+class GroupPhases(Everywhere):
     """Robots of a group, of all worlds."""
 
-    given: Given
+    given: GroupConstants
     said: Any = None
     """Instead of their paths."""
     finished: Any = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     loaded: Any = None
     """bool [] who carries a load; None where nobody can."""
     last_approach_s: Any = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     approaching: Any = None
-    """See `phase.Here`."""
+    """See `phase.BatchContext`."""
     met: Contact | None = None
     """The nearest thing to each robot of the group, when all have moved."""
 
     @cached_property
     def params(self) -> ControlParams:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         light, laden = self.given.params, self.given.laden
         if self.loaded is None or laden is None:
             return light
@@ -242,23 +246,23 @@ class OfGroup(Everywhere):
 
     @property
     def command(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         if self.said is not None:
             return self.said
         return plans.checked(self.spec.stages, self.given.path)
 
     @property
     def goal_m(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.given.goal_m
 
     @property
     def fails_at_s(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.given.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         if self.met is None:
             raise RuntimeError("a phase that meets others began before they had moved")
         return self.met
@@ -266,11 +270,11 @@ class OfGroup(Everywhere):
 
 def _control_step(
     spec: SimSpec,
-    scene: Scene,
+    scene: LaneScene,
     moving: Moving,
     number: jax.Array,
     command: Command | None,
-    told: Told,
+    told: WorldPhaseOutput,
     begin_s: jax.Array | None,
 ) -> tuple[Moving, dict[str, Any]]:
     """One control step of all worlds, and its part of the sample.
@@ -285,7 +289,7 @@ def _control_step(
     said = told.command if command is None else command
     groups, records = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
-        make = partial(OfGroup, **where, given=given)
+        make = partial(GroupPhases, **where, given=given)
         with jax.named_scope("robots"):
             now, record = lanes.shared(partial(_alone, make, robots, said, told))
         groups.append(now)
@@ -296,7 +300,7 @@ def _control_step(
     met = lanes.shared(partial(pairs.contact, scene, groups, obstacles))
     after, records = [], []
     for given, now in zip(scene.groups, groups, strict=True):
-        place = OfGroup(
+        place = GroupPhases(
             **where,
             given=given,
             said=None if begin_s is None else to_lanes(of_group(said, given.group), 2),
@@ -306,14 +310,17 @@ def _control_step(
             met=lanes_of_group(met, given.group),
         )
         judged, record = lanes.shared(partial(_run, place, MEETING, now))
-        after.append(Robots(**{name: judged[name] for name in KEPT}))
+        after.append(LaneRobots(**{name: judged[name] for name in KEPT}))
         records.append(record)
     sample |= side_by_side(records)
     return Moving(groups=tuple(after), obstacles=obstacles), sample
 
 
 def _alone(
-    make: Callable[..., OfGroup], robots: Robots, said: Command | None, told: Told
+    make: Callable[..., GroupPhases],
+    robots: LaneRobots,
+    said: Command | None,
+    told: WorldPhaseOutput,
 ) -> tuple[Any, Any]:
     """What the robots of a group do by themselves.
 
@@ -325,7 +332,7 @@ def _alone(
     return _run(make(said=said, loaded=loaded), ALONE, slots)
 
 
-def _run(place: OfGroup, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
+def _run(place: GroupPhases, phases: tuple[Phase, ...], slots: Slots) -> tuple[Any, Any]:
     """Phases of a group: the slots that anybody reads after them, and the record."""
     now, record = run(place, phases, slots)
     like = slots["vehicle"].p[0]

@@ -20,8 +20,8 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.detection import SEPARATION_RADIUS_M, Contact
 from angler_mjx.sim.engines.lanes.search import (
     Met,
-    Nearest,
-    Others,
+    NearestBody,
+    OtherBodies,
     Search,
     Seeker,
     of_lanes,
@@ -35,7 +35,7 @@ from angler_mjx.world.obstacles.types import STATIC, bounding_radius
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Hull:
+class LaneHull:
     """What can touch of robots: the part of `VehicleParams` that is so called there, as lanes."""
 
     capsule_a_m: Lanes
@@ -44,9 +44,9 @@ class Hull:
     radius_m: Lanes
 
 
-def hull_of(vehicle: VehicleParams) -> Hull:
+def hull_of(vehicle: VehicleParams) -> LaneHull:
     """The hull of vehicles whose leaves are lanes."""
-    return Hull(
+    return LaneHull(
         capsule_a_m=vehicle.capsule_a_m,
         capsule_b_m=vehicle.capsule_b_m,
         capsule_r_m=vehicle.capsule_r_m,
@@ -56,12 +56,12 @@ def hull_of(vehicle: VehicleParams) -> Hull:
 
 def contact(
     shape: Shape,
-    hull: Hull,
+    hull: LaneHull,
     cells: Cells,
     tally: Tally,
     state: VehicleState,
-    obstacles: Others,
-    robots: Sequence[Others],
+    obstacles: OtherBodies,
+    robots: Sequence[OtherBodies],
     row: Any,
     search: Search | None = None,
 ) -> Contact:
@@ -86,7 +86,7 @@ def contact(
         partial(_to_ground, shape), hull.capsule_r_m, a, b, state.p, cells, lanes.pack([below], ())
     )
     zero = jnp.zeros_like(state.p[0])
-    start = Nearest(
+    start = NearestBody(
         gap=jnp.full_like(zero, jnp.inf),
         index=jnp.full_like(tally.outcome[()], -1),
         fixed=running & False,
@@ -137,13 +137,13 @@ def reach(body: Obstacles) -> Any:
     return jnp.where(body.exists[()], radius, -jnp.inf)
 
 
-def _tree(nearest: Nearest) -> tuple[Lanes, Lanes, Lanes, Lanes]:
-    """A `Nearest` as arguments of `lanes.apply`."""
+def _tree(nearest: NearestBody) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """A `NearestBody` as arguments of `lanes.apply`."""
     gap, index, fixed = (lanes.pack([x], ()) for x in (nearest.gap, nearest.index, nearest.fixed))
     return gap, index, fixed, lanes.pack(nearest.v, (3,))
 
 
-def _placed(hull: Hull, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _placed(hull: LaneHull, p: jax.Array, q: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Ends [c, 3] of the axes of one robot's capsules, in W."""
     turn = quaternion.to_matrix(q)
 

@@ -12,12 +12,12 @@ from angler_kernels import clearance, lanes
 from angler_kernels.lanes.planes import is_table
 from angler_mjx.errors import RunError
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.robot.control.stack import ControlParams, Memory
-from angler_mjx.sim.aboard.telling import Minds
+from angler_mjx.robot.control.stack import ControlMemory, ControlParams
+from angler_mjx.sim.aboard.telling import WorldMemory
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.lanes import steps as lane_steps
 from angler_mjx.sim.engines.lanes.steps import Cells
-from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
+from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Tally, World, WorldState
 from angler_mjx.world.currents import Current, looked_up
@@ -30,11 +30,11 @@ MOST = 2**31
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Robots:
+class LaneRobots:
     """What changes from step to step of the robots of a group, as lanes."""
 
     vehicle: VehicleState
-    memory: Memory
+    memory: ControlMemory
     """Of the controllers."""
     tally: Tally
 
@@ -44,15 +44,15 @@ class Robots:
 class Moving:
     """What changes from step to step, as lanes."""
 
-    groups: tuple[Robots, ...]
+    groups: tuple[LaneRobots, ...]
     obstacles: ObstacleState
 
 
 @dataclass(frozen=True, kw_only=True)
-class Given:
+class GroupConstants:
     """What stays the same of the robots of a group, as lanes."""
 
-    group: Group
+    group: VehicleGroup
     params: ControlParams
     laden: ControlParams | None
     """With their load; None where there are none. Elements that it does not change are the same
@@ -63,10 +63,10 @@ class Given:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class LaneScene:
     """What stays the same during a segment, as lanes."""
 
-    groups: tuple[Given, ...]
+    groups: tuple[GroupConstants, ...]
     current: Current
     cells: Cells
     shape: lane_steps.Shape
@@ -102,7 +102,7 @@ def side_by_side(parts: Sequence[Any], like: Sequence[jax.Array] = ()) -> Any:
     return jax.tree.map(one, *parts)
 
 
-def lanes_of_group(tree: Any, group: Group) -> Any:
+def lanes_of_group(tree: Any, group: VehicleGroup) -> Any:
     """The robots of a group of lanes [R, W]."""
 
     def one(leaf: np.ndarray) -> np.ndarray:
@@ -114,7 +114,7 @@ def lanes_of_group(tree: Any, group: Group) -> Any:
     return jax.tree.map(one, tree)
 
 
-def of_group(tree: Any, group: Group) -> Any:
+def of_group(tree: Any, group: VehicleGroup) -> Any:
     """The robots of a group of arrays [W, R, ...]."""
     return jax.tree.map(lambda leaf: leaf[:, group.first : group.first + group.count], tree)
 
@@ -144,7 +144,7 @@ def to_lanes(tree: Any, lead: int, rows: jax.Array | None = None) -> Any:
     return jax.tree.map(one, tree)
 
 
-def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.Table:
+def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.LookupTable:
     """An array [W, (n,) ...] as a table of each body; lanes [W] or [n, W]; as `to_lanes`."""
     tail = leaf.shape[lead:]
     if leaf.size >= MOST:
@@ -161,7 +161,7 @@ def _table(leaf: jax.Array, lead: int, rows: jax.Array | None = None) -> lanes.T
     def load(place: Any) -> jax.Array:
         return flat.at[place].get(mode="promise_in_bounds")
 
-    return lanes.Table(load, tail, leaf.dtype, base=base)
+    return lanes.LookupTable(load, tail, leaf.dtype, base=base)
 
 
 def to_arrays(tree: Any, lead: int) -> Any:
@@ -172,9 +172,9 @@ def to_arrays(tree: Any, lead: int) -> Any:
 def moving_of(fleet: Fleet, state: WorldState) -> Moving:
     """The state of worlds as lanes."""
 
-    def of(group: Group) -> Robots:
-        robots = Robots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
-        lanes_of: Robots = to_lanes(of_group(robots, group), 2)
+    def of(group: VehicleGroup) -> LaneRobots:
+        robots = LaneRobots(vehicle=state.vehicles, memory=state.carry, tally=state.tally)
+        lanes_of: LaneRobots = to_lanes(of_group(robots, group), 2)
         return lanes_of
 
     return Moving(groups=tuple(map(of, fleet.groups)), obstacles=to_lanes(state.obstacles, 2))
@@ -196,7 +196,7 @@ def outcome_of(moving: Moving) -> jax.Array:
     return outcome
 
 
-def world_state(moving: Moving, step: jax.Array, minds: Minds) -> WorldState:
+def world_state(moving: Moving, step: jax.Array, minds: WorldMemory) -> WorldState:
     """The inverse of `moving_of`; ``step`` [W]."""
     robots = to_arrays(side_by_side(moving.groups), 2)
     return WorldState(
@@ -222,13 +222,13 @@ def packed_cells(worlds: World) -> jax.Array:
     return jax.vmap(clearance.cell_neighbours)(worlds.environment.grid.occupied)
 
 
-def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scene:
+def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> LaneScene:
     """Everything that stays the same, laid out as lanes; ``rows`` as in `to_lanes`."""
     environment = worlds.environment
 
-    def given(group: Group) -> Given:
+    def given(group: VehicleGroup) -> GroupConstants:
         params, laden = _params(fleet, group, worlds, rows)
-        return Given(
+        return GroupConstants(
             group=group,
             params=params,
             laden=laden,
@@ -238,7 +238,7 @@ def scene_of(fleet: Fleet, worlds: World, rows: jax.Array | None = None) -> Scen
         )
 
     obstacles = to_lanes(environment.obstacles, 2, rows)
-    return Scene(
+    return LaneScene(
         groups=tuple(map(given, fleet.groups)),
         current=_current(environment.current, rows),
         cells=_cells(worlds, rows),
@@ -254,9 +254,9 @@ def _current(current: Current, rows: jax.Array | None) -> Current:
     """Components as lanes; what they look up is one table for all worlds."""
     dtypes = [leaf.dtype for leaf in jax.tree.leaves(current) if leaf.dtype.kind == "f"]
 
-    def one(values: np.ndarray) -> lanes.Table:
+    def one(values: np.ndarray) -> lanes.LookupTable:
         flat = jnp.asarray(values, dtypes[0])
-        return lanes.Table(
+        return lanes.LookupTable(
             lambda at: flat.at[at].get(mode="promise_in_bounds"), flat.shape, flat.dtype
         )
 
@@ -279,7 +279,7 @@ def _cells(worlds: World, rows: jax.Array | None = None) -> Cells:
 
 
 def _params(
-    fleet: Fleet, group: Group, worlds: World, rows: jax.Array | None = None
+    fleet: Fleet, group: VehicleGroup, worlds: World, rows: jax.Array | None = None
 ) -> tuple[ControlParams, ControlParams | None]:
     """Parameters of a group's robots, and with their load, if they can carry one.
 
@@ -317,7 +317,7 @@ def _parameter(
 
     if is_table(tail):
         places = [(one if "v" in letters else common) * np.int32(len(letters)) for one in variants]
-        return [lanes.Table(load, tail, leaf.dtype, base=base) for base in places]
+        return [lanes.LookupTable(load, tail, leaf.dtype, base=base) for base in places]
     same: list[Any] = [None] * len(letters)
     for k, letter in enumerate(letters):
         if letter == "z":
@@ -339,7 +339,7 @@ def carried(loaded: Any, laden: ControlParams, params: ControlParams) -> Control
     """Parameters of robots with their load where they have one; ``loaded`` is lanes [] of bool."""
 
     def one(with_load: Any, without: Any) -> Any:
-        if isinstance(without, lanes.Table):
+        if isinstance(without, lanes.LookupTable):
             return with_load.where(loaded[()], without)
         pairs = zip(with_load.ravel(), without.ravel(), strict=True)
         items = [y if x is y else jnp.where(loaded[()], x, y) for x, y in pairs]

@@ -17,8 +17,8 @@ import numpy as np
 from angler_kernels import lanes
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import judge as lane_judge
-from angler_mjx.sim.engines.lanes.layout import Scene, side_by_side
-from angler_mjx.sim.engines.lanes.search import Exact, Met, Nearest, Others, Seeker
+from angler_mjx.sim.engines.lanes.layout import LaneScene, side_by_side
+from angler_mjx.sim.engines.lanes.search import Exact, Met, NearestBody, OtherBodies, Seeker
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -30,7 +30,7 @@ def pick(tree: Any, index: Any) -> Any:
     """Lanes at an index of lanes [n, W]; what is the same for all, and tables, stay as they are."""
 
     def one(leaf: Any) -> Any:
-        if isinstance(leaf, lanes.Table):
+        if isinstance(leaf, lanes.LookupTable):
             return leaf
         whole = leaf.ravel()
         items = [x.at[index].get(mode="promise_in_bounds") if np.ndim(x) == 2 else x for x in whole]
@@ -39,7 +39,7 @@ def pick(tree: Any, index: Any) -> Any:
     return jax.tree.map(one, tree)
 
 
-def met_robot(hull: lane_judge.Hull, state: VehicleState, index: Any) -> Met:
+def met_robot(hull: lane_judge.LaneHull, state: VehicleState, index: Any) -> Met:
     """Robots at an index of lanes [n, W]."""
     theirs, now = pick((hull, state), index)
     return Met(
@@ -59,7 +59,9 @@ def met_obstacle(obstacles: Obstacles, reach: jax.Array, state: ObstacleState, i
     )
 
 
-def contact(scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState) -> Contact:
+def contact(
+    scene: LaneScene, groups: Sequence[Mapping[str, Any]], obstacles: ObstacleState
+) -> Contact:
     """The nearest thing to each robot of a scene when all have moved; ``groups`` are their slots.
 
     Robots of all groups at once: code for each pair of groups would take most of the time that it
@@ -69,14 +71,14 @@ def contact(scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: Obstac
     state, tally = side_by_side(vehicles), side_by_side([now["tally"] for now in groups])
     hulls = [lane_judge.hull_of(given.params.vehicle) for given in scene.groups]
     hull = side_by_side(hulls, like=[vehicle.p[0] for vehicle in vehicles])
-    robots = Others(count=scene.n_robot, load=partial(met_robot, hull, state))
+    robots = OtherBodies(count=scene.n_robot, load=partial(met_robot, hull, state))
     return lane_judge.contact(
         scene.shape,
         hull,
         scene.cells,
         tally,
         state,
-        Others(
+        OtherBodies(
             count=scene.n_obstacle,
             load=partial(met_obstacle, scene.obstacles, scene.reach, obstacles),
         ),
@@ -86,7 +88,9 @@ def contact(scene: Scene, groups: Sequence[Mapping[str, Any]], obstacles: Obstac
     )
 
 
-def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+def among_listed(
+    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+) -> NearestBody:
     """See `lane_search.Search`; the lanes of ``me`` are [R, W].
 
     ``others.load`` takes an index of lanes [n, W]: slices, or two arrays of whole numbers.
@@ -96,24 +100,24 @@ def among_listed(me: Seeker, others: Others, exact: Exact, start: Nearest, mysel
     number = others.first + np.arange(others.count, dtype=np.int32)[:, None, None]
     wanted = me.wants(others.load(np.s_[:, None]), number != myself)
 
-    def look(best: Nearest) -> Nearest:
+    def look(best: NearestBody) -> NearestBody:
         gap, shape = _least(wanted, me, others, exact, best.gap)
         found = shape >= 0
         met = others.load((jnp.maximum(shape, 0), np.arange(shape.shape[1], dtype=np.int32)))
         of_shape, fixed, v = exact(me, met)
-        return Nearest(
+        return NearestBody(
             gap=jnp.where(found, _derived(gap, of_shape), best.gap),
             index=jnp.where(found, others.first + shape, best.index),
             fixed=jnp.where(found, fixed, best.fixed),
             v=tuple(jnp.where(found, x, y) for x, y in zip(v, best.v, strict=True)),
         )
 
-    nearest: Nearest = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, start)
+    nearest: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, start)
     return nearest
 
 
 def _least(
-    wanted: jax.Array, me: Seeker, others: Others, exact: Exact, gap: jax.Array
+    wanted: jax.Array, me: Seeker, others: OtherBodies, exact: Exact, gap: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """The least gap [R, W] of wanted pairs [n, R, W] below ``gap``, and its shape; -1 if none.
 

@@ -30,7 +30,7 @@ class Met:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Others:
+class OtherBodies:
     """Shapes that robots can meet, one after another."""
 
     count: int
@@ -70,7 +70,7 @@ class Seeker:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
-class Nearest:
+class NearestBody:
     """The nearest shape so far, in every lane."""
 
     gap: jax.Array
@@ -90,40 +90,44 @@ it saves."""
 type Exact = Callable[[Seeker, Met], tuple[Any, Any, Lanes]]
 """The gap to a shape, whether it never moves, and its velocity [3]."""
 
-type Search = Callable[[Seeker, Others, Exact, Nearest, Any], Nearest]
+type Search = Callable[[Seeker, OtherBodies, Exact, NearestBody, Any], NearestBody]
 """The nearest of some shapes and of one found before, if nearer than the limit or touching.
 
 The last argument is the number of the shape that is the lane's own. The first of equals counts.
 """
 
 
-def in_turn(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+def in_turn(
+    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+) -> NearestBody:
     """See `Search`: one shape after another, left out where no lane wants it; ``load`` takes i."""
     if others.count == 0:
         return start
 
-    def one(i: jax.Array, best: Nearest) -> Nearest:
+    def one(i: jax.Array, best: NearestBody) -> NearestBody:
         met, number = others.load(i), others.first + i
         wanted = me.wants(met, number != myself)
 
-        def look(best: Nearest) -> Nearest:
+        def look(best: NearestBody) -> NearestBody:
             gap, fixed, v = exact(me, met)
             better = wanted & (gap < best.gap)
-            return Nearest(
+            return NearestBody(
                 gap=jnp.where(better, gap, best.gap),
                 index=jnp.where(better, number, best.index),
                 fixed=jnp.where(better, fixed, best.fixed),
                 v=tuple(jnp.where(better, x, y) for x, y in zip(v, best.v, strict=True)),
             )
 
-        after: Nearest = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
+        after: NearestBody = jax.lax.cond(lanes.any_lane(wanted), look, lambda best: best, best)
         return after
 
-    nearest: Nearest = jax.lax.fori_loop(0, others.count, one, start)
+    nearest: NearestBody = jax.lax.fori_loop(0, others.count, one, start)
     return nearest
 
 
-def in_groups(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+def in_groups(
+    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+) -> NearestBody:
     """See `Search`: each lane lists the shapes that it wants, and all work through their lists.
 
     Among many shapes every lane of a kernel wants a few, and each another: in turn, each of them
@@ -154,7 +158,7 @@ def in_groups(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: 
         i = jnp.where(head != 0, (head >> GROUP) * GROUP + k, 0)
         gap, fixed, v = exact(me, others.load(i))
         better = (head != 0) & (gap < best.gap)
-        nearest = Nearest(
+        nearest = NearestBody(
             gap=jnp.where(better, gap, best.gap),
             index=jnp.where(better, others.first + i, best.index),
             fixed=jnp.where(better, fixed, best.fixed),
@@ -177,11 +181,13 @@ def in_groups(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: 
         return group, best
 
     _, nearest = jax.lax.while_loop(lambda x: x[0] < groups, some, (jnp.int32(0), start))
-    found: Nearest = nearest
+    found: NearestBody = nearest
     return found
 
 
-def of_lanes(me: Seeker, others: Others, exact: Exact, start: Nearest, myself: Any) -> Nearest:
+def of_lanes(
+    me: Seeker, others: OtherBodies, exact: Exact, start: NearestBody, myself: Any
+) -> NearestBody:
     """See `Search`: what is quicker for so many shapes."""
     search = in_groups if others.count >= MANY else in_turn
     return search(me, others, exact, start, myself)

@@ -51,7 +51,7 @@ type Shape = tuple[int, int, int]
 
 
 class OnLanes:
-    """What `angler_mjx.sim.step.Here` asks for, of lanes; where they come from is the engine's.
+    """Fields of `angler_mjx.sim.phase.BatchContext` as lanes; an engine provides them.
 
     Whoever has robots adds ``params``, ``command``, ``goal_m``, ``finished``, ``fails_at_s`` and
     ``contact``; whoever has obstacles adds ``obstacles``.

@@ -11,11 +11,11 @@ import numpy as np
 from angler_kernels import lanes
 from angler_kernels.lanes.planes import is_table, typed
 from angler_mjx.robot.control.stack import ControlParams
-from angler_mjx.sim.fleet import Fleet, Group
+from angler_mjx.sim.fleet import Fleet, VehicleGroup
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bank:
+class ConstantBank:
     """Where each parameter lies: all elements of a variant together, variants one after another."""
 
     tree: Any
@@ -24,7 +24,7 @@ class Bank:
     firsts: tuple[int, ...]
 
     @classmethod
-    def of(cls, fleet: Fleet, dtype: Any) -> tuple["Bank", jax.Array]:
+    def of(cls, fleet: Fleet, dtype: Any) -> tuple["ConstantBank", jax.Array]:
         """The places, and the flat array."""
         leaves, tree = jax.tree.flatten(fleet.control)
         sizes = [leaf.size for leaf in leaves]
@@ -36,7 +36,7 @@ class Bank:
         )
         return bank, jnp.concatenate([leaf.reshape(-1).astype(dtype) for leaf in leaves])
 
-    def read(self, load: Callable[[Any], Any], group: Group, variant: Any) -> ControlParams:
+    def read(self, load: Callable[[Any], Any], group: VehicleGroup, variant: Any) -> ControlParams:
         """Parameters of lanes of robots of a group, by their variants.
 
         What all variants of the group share is a number of the program, not read at all.
@@ -48,7 +48,7 @@ class Bank:
             size = len(letters)
             if is_table(shape):
                 base = first + (variant if "v" in letters else group.variant) * np.int32(size)
-                out.append(lanes.Table(load, shape, dtype, base=base))
+                out.append(lanes.LookupTable(load, shape, dtype, base=base))
                 continue
             row = [
                 typed(load(first + variant * size + k), dtype)

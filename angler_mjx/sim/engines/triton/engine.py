@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import nearness
 from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton import launch as triton
@@ -52,7 +52,7 @@ class TritonEngine:
             warps: warps in one program.
             interpret: run the kernels as ordinary JAX, on any device.
         """
-        self._program = triton.Program(lanes=lanes, warps=warps, interpret=interpret)
+        self._program = triton.LaunchedProgram(lanes=lanes, warps=warps, interpret=interpret)
 
     def reset(
         self, spec: SimSpec, fleet: Fleet, worlds: World, policy: Policy | None = None
@@ -77,7 +77,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and telling.tells(spec, telling.asked(policy, command)):
+        if steps > 1 and telling.has_world_phases(spec, telling.active_policy(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
@@ -147,14 +147,16 @@ class TritonEngine:
 
         here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
-        policy = telling.asked(policy, command)
-        watched = telling.watches(policy)
-        tell, told = partial(telling.tell_tile, spec, policy, flying, fleet=fleet), None
-        if telling.tells(spec, policy):
+        policy = telling.active_policy(policy, command)
+        watched = telling.observes_obstacles(policy)
+        tell, told = partial(telling.run_tile_phases, spec, policy, flying, fleet=fleet), None
+        if telling.has_world_phases(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
             ended = state.tally.outcome if spec.by_task else None
-            _, told = jax.eval_shape(tell, Minds.of(state), number, state.vehicles, bodies, ended)
+            _, told = jax.eval_shape(
+                tell, WorldMemory.of(state), number, state.vehicles, bodies, ended
+            )
         begin_s = None
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
@@ -215,7 +217,7 @@ def _ahead(period: int, watched: bool) -> int:
 
 
 def _tell(
-    tell: Callable[..., tuple[Minds, Told]],
+    tell: Callable[..., tuple[WorldMemory, WorldPhaseOutput]],
     part: Segment,
     watched: bool,
     by_task: bool,

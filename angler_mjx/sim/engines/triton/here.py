@@ -11,18 +11,18 @@ from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import judge as lane_judge
-from angler_mjx.sim.engines.lanes.search import Met, Others
+from angler_mjx.sim.engines.lanes.search import Met, OtherBodies
 from angler_mjx.sim.engines.lanes.steps import Cells, OnLanes
 from angler_mjx.sim.engines.triton import launch as triton
 from angler_mjx.sim.engines.triton.segment import Segment
 from angler_mjx.sim.engines.triton.tile import RobotConstants
-from angler_mjx.sim.fleet import Group
+from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Slots
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.world.currents import Current
 
 
-class Program(OnLanes):
+class KernelProgram(OnLanes):
     """Lanes of a program of a kernel: constants are loaded when they are asked for."""
 
     def __init__(self, spec: SimSpec, part: Segment, data: Any, row: Any, at: Any) -> None:
@@ -64,7 +64,7 @@ class Program(OnLanes):
         return self._tile.water(self._data, self._world)
 
 
-class Bodies(Program):
+class KernelBodies(KernelProgram):
     """Obstacles."""
 
     def load(self) -> None:
@@ -79,14 +79,14 @@ class Bodies(Program):
         return self._tile.body(self._data, place, lambda x: x.given)
 
 
-class OfGroup(Program):
+class KernelGroup(KernelProgram):
     """Robots of a group."""
 
     def __init__(
         self,
         spec: SimSpec,
         part: Segment,
-        group: Group,
+        group: VehicleGroup,
         places: Mapping[str, Any],
         data: Any,
         *,
@@ -95,7 +95,7 @@ class OfGroup(Program):
         first: Any,
         count: Any,
     ) -> None:
-        """As `Program`.
+        """As `KernelProgram`.
 
         Args:
             spec: settings.
@@ -123,44 +123,44 @@ class OfGroup(Program):
 
     @cached_property
     def params(self) -> ControlParams:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         loaded = self.slot("loaded")[()] if "loaded" in self._places else None
         return self._tile.params(self._data, self._group, self._constants, loaded)
 
     @property
     def command(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         if "command" in self._places:
             return self.slot("command")
         return plans.checked(self.spec.stages, self._constants.path)
 
     @property
     def goal_m(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self._constants.goal_m
 
     @property
     def finished(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.slot("finished") if "finished" in self._places else None
 
     @property
     def last_approach_s(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.slot("last_approach_s") if "last_approach_s" in self._places else None
 
     @property
     def approaching(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self.slot("approaching") if "approaching" in self._places else None
 
     @property
     def fails_at_s(self) -> Any:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         return self._constants.fails_at_s
 
     def contact(self, now: Slots) -> Contact:
-        """See `phase.Here`."""
+        """See `phase.BatchContext`."""
         tile, places = self._tile, self._places
         others = [self._robots_met(places["vehicle"], other) for other in tile.groups]
         return lane_judge.contact(
@@ -174,7 +174,7 @@ class OfGroup(Program):
             self._row,
         )
 
-    def _robots_met(self, robots: Any, other: Group) -> Others:
+    def _robots_met(self, robots: Any, other: VehicleGroup) -> OtherBodies:
         """The robots of a group, as those of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 
@@ -192,9 +192,9 @@ class OfGroup(Program):
             reach = tile.params_at(data, other, mine).vehicle.radius_m[()]
             return Met(p=state(lambda x: x.p), reach=reach, details=details)
 
-        return Others(count=other.count, load=load, first=other.first)
+        return OtherBodies(count=other.count, load=load, first=other.first)
 
-    def _obstacles_met(self, track: Any) -> Others:
+    def _obstacles_met(self, track: Any) -> OtherBodies:
         """The obstacles after a control step, as robots of the same worlds meet them."""
         tile, data, at = self._tile, self._data, self._at
 
@@ -210,4 +210,4 @@ class OfGroup(Program):
             reach = tile.body(data, mine, lambda x: x.reach)[()]
             return Met(p=drift(lambda x: x.p), reach=reach, details=details)
 
-        return Others(count=tile.obstacles if tile.some_obstacle else 0, load=load)
+        return OtherBodies(count=tile.obstacles if tile.some_obstacle else 0, load=load)

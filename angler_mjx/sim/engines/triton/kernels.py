@@ -10,9 +10,9 @@ import jax
 from angler_kernels import lanes
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.here import Bodies, OfGroup
+from angler_mjx.sim.engines.triton.here import KernelBodies, KernelGroup
 from angler_mjx.sim.engines.triton.segment import Arrays, Drift, Segment
-from angler_mjx.sim.fleet import Group
+from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.sim.step import ALONE, DECIDE, JUDGE, MEETING, MOVE, OBSTACLES
@@ -37,7 +37,7 @@ class Kernels:
     Every launch is for control step ``base + k``, both int32 [1], counted from the segment's first.
     """
 
-    def __init__(self, program: triton.Program, spec: SimSpec, part: Segment) -> None:
+    def __init__(self, program: triton.LaunchedProgram, spec: SimSpec, part: Segment) -> None:
         """Bind them to a segment."""
         self._program, self._spec, self._part = program, spec, part
         self._tile = part.tile
@@ -69,7 +69,7 @@ class Kernels:
         return obstacles, robots
 
     def phase(
-        self, phase: Phase, group: Group, base: jax.Array, k: jax.Array, x: Arrays
+        self, phase: Phase, group: VehicleGroup, base: jax.Array, k: jax.Array, x: Arrays
     ) -> Sequence[jax.Array]:
         """One phase of the robots of a group, and its record: what it gives, in that order."""
         part, tile = self._part, self._tile
@@ -90,7 +90,7 @@ class Kernels:
             places |= dict(zip(changed, refs[-len(changed) :], strict=True))
             row, lane, at, store = self._place(group.first)
             count = base[0] + k[0]
-            here = OfGroup(
+            here = KernelGroup(
                 self._spec,
                 part,
                 group,
@@ -128,7 +128,7 @@ class Kernels:
             state, track, seen = refs[-3:]
             row, lane, at, store = self._place(0)
             count = base[0] + k[0]
-            here = Bodies(self._spec, part, data, row, at)
+            here = KernelBodies(self._spec, part, data, row, at)
             here.load()
             taken = part.taken(first, at)
 

@@ -14,7 +14,7 @@ from angler_mjx.errors import RunError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class LaunchedProgram:
     """Shape of the programs of a kernel."""
 
     lanes: int
@@ -27,7 +27,7 @@ class Program:
 
 def call(
     kernel: Callable[..., None],
-    program: Program,
+    program: LaunchedProgram,
     width: int,
     rows: int,
     constant: Sequence[jax.Array],

@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_kernels.lanes.planes import Layout, Shelf
+from angler_kernels.lanes.planes import PlaneLayout, Shelf
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
-from angler_mjx.sim.aboard.telling import Minds, Told
+from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.record import Sample
@@ -38,14 +38,14 @@ class Arrays:
 
     slots: dict[str, jax.Array]
     """What the phases of robots read and give, by name; see `angler_mjx.sim.step.Slots`. Also
-    what `Told.given` gives, and ``command`` where one drives them."""
+    what `WorldPhaseOutput.given` gives, and ``command`` where one drives them."""
     bodies: jax.Array
     """`ObstacleState`, as far ahead as they were moved."""
     track: jax.Array
     """`Drift` of as many steps as obstacles are moved ahead."""
     records: dict[str, jax.Array]
     """What each phase of robots and obstacles recorded, by the phase's name."""
-    minds: Minds
+    minds: WorldMemory
     """[W] leads: what robots know of themselves is not the kernels' work."""
     told: dict[str, Any]
     """Record of the phases of worlds, [samples, W, ...]."""
@@ -73,7 +73,7 @@ class Segment:
         n_sample: int,
         every: int,
         command: Command | None,
-        told: Told | None,
+        told: WorldPhaseOutput | None,
         *,
         ahead: int = AHEAD,
         also: tuple[str, ...] = (),
@@ -123,7 +123,7 @@ class Segment:
             bodies=bodies,
             track=room(ahead * self.drift.size if tile.some_obstacle else 1),
             records={name: room(shelf.size) for name, shelf in self.shelves.items()},
-            minds=Minds.of(state),
+            minds=WorldMemory.of(state),
             told={}
             if told is None
             else jax.tree.map(
@@ -131,7 +131,7 @@ class Segment:
             ),
         )
 
-    def layout(self, slot: str) -> tuple[str, Layout]:
+    def layout(self, slot: str) -> tuple[str, PlaneLayout]:
         """The slot that one is read from, and its layout: what is known may be the truth."""
         name = "vehicle" if slot == "known" and slot not in self.layouts else slot
         return name, self.layouts[name]
@@ -170,14 +170,14 @@ class Segment:
             seen |= jax.tree.map(repeated, step.record_obstacles(state.obstacles))
         return after, Sample(**seen)
 
-    def _scratch(self, told: Told | None) -> dict[str, Layout]:
+    def _scratch(self, told: WorldPhaseOutput | None) -> dict[str, PlaneLayout]:
         """Layouts of what is made anew in every step."""
         tile = self.tile
         thrusters = tile.shape(self._state.vehicles.thrust.shape[-1])
         shapes = step.handed_on(tile.shape(), thrusters)
         found = {name: tile.layout(shape, tile.robots) for name, shape in shapes.items()}
         if told is not None:
-            found |= {name: Layout.of(tree, 2) for name, tree in told.given().items()}
+            found |= {name: PlaneLayout.of(tree, 2) for name, tree in told.given().items()}
         return found
 
     def _shelf(self, phase: Phase) -> Shelf | None:

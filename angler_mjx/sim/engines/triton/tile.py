@@ -8,19 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import Layout, Shelf
+from angler_kernels.lanes.planes import PlaneLayout, Shelf
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.sim.engines.lanes.layout import grid_shape, packed_cells
 from angler_mjx.sim.engines.lanes.steps import Cells
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.bank import Bank
-from angler_mjx.sim.fleet import Fleet, Group, laden_cruise
+from angler_mjx.sim.engines.triton.bank import ConstantBank
+from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.state import Laid, World
 from angler_mjx.world.currents import Current, fields_of, looked_up
 from angler_mjx.world.environment import region
 from angler_mjx.world.obstacles.types import bounding_radius
-from angler_mjx.world.ocean import Field
+from angler_mjx.world.ocean import OceanField
 
 
 @jax.tree_util.register_dataclass
@@ -98,7 +98,7 @@ class Tile:
         self.grid = grid_shape(environment)
         self.groups = fleet.groups
         self._numbered = fleet.numbered
-        self._bank, bank = Bank.of(fleet, self.dtype)
+        self._bank, bank = ConstantBank.of(fleet, self.dtype)
         neighbours = packed_cells(worlds)
         self._cells = neighbours[0].size
         self._robot, robot = self.pack(
@@ -134,23 +134,23 @@ class Tile:
         tables = [jnp.asarray(x, self.dtype) for field in self._fields for x in field.numbers]
         self.arrays = (*self.laid, which, *tables)
 
-    def pack(self, tree: Any, lead: int) -> tuple[Layout, jax.Array]:
+    def pack(self, tree: Any, lead: int) -> tuple[PlaneLayout, jax.Array]:
         """A tree of arrays [W, (n,) ...] flat, and where its parts lie."""
-        layout = Layout.of(tree, lead)
+        layout = PlaneLayout.of(tree, lead)
         return layout, layout.pack(tree, self.dtype)
 
     def shape(self, *tail: int) -> jax.ShapeDtypeStruct:
         """Shape of numbers of one body."""
         return jax.ShapeDtypeStruct(tail, self.dtype)
 
-    def layout(self, tree: Any, rows: int) -> Layout:
+    def layout(self, tree: Any, rows: int) -> PlaneLayout:
         """Layout of arrays [W, rows, ...], from shapes [...] of one body."""
         shapes = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct((self.worlds, rows, *leaf.shape), leaf.dtype), tree
         )
-        return Layout.of(shapes, 2)
+        return PlaneLayout.of(shapes, 2)
 
-    def shelf(self, layout: Layout, samples: int) -> Shelf:
+    def shelf(self, layout: PlaneLayout, samples: int) -> Shelf:
         """Room for samples of a layout."""
         return Shelf(
             layout=layout, samples=samples, rows=layout.lanes // self.worlds, worlds=self.worlds
@@ -170,7 +170,7 @@ class Tile:
         return found
 
     def params(
-        self, refs: Any, group: Group, constants: RobotConstants, loaded: Any = None
+        self, refs: Any, group: VehicleGroup, constants: RobotConstants, loaded: Any = None
     ) -> ControlParams:
         """Parameters of robots of a group; ``loaded`` says who carries something, if any can."""
         variant, cruise = constants.variant[()], constants.cruise_speed_mps
@@ -180,7 +180,7 @@ class Tile:
         params = self._bank.read(triton.loader(refs[0]), group, variant)
         return replace(params, cruise_speed_mps=cruise)
 
-    def params_at(self, refs: Any, group: Group, lane: Any) -> ControlParams:
+    def params_at(self, refs: Any, group: VehicleGroup, lane: Any) -> ControlParams:
         """Parameters of robots number ``lane`` of a group, but for their cruise speeds."""
         variant = self._robot.read(triton.loader(refs[1]), lane, lambda x: x.variant)
         return self._bank.read(triton.loader(refs[0]), group, variant[()])
@@ -197,9 +197,9 @@ class Tile:
             places[field] = refs[first : first + len(field.numbers)]
             first += len(field.numbers)
 
-        def where(field: Field) -> list[lanes.Table]:
+        def where(field: OceanField) -> list[lanes.LookupTable]:
             both = zip(places[field], field.numbers, strict=True)
-            return [lanes.Table(triton.loader(ref), x.shape, self.dtype) for ref, x in both]
+            return [lanes.LookupTable(triton.loader(ref), x.shape, self.dtype) for ref, x in both]
 
         return looked_up(water.current, where)
 
@@ -212,7 +212,7 @@ class Tile:
         base = at * np.int32(self._cells)
         load = triton.loader(refs[4])
         return Cells(
-            neighbours=lanes.Table(load, (self._cells,), np.int32, base=base),
+            neighbours=lanes.LookupTable(load, (self._cells,), np.int32, base=base),
             origin_m=water.origin_m,
             cell_m=water.cell_m,
             floor_z_m=water.floor_z_m,

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from angler_mjx.studies.benchmark.report.rates import Rate, grouped, rate
+from angler_mjx.studies.benchmark.report.rates import ReportRate, grouped, rate
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Runs
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class ReportCell:
     """One planner on one scene with one team and one degree of knowledge."""
 
     planner: str
@@ -17,14 +17,14 @@ class Cell:
     preset: str
     robots: int
     knowledge: str
-    success: Rate
-    planned: Rate
-    flown: Rate
+    success: ReportRate
+    planned: ReportRate
+    flown: ReportRate
     medians: dict[str, float]
     """Of `MEASURES`, over the asked runs that have the measure; NaN where none has."""
 
 
-def cells(runs: Runs) -> list[Cell]:
+def cells(runs: Runs) -> list[ReportCell]:
     """All cells, in the order of their first runs."""
     keys = [runs[name].tolist() for name in ("planner", "scene", "preset", "robots")]
     found = []
@@ -33,7 +33,7 @@ def cells(runs: Runs) -> list[Cell]:
         asked = held.asked
         planner, scene, preset, robots, knowledge = key
         found.append(
-            Cell(
+            ReportCell(
                 planner=planner,
                 scene=scene,
                 preset=preset,

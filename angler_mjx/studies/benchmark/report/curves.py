@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from angler_mjx.report.viewing import style
 from angler_mjx.studies.benchmark.report import look
 from angler_mjx.studies.benchmark.report.profiles import Profiles, profiles
-from angler_mjx.studies.benchmark.report.rates import FEW, Rate, by, density_bins
+from angler_mjx.studies.benchmark.report.rates import FEW, ReportRate, by, density_bins
 from angler_mjx.studies.benchmark.report.reading import Results
 
 _COST_TEXT = {
@@ -139,7 +139,9 @@ def _shift(place: int, count: int) -> float:
     return 0.66 * (place - (count - 1) / 2) / max(count, 3)
 
 
-def _rates(axes: Axes, ticks: Sequence[str], lines: Sequence[Mapping[int, Rate | None]]) -> None:
+def _rates(
+    axes: Axes, ticks: Sequence[str], lines: Sequence[Mapping[int, ReportRate | None]]
+) -> None:
     for place, points in enumerate(lines):
         shift, drawn = _shift(place, len(lines)), look.line(place)
         held = {i: rate for i, rate in points.items() if rate is not None and rate.asked}

@@ -8,7 +8,7 @@ import numpy as np
 from angler_mjx.report.viewing import style
 from angler_mjx.studies.benchmark.report import cells, scenes
 from angler_mjx.studies.benchmark.report.profiles import COSTS
-from angler_mjx.studies.benchmark.report.rates import FEW, Rate, density_bins
+from angler_mjx.studies.benchmark.report.rates import FEW, ReportRate, density_bins
 from angler_mjx.studies.benchmark.report.reading import MEASURES, Results
 
 _DIGITS = 4
@@ -78,8 +78,8 @@ def _index(values: np.ndarray, names: list[str]) -> list[int]:
     return [number[value] for value in values.tolist()]
 
 
-def _cell(cell: cells.Cell, results: Results, knowledge: list[str]) -> dict[str, Any]:
-    def counted(rate: Rate) -> int:
+def _cell(cell: cells.ReportCell, results: Results, knowledge: list[str]) -> dict[str, Any]:
+    def counted(rate: ReportRate) -> int:
         return rate.count
 
     return {

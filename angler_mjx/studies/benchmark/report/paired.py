@@ -32,7 +32,7 @@ _STEP, _MASK = 0x6D2B79F5, 0xFFFFFFFF
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ratio:
+class PairedRatio:
     """Median ratio of a cost, first planner over second."""
 
     median: float
@@ -47,7 +47,7 @@ class Ratio:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class PairedComparison:
     """Two planners over the problems that both were asked.
 
     Success is having planned for every robot while nothing has been flown.
@@ -64,7 +64,7 @@ class Comparison:
     low: float
     high: float
     p: float
-    ratios: dict[str, Ratio]
+    ratios: dict[str, PairedRatio]
 
     @property
     def pairs(self) -> int:
@@ -77,7 +77,7 @@ class Comparison:
         return self.pairs < FEW
 
 
-def compare(results: Results, first: str, second: str) -> Comparison:
+def compare(results: Results, first: str, second: str) -> PairedComparison:
     """Compare two planners.
 
     Args:
@@ -104,7 +104,7 @@ def compare(results: Results, first: str, second: str) -> Comparison:
         with np.errstate(invalid="ignore"):
             used = runs[needs][a] & runs[needs][b] & (x > 0) & (y > 0)
         ratios[cost] = ratio(np.log(x[used] / y[used]), results.world[a][used])
-    return Comparison(
+    return PairedComparison(
         first=first,
         second=second,
         both=counts[0],
@@ -147,7 +147,7 @@ def mcnemar(only_first: int, only_second: int) -> float:
     return min(1.0, 2.0 * float(bdtr(min(only_first, only_second), n, 0.5)))
 
 
-def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:
+def ratio(logs: np.ndarray, world: np.ndarray) -> PairedRatio:
     """Return the median ratio with its 95 % percentile bootstrap interval.
 
     Args:
@@ -155,7 +155,7 @@ def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:
         world: int [n] the world of each; whole worlds are resampled.
     """
     if len(logs) == 0:
-        return Ratio(median=math.nan, low=math.nan, high=math.nan, pairs=0)
+        return PairedRatio(median=math.nan, low=math.nan, high=math.nan, pairs=0)
     order = np.argsort(logs, kind="stable")
     ordered, of = logs[order], np.unique(world, return_inverse=True)[1][order]
     counts = _resample(int(of.max()) + 1, RESAMPLES)[:, of]
@@ -165,7 +165,7 @@ def ratio(logs: np.ndarray, world: np.ndarray) -> Ratio:
     upper = ordered[np.sum(ends <= total // 2, axis=1)]
     low, high = np.exp(np.quantile((lower + upper) / 2, [0.025, 0.975]))
     median = float(np.exp(np.median(logs)))
-    return Ratio(median=median, low=float(low), high=float(high), pairs=len(logs))
+    return PairedRatio(median=median, low=float(low), high=float(high), pairs=len(logs))
 
 
 def _resample(worlds: int, times: int) -> np.ndarray:

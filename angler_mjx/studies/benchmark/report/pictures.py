@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, Patch
 from angler_mjx.report.viewing import style
 from angler_mjx.studies.benchmark.report import look
 from angler_mjx.studies.benchmark.report.reading import Results
-from angler_mjx.studies.benchmark.report.scenes import Example, Way
+from angler_mjx.studies.benchmark.report.scenes import Example, ScenePath
 
 _HALO = [effects.withStroke(linewidth=2.4, foreground=style.PAPER)]
 _MANY = 400
@@ -97,7 +97,7 @@ def example(given: Example) -> Figure | None:
     return figure
 
 
-def _how(way: Way) -> str:
+def _how(way: ScenePath) -> str:
     planned = int(np.sum(np.isfinite(way.planned_m).all(axis=2).any(axis=1)))
     if not len(way.flown_m):
         return f"not flown; {planned} of {len(way.planned_m)} robots have a path"
@@ -127,7 +127,7 @@ def _ground(axes: Axes, given: Example) -> None:
         )
 
 
-def _robot(axes: Axes, given: Example, way: Way, robot: int) -> None:
+def _robot(axes: Axes, given: Example, way: ScenePath, robot: int) -> None:
     color = style.robot_color(robot)
     planned = way.planned_m[robot]
     axes.plot(planned[:, 0], planned[:, 1], color=color, zorder=4, **_PLANNED)

@@ -22,7 +22,7 @@ _MOST_BINS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rate:
+class ReportRate:
     """Fraction of the selected runs that are hits."""
 
     count: int
@@ -43,7 +43,7 @@ class Rate:
         return self.asked < FEW
 
 
-def rate(hit: np.ndarray, asked: np.ndarray) -> Rate:
+def rate(hit: np.ndarray, asked: np.ndarray) -> ReportRate:
     """Return the fraction of the selected rows that are hits.
 
     Args:
@@ -52,12 +52,12 @@ def rate(hit: np.ndarray, asked: np.ndarray) -> Rate:
     """
     count, total = int(np.sum(hit & asked)), int(np.sum(asked))
     low, high = wilson(count, total)
-    return Rate(count=count, asked=total, closed=len(asked) - total, low=low, high=high)
+    return ReportRate(count=count, asked=total, closed=len(asked) - total, low=low, high=high)
 
 
 def by(
     groups: Sequence[np.ndarray], hit: np.ndarray, asked: np.ndarray
-) -> dict[tuple[Any, ...], Rate]:
+) -> dict[tuple[Any, ...], ReportRate]:
     """Rates of groups of rows.
 
     Args:

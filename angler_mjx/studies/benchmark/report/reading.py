@@ -97,7 +97,7 @@ class Runs:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failures:
+class ReportFailures:
     """Where robots failed, a row each."""
 
     run: np.ndarray
@@ -117,7 +117,7 @@ class Results:
     """int [n] which problem a row is; see `problems`."""
     world: np.ndarray
     """int [n] which world a row lies in, whatever team; worlds are independent."""
-    failures: Failures
+    failures: ReportFailures
     examples: list[Path]
 
     @property
@@ -234,7 +234,7 @@ def _numbers(column: pa.ChunkedArray) -> np.ndarray:
     return values
 
 
-def _failures(path: Path, runs: Runs) -> Failures:
+def _failures(path: Path, runs: Runs) -> ReportFailures:
     """All robots that had a path, or a policy, and failed; without a table the first of each."""
     needed = ("run", "planned", "outcome", *FAILURES)
     if path.is_file():
@@ -252,6 +252,6 @@ def _failures(path: Path, runs: Runs) -> Failures:
     return _placed(runs["run"], runs["failure"], *(runs[name] for name in FAILURES))
 
 
-def _placed(run: np.ndarray, outcome: np.ndarray, x: np.ndarray, y: np.ndarray) -> Failures:
+def _placed(run: np.ndarray, outcome: np.ndarray, x: np.ndarray, y: np.ndarray) -> ReportFailures:
     kept = np.isfinite(x) & np.isfinite(y) & (outcome != "reached") & (outcome != "")
-    return Failures(run=run[kept], outcome=outcome[kept], x_m=x[kept], y_m=y[kept])
+    return ReportFailures(run=run[kept], outcome=outcome[kept], x_m=x[kept], y_m=y[kept])

@@ -19,7 +19,7 @@ _MOST_POINTS = 250_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class ScenePath:
     """How one planner fared."""
 
     planner: str
@@ -45,7 +45,7 @@ class Example:
     obstacle_p_m: np.ndarray
     obstacle_radius_m: np.ndarray
     obstacle_moves: np.ndarray
-    ways: list[Way]
+    ways: list[ScenePath]
 
     @property
     def title(self) -> str:
@@ -90,7 +90,7 @@ def _example(held: Mapping[str, np.ndarray]) -> Example:
         obstacle_radius_m=held["obstacle_radius_m"],
         obstacle_moves=held["obstacle_moves"].astype(bool),
         ways=[
-            Way(
+            ScenePath(
                 planner=str(planner),
                 planned_m=held[f"planned_{k}"],
                 flown_m=held[f"flown_{k}"],

@@ -15,7 +15,7 @@ from angler_mjx.errors import RunError
 from angler_mjx.runs.simulator import cache, programs
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.studies.speed.rows import DURATION, HITS, REQUESTS, Row, cache_events
+from angler_mjx.studies.speed.rows import DURATION, HITS, REQUESTS, SpeedRow, cache_events
 
 CACHED = "cached"
 INSIDE = (
@@ -24,7 +24,7 @@ INSIDE = (
 )
 
 
-def measure(scenario: Scenario, *, label: str, worlds: int) -> list[Row]:
+def measure(scenario: Scenario, *, label: str, worlds: int) -> list[SpeedRow]:
     """Compile the programs of a scenario twice into one temporary cache folder.
 
     Args:
@@ -47,7 +47,7 @@ def measure(scenario: Scenario, *, label: str, worlds: int) -> list[Row]:
     return rows
 
 
-def _rows(scenario: Scenario, label: str, worlds: int, is_cached: bool) -> list[Row]:
+def _rows(scenario: Scenario, label: str, worlds: int, is_cached: bool) -> list[SpeedRow]:
     simulator = Simulator(scenario, tile=worlds)
     try:
         before = Counter(cache_events())
@@ -61,7 +61,7 @@ def _rows(scenario: Scenario, label: str, worlds: int, is_cached: bool) -> list[
             "second time though a full cache folder was there: no number is given"
         )
     return [
-        Row(
+        SpeedRow(
             workload="/".join([label, *program, *([CACHED] if is_cached else [])]),
             inside=INSIDE,
             worlds=worlds,

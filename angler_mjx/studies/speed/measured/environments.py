@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.speed.rows import Row
+from angler_mjx.studies.speed.rows import SpeedRow
 from angler_mjx.world.config import WorldConfig, resolve
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.generate import generate_batch
@@ -28,7 +28,7 @@ def measure(
     worlds: int,
     repeats: int,
     shape: tuple[int, int, int] | None = None,
-) -> Row:
+) -> SpeedRow:
     """Time the drawing of worlds of a preset; every repeat draws other worlds.
 
     Args:
@@ -66,7 +66,7 @@ def measure(
     first_s = draw(0)
     rates = [worlds / draw(i) for i in range(1, repeats + 1)]
     nx, ny, nz = shape or own.shape
-    return Row(
+    return SpeedRow(
         workload=f"env_generation/{preset}/{nx}x{ny}x{nz}",
         inside="cells, starts and goals, shortest ways, lines of sight, obstacles, current",
         worlds=worlds,

@@ -16,7 +16,7 @@ from angler_mjx.sim.engines import dynamics
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.studies.speed import flops
 from angler_mjx.studies.speed.rows import (
-    Row,
+    SpeedRow,
     account,
     all_finite,
     check_repeats,
@@ -44,7 +44,7 @@ COUNTED = 8
 """Vehicles and steps in which operations are counted: for one step they do not depend on it."""
 
 
-def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Row:
+def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> SpeedRow:
     """Time physics steps of independent vehicles.
 
     Args:
@@ -80,7 +80,7 @@ def measure(*, vehicles: int, repeats: int, kernels: str | None = None) -> Row:
         rates += [total / taken] * counts
         del after
     moved, counted = moved_bytes(program), _count(model, thrusters)
-    return Row(
+    return SpeedRow(
         workload="dynamics",
         inside=_inside(n_steps, simulated - vehicles),
         worlds=vehicles,
@@ -161,12 +161,12 @@ def _standing_and_alike(before: jax.Array, after: jax.Array) -> tuple[jax.Array,
     return jnp.sum(way < MOVED_M), jnp.sum(same)
 
 
-def _count(model: dynamics.Dynamics, thrusters: int) -> flops.Count:
+def _count(model: dynamics.Dynamics, thrusters: int) -> flops.OperationCount:
     """Operations of one physics step of one vehicle, in plain JAX."""
     begin = jax.eval_shape(partial(draw, vehicles=COUNTED, thrusters=thrusters), jax.random.key(0))
     counted = flops.count(partial(model.simulate, n_steps=COUNTED, kernels="xla"), *begin)
     each = None if counted.flops is None else counted.flops / COUNTED**2
-    return flops.Count(each, counted.how)
+    return flops.OperationCount(each, counted.how)
 
 
 def _inside(n_steps: int, more: int) -> str:

@@ -15,7 +15,7 @@ from angler_mjx.errors import RunError
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.studies.speed import flops
 from angler_mjx.studies.speed.rows import (
-    Row,
+    SpeedRow,
     account,
     check_repeats,
     moved_bytes,
@@ -31,7 +31,7 @@ QUERIES, SHIFT_M = 20, 0.05
 """Of each hull in one call, and its way between two."""
 
 
-def measure(*, worlds: int, robots: int, repeats: int) -> Row:
+def measure(*, worlds: int, robots: int, repeats: int) -> SpeedRow:
     """Time distances of BlueROV2 Heavy hulls at random poses to random cells.
 
     Args:
@@ -85,7 +85,7 @@ def measure(*, worlds: int, robots: int, repeats: int) -> Row:
         rates += [total / taken] * counts
     counted = flops.count(of_worlds, cells, centre, turn)
     moved = moved_bytes(program)
-    return Row(
+    return SpeedRow(
         workload="clearance",
         inside=f"{QUERIES} queries of each hull: look-up of the cells, distance of its "
         f"{vehicle.capsule_r_m.shape[0]} capsules",

@@ -29,7 +29,7 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
 from angler_mjx.studies.speed.measured import simulation
 from angler_mjx.studies.speed.measured.simulation import Timed
-from angler_mjx.studies.speed.rows import Row, check_repeats, spread
+from angler_mjx.studies.speed.rows import SpeedRow, check_repeats, spread
 
 BLOCK_BYTES = 16 * 2**20
 """Of one plain write: large enough that the call does not matter."""
@@ -45,7 +45,7 @@ def measure(
     repeats: int,
     folder: Path,
     least_bytes: int = LEAST_BYTES,
-) -> Row:
+) -> SpeedRow:
     """Measure simulation, recorder and disk.
 
     Args:

@@ -22,7 +22,7 @@ from angler_mjx.sim.state import Outcome, World, WorldState
 from angler_mjx.studies.speed import flops
 from angler_mjx.studies.speed.measured import worlds_once
 from angler_mjx.studies.speed.rows import (
-    Row,
+    SpeedRow,
     account,
     all_finite,
     check_repeats,
@@ -52,7 +52,7 @@ class Timed:
     worlds: World
     program: Any
     """Its segment: of fleet, worlds and state, whose memory is used up."""
-    row: Row
+    row: SpeedRow
 
 
 def measure(
@@ -64,7 +64,7 @@ def measure(
     devices: int = 1,
     prepared: int | None = None,
     counted: bool = True,
-) -> Row:
+) -> SpeedRow:
     """Time the simulation of a scenario, one tile on each device.
 
     Args:
@@ -105,7 +105,7 @@ def time_it(
     compile_s, program = _compiled(simulator, drawn)
     filled = worlds_once.fill(drawn, worlds, devices)
     rates, active = _repeat(simulator, program, filled, repeats)
-    row = Row(
+    row = SpeedRow(
         workload=label,
         inside=f"{_inside(simulator)}; {worlds_once.said(drawn, devices * worlds)}",
         worlds=worlds,
@@ -125,7 +125,7 @@ def time_it(
     return Timed(simulator=simulator, worlds=filled, program=program, row=row)
 
 
-def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> Row:
+def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats: int) -> SpeedRow:
     """Time the drawing and planning of worlds; every repeat makes other worlds.
 
     Args:
@@ -151,7 +151,7 @@ def measure_preparation(scenario: Scenario, *, label: str, worlds: int, repeats:
         if not all_finite(made.path):
             raise RunError("a path in the timed worlds is not finite: no number is given")
         taken.append(seconds)
-    return Row(
+    return SpeedRow(
         workload=label,
         inside="drawing cells, obstacles, currents, starts and goals; planning all robots",
         worlds=worlds,
@@ -282,7 +282,7 @@ def _flops_per_step(simulator: Simulator) -> tuple[float | None, str]:
 
 
 @cache
-def _count(scenario: str) -> flops.Count:
+def _count(scenario: str) -> flops.OperationCount:
     """Operations for one physics step of one robot of a scenario, on the plain engine."""
     plain = Simulator(
         Scenario.model_validate_json(scenario).model_copy(update={"kernels": "xla"}),

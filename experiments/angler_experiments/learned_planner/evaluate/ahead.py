@@ -17,7 +17,7 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.world.obstacles.types import STATIC
 
@@ -89,10 +89,10 @@ def _team(k: int, leaf: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _gaps(known: KnownObstacles, place: jax.Array, time: jax.Array) -> jax.Array:
+def _gaps(known: ObstacleInformation, place: jax.Array, time: jax.Array) -> jax.Array:
     """Distances [world, time, robot] of samples [world, time, robot, 3] to what moves, m."""
 
-    def of_world(known: KnownObstacles, place: jax.Array) -> jax.Array:
+    def of_world(known: ObstacleInformation, place: jax.Array) -> jax.Array:
         if known.radius_m.shape[0] == 0:
             return jnp.full(place.shape[:2], jnp.inf)
 

@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 from angler_experiments.learned_planner import checkpoint as checkpoints
 from angler_experiments.learned_planner.evaluate import figure, rows
-from angler_experiments.learned_planner.evaluate.book import Book, head, line
-from angler_experiments.learned_planner.evaluate.course import Course
+from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
+from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.telling import Clock
 
 
@@ -33,7 +33,7 @@ def arrivals(
         out: Folder of arrivals.json, whose rows are not flown again, and arrivals.png.
     """
     tell = Clock()
-    book = Book(out / "arrivals.json" if out else None)
+    book = EvaluationLog(out / "arrivals.json" if out else None)
     file = Path(checkpoint).expanduser().absolute() if checkpoint else None
     network = {"checkpoint": checkpoints.digest(file)}
     given = {"checkpoint": str(file)} if file else {}
@@ -52,7 +52,7 @@ def arrivals(
                     left[one] = rows.table(name, **given, **of_samples)
         course = None
         if left:
-            course = Course(rows.sea(label), worlds, tell)
+            course = EvaluationCourse(rows.sea(label), worlds, tell)
             for one, row in course.fly_all(left):
                 made = book.add(keys[one], row.table())
                 tell(f"{line(made)} compiled {row.compile_s:.0f} s, flown {row.flight_s:.0f} s")
@@ -61,7 +61,7 @@ def arrivals(
             key = {"sea": label, "planner": name, "worlds": worlds, "samples": samples[-1]}
             keys[name] = key | network
             if book.find(keys[name]) is None:
-                course = course or Course(rows.sea(label), worlds, tell)
+                course = course or EvaluationCourse(rows.sea(label), worlds, tell)
                 flown = course.fly_ahead(given | {"samples": samples[-1]}, teams, told)
                 tell(line(book.add(keys[name], flown.table())))
         shown += [book.find(key) for key in keys.values()]

@@ -15,7 +15,7 @@ _HEAD = (
 )
 
 
-class Book:
+class EvaluationLog:
     """A file of rows, each with a key that says all that it depends on."""
 
     def __init__(self, file: Path | None) -> None:

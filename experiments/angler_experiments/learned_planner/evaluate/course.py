@@ -15,11 +15,11 @@ from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSe
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.runs.simulator.compiling import Compiled, Program, Together
+from angler_mjx.runs.simulator.compiling import Compiled, PendingProgram, Together
 from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.intervals import Rate, clustered
-from angler_mjx.sim.knowledge import Level
+from angler_mjx.runs.storage.intervals import ClusteredRate, clustered
+from angler_mjx.sim.knowledge import InformationLevel
 from angler_mjx.sim.state import Outcome, World
 
 _TIMED = 2
@@ -27,12 +27,12 @@ _TIMED = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class CourseRow:
     """What a planner comes to in a sea."""
 
-    found: Rate
+    found: ClusteredRate
     """Robots that have a path."""
-    arrived: Rate
+    arrived: ClusteredRate
     """Robots that arrive."""
     planning_s: float
     """Of all worlds, once compiled; the least of some calls."""
@@ -50,7 +50,7 @@ class Row:
         return asdict(self)
 
 
-class Course:
+class EvaluationCourse:
     """Worlds that are one tile."""
 
     def __init__(self, sea: Sea, worlds: int, tell: Callable[[str], None]) -> None:
@@ -62,7 +62,7 @@ class Course:
         self.drawn, self.problems = jax.block_until_ready(self.simulator.asked(0))
         tell(f"{sea.label}: {worlds} worlds of {sea.robots} robots, {took.total_s:.0f} s compiled")
 
-    def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, Row]]:
+    def fly_all(self, planners: Mapping[str, dict[str, Any]]) -> Iterator[tuple[str, CourseRow]]:
         """Rows of planners as they come; all are compiled, side by side, before any is timed.
 
         Args:
@@ -77,13 +77,13 @@ class Course:
             plan, compile_s = program.result()
             yield name, self._row(plan, compile_s)
 
-    def _begin(self, together: Together, planner: dict[str, Any]) -> Program:
+    def _begin(self, together: Together, planner: dict[str, Any]) -> PendingProgram:
         chosen = scenario(self.sea, planner, self.worlds)
         plan = device_planner(chosen, chosen.planner.chosen())
         program = Compiled(plan)
         return together.begin(program, self.drawn, self.problems)
 
-    def fly_ahead(self, settings: dict[str, Any], teams: int, told: Level) -> Row:
+    def fly_ahead(self, settings: dict[str, Any], teams: int, told: InformationLevel) -> CourseRow:
         """The row of the learned planner where several of its answers are flown ahead.
 
         Args:
@@ -107,7 +107,7 @@ class Course:
 
         return self._row(plan, compile_s)
 
-    def _row(self, plan: Callable[..., Path], compile_s: float) -> Row:
+    def _row(self, plan: Callable[..., Path], compile_s: float) -> CourseRow:
         jax.block_until_ready(plan(self.drawn, self.problems))
         times = [time.perf_counter()]
         for _ in range(_TIMED):
@@ -122,7 +122,7 @@ class Course:
         straight = np.linalg.norm(np.asarray(team.goal_m) - np.asarray(team.start_m), axis=-1)
         legs = np.diff(np.asarray(path.position_m), axis=-2)
         length = np.linalg.norm(legs, axis=-1).sum(axis=-1)
-        return Row(
+        return CourseRow(
             found=rates[0],
             arrived=rates[1],
             planning_s=float(np.diff(times).min()),
@@ -147,7 +147,7 @@ def _mean(values: np.ndarray) -> float | None:
     return float(values.mean()) if values.size else None
 
 
-def _rate(yes: np.ndarray) -> Rate:
+def _rate(yes: np.ndarray) -> ClusteredRate:
     """Share [worlds, robots] with an interval that knows which robots share a world."""
     world = np.repeat(np.arange(yes.shape[0]), yes.shape[1])
     flat = yes.reshape(-1)

@@ -7,8 +7,8 @@ from typing import Any
 
 from angler_experiments.learned_planner import checkpoint, train
 from angler_experiments.learned_planner.evaluate import figure
-from angler_experiments.learned_planner.evaluate.book import Book, head, line
-from angler_experiments.learned_planner.evaluate.course import Course
+from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
+from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.evaluate.rows import sea, table
 from angler_experiments.learned_planner.telling import Clock
 from angler_experiments.learned_planner.training import keeping, loop
@@ -55,7 +55,7 @@ def curve(
     for size in sizes:
         tell(f"training on {size} worlds, {chosen.steps} steps")
         loop.train(chosen, learned, out / str(size), tell, size=size, held=held)
-    book, shown = Book(out / "curve.json"), []
+    book, shown = EvaluationLog(out / "curve.json"), []
     for label in seas:
         keys: dict[str, dict[str, Any]] = {}
         left, loss = {}, {}
@@ -69,7 +69,7 @@ def curve(
                 if book.find(keys[one]) is None:
                     left[one] = table(name, checkpoint=str(file), samples=samples)
         if left:
-            course = Course(sea(label), worlds, tell)
+            course = EvaluationCourse(sea(label), worlds, tell)
             for one, row in course.fly_all(left):
                 size = keys[one]["learned_from"]
                 tell(f"{size}: {line(book.add(keys[one], row.table() | {'loss': loss[size]}))}")

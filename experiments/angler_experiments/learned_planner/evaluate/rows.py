@@ -54,7 +54,7 @@ SEAS = {
 """By their labels; ``shifted`` is dense rock, 16 robots and a stronger current at once."""
 
 
-class Straight:
+class StraightRow:
     """The straight line at cruise speed, whatever is in between."""
 
     def plan_batch(self, problems: Problem) -> Trajectory:

@@ -15,14 +15,14 @@ import pytest
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets import index, making, manifest
 from angler_mjx.runs import rollout, several
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage import claims, folder
 from angler_mjx.runs.storage.folder import Run
 
 from ...threads import together
 
 
-class Told(Silent):
+class Told(SilentProgress):
     def part(self, number, of, name):
         pass
 
@@ -46,7 +46,7 @@ def flown_before(made, monkeypatch):
 
 
 def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_before, tmp_path):
-    asked, out = making.ask(file, 6), tmp_path / "out"
+    asked, out = making.read_request(file, 6), tmp_path / "out"
     ends, ours = together(3, lambda one: making.make(asked, out, told=Told(), processes=one))
     assert ends == [out] * 3
     assert len(flown_before) == 6
@@ -56,8 +56,8 @@ def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_befo
 
 
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
-    asked, out = making.ask(file, 6), tmp_path / "out"
-    claimed = claims.claim(out, what="dataset")
+    asked, out = making.read_request(file, 6), tmp_path / "out"
+    claimed = claims.acquire(out, what="dataset")
     folder.write_json(claimed.building / several.MAKING, asked.resolved())
     first = manifest.read(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
@@ -73,7 +73,9 @@ def test_what_one_cannot_do_ends_all(file, flown_before, tmp_path):
     (tmp_path / "out" / "mine").mkdir(parents=True)
     ends, ours = together(
         2,
-        lambda one: making.make(making.ask(file, 6), tmp_path / "out", told=Told(), processes=one),
+        lambda one: making.make(
+            making.read_request(file, 6), tmp_path / "out", told=Told(), processes=one
+        ),
     )
     assert isinstance(ends[0], ConfigError)
     assert isinstance(ends[1], RunError)

@@ -170,7 +170,7 @@ def test_solutions_go_from_start_to_end_evenly_in_time():
     pitch, roll = np.full((2, steps), [[0.4], [-0.7]])
     turned = Rotation.from_euler("ZYX", np.stack([heading, pitch, roll], axis=-1))
     state[:, 3:7] = turned.as_quat()[:, [3, 0, 1, 2]]
-    flight = flights.Flight(
+    flight = flights.ExportedFlight(
         episode=0,
         robot=0,
         outcome="reached",

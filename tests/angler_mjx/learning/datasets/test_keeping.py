@@ -12,7 +12,7 @@ from angler_mjx.learning.datasets.keeping import counting
 from angler_mjx.learning.datasets.keeping import merge as joining
 from angler_mjx.learning.datasets.keeping import repair as mending
 from angler_mjx.learning.datasets.verifying import judging, sound
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 
 from .test_making import Told, rewritten
 
@@ -38,7 +38,7 @@ def test_what_was_damaged_is_flown_again_to_the_same_bytes(copy, made, capsys):
         if "trajectories.zarr" in name or name.endswith((".parquet", "variants.json")):
             assert (copy / name).read_bytes() == (made / name).read_bytes(), name
     assert judging.verify(copy, 0, lambda *_: None).agrees
-    assert mending.repair(copy, Silent()).damaged == ()
+    assert mending.repair(copy, SilentProgress()).damaged == ()
 
 
 @pytest.mark.parametrize("ended", [KeyboardInterrupt, ConfigError("no")])
@@ -64,17 +64,17 @@ def test_what_cannot_be_flown_again_is_said(copy):
     text = (copy / part / "config.json").read_text()
     (copy / part / "config.json").write_text(text + " ")
     with pytest.raises(ConfigError, match=r"config.json: says what was flown"):
-        mending.repair(copy, Silent())
+        mending.repair(copy, SilentProgress())
     (copy / part / "config.json").write_text(text)
     next((copy / part / "trajectories.zarr" / "nu").rglob("c/0/0/0/0")).unlink()
     table = json.loads((copy / manifest.MANIFEST).read_text())
     table["environment"]["device"] = "another"
     (copy / manifest.MANIFEST).write_text(json.dumps(table))
     with pytest.raises(ConfigError, match=r"made with another device.*--accept"):
-        mending.repair(copy, Silent())
+        mending.repair(copy, SilentProgress())
     (copy / manifest.SUMS).unlink()
     with pytest.raises(ConfigError, match="nobody can tell what is damaged"):
-        mending.repair(copy, Silent())
+        mending.repair(copy, SilentProgress())
 
 
 @pytest.mark.nightly(
@@ -82,7 +82,7 @@ def test_what_cannot_be_flown_again_is_said(copy):
 )
 def test_datasets_become_one(file, made, tmp_path):
     other = rewritten(file, "other.toml", ("seed = 4", "seed = 5"))
-    second = making.make(making.ask(other, 3), tmp_path / "second", told=Told())
+    second = making.make(making.read_request(other, 3), tmp_path / "second", told=Told())
     out = joining.merge([made, second], tmp_path / "both")
     assert judging.verify(out, 0, lambda *_: None).agrees
     found, table = manifest.read(out), index.read(out)

@@ -12,11 +12,11 @@ from angler_mjx.cli import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets import index, making, manifest, parts
 from angler_mjx.runs import rollout, several
-from angler_mjx.runs.progress import Silent
+from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
 
 
-class Told(Silent):
+class Told(SilentProgress):
     def part(self, number, of, name):
         pass
 
@@ -107,13 +107,13 @@ def test_shares_are_kept_to_one_episode(file):
 def test_what_cannot_be_made_is_refused(file, tmp_path, changes, said):
     path = rewritten(file, "faulty.toml", *changes)
     with pytest.raises(ConfigError, match=said):
-        making.make(making.ask(path, 6), tmp_path / "out", told=Told())
+        making.make(making.read_request(path, 6), tmp_path / "out", told=Told())
     assert not any(tmp_path.iterdir())
 
 
 def test_too_few_episodes_say_how_many_would_do(file, tmp_path):
     with pytest.raises(ConfigError, match=r"--episodes 1: .* give 2 or more"):
-        making.make(making.ask(file, 1), tmp_path / "out", told=Told())
+        making.make(making.read_request(file, 1), tmp_path / "out", told=Told())
 
 
 def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, monkeypatch):
@@ -128,15 +128,15 @@ def test_a_broken_off_making_goes_on_to_the_same_bytes(file, made, tmp_path, mon
 
     monkeypatch.setattr(rollout, "rollout", broken)
     with pytest.raises(KeyboardInterrupt):
-        making.make(making.ask(file, 6), out, told=Told())
+        making.make(making.read_request(file, 6), out, told=Told())
     with pytest.raises(ConfigError, match="--resume"):
-        making.make(making.ask(file, 6), out, told=Told())
+        making.make(making.read_request(file, 6), out, told=Told())
     with pytest.raises(ConfigError, match="other episodes"):
-        making.make(making.ask(file, 5), out, told=Told(), resume=True)
+        making.make(making.read_request(file, 5), out, told=Told(), resume=True)
     monkeypatch.setattr(rollout, "rollout", whole)
-    assert making.make(making.ask(file, 6), out, told=Told(), resume=True) == out
+    assert making.make(making.read_request(file, 6), out, told=Told(), resume=True) == out
     with pytest.raises(ConfigError, match="complete"):
-        making.make(making.ask(file, 6), out, told=Told(), resume=True)
+        making.make(making.read_request(file, 6), out, told=Told(), resume=True)
     data = [p.relative_to(made) for p in made.rglob("trajectories.zarr/**/*") if p.is_file()]
     assert data
     for name in data:

@@ -141,7 +141,7 @@ def test_crossings_of_single_robots_are_refused_before_anything_is_flown(file, t
     path = file.parent / "alone.toml"
     path.write_text(text + f"\n[sample]\nat_least = {{ {kind} = 0.1 }}\n")
     with pytest.raises(ConfigError, match=rf"sample.at_least.{kind} = 0.1: .* teams of two"):
-        making.make(making.ask(path, 6), tmp_path / "out", told=None)
+        making.make(making.read_request(path, 6), tmp_path / "out", told=None)
     assert not any(tmp_path.iterdir())
 
 

@@ -12,7 +12,7 @@ import zarr
 from angler_mjx.cli import main
 from angler_mjx.learning.datasets import index, manifest, sums
 from angler_mjx.learning.datasets.verifying import again, judging
-from angler_mjx.learning.datasets.verifying.report import Check
+from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 
 
 def silent(*_):
@@ -67,7 +67,7 @@ def test_what_was_not_checked_is_said(made, capsys):
 )
 def test_robots_that_cannot_be_compared_are_not_counted_as_near(apart_m, alike, wrong):
     found = again._Compared(at=50, robots=20, alike=alike, apart_m=apart_m, worlds=5)
-    check = Check(name="flown again")
+    check = DatasetCheck(name="flown again")
     again._hold_against_bounds(check, found, ["jax"])
     assert len(check.findings) == wrong
     known = np.isfinite(np.array(apart_m))

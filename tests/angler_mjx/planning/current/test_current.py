@@ -13,7 +13,7 @@ import pytest
 from angler_experiments.currents.yardstick import least_time_s, uniform_least_time_s
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import asking
-from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
+from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
 from angler_mjx.planning.online.planners import _environment
 from angler_mjx.planning.ways.robot import WayConfig, layers
@@ -21,7 +21,7 @@ from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
-from angler_mjx.sim.knowledge import KnownCurrent
+from angler_mjx.sim.knowledge import CurrentInformation
 from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
 from ..problems import no_obstacles, problem
@@ -37,7 +37,7 @@ SIDE_M = 16.0
 
 def flow(uniform=(0.0, 0.0, 0.0), circulation=0.0, stream=0.0):
     """A uniform current, a vortex in the middle, and the double gyre that stands still."""
-    return KnownCurrent(
+    return CurrentInformation(
         components=(
             Uniform(velocity_mps=jnp.array(uniform, jnp.float32)),
             Rankine(
@@ -183,7 +183,7 @@ def test_a_robot_that_knows_how_the_water_will_move_takes_the_least_time_in_it()
         if np.linalg.norm(a - b) < 6.0:
             continue
         asked = problem([[*a, 4.5], [*b, 8.5]], [[*b, 4.5], [*a, 8.5]], cells=16)
-        paths = run(asked, KnownCurrent(components=(gyre,), stays=False))
+        paths = run(asked, CurrentInformation(components=(gyre,), stays=False))
         assert np.asarray(paths.found).all()
         for robot, (start, goal) in enumerate(((a, b), (b, a))):
             bounds = ((0.0, 0.0), (SIDE_M, SIDE_M))
@@ -229,7 +229,7 @@ def test_robots_that_no_time_suits_make_way_for_each_other(planned):
 def one(least, hotel=0.0):
     speed = np.linspace(0.0, 1.5, 9)
     power = np.broadcast_to(hotel + 80.0 * speed**3, (3, 9))
-    return swimmer(
+    return power_model(
         jnp.float32(CRUISE), jnp.full(3, 1.5), jnp.asarray(power, jnp.float32), 0.7, least
     )
 

@@ -11,11 +11,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from angler_mjx.planning.current import planner, search, shaping
 from angler_mjx.planning.current.map import step_costs
-from angler_mjx.planning.current.pace import NO_WAY, pace, swimmer
+from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
 from angler_mjx.planning.current.timetable import scheduled
 from angler_mjx.planning.online.planners import _environment
 from angler_mjx.planning.ways.lattice import terrain
-from angler_mjx.planning.ways.traffic import Traffic
+from angler_mjx.planning.ways.traffic import GridTraffic
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 from ...compiling import quickly
@@ -31,7 +31,7 @@ def robot(objective, effort=0.7):
     speed = np.linspace(0.0, 1.0, 9) * TERMINAL[:, None]
     power = 20.0 + np.array([80.0, 120.0, 200.0])[:, None] * speed**3
     cruise, terminal = jnp.float32(CRUISE), jnp.asarray(TERMINAL, jnp.float32)
-    return swimmer(cruise, terminal, jnp.asarray(power, jnp.float32), effort, objective)
+    return power_model(cruise, terminal, jnp.asarray(power, jnp.float32), effort, objective)
 
 
 def land_of(**keys):
@@ -223,7 +223,7 @@ def test_a_team_goes_at_once_past_bodies_that_leave_room():
     held = hold(jnp.asarray(start[None], jnp.float32), 2)
 
     def goes(y):
-        bodies = Traffic(
+        bodies = GridTraffic(
             time_s=jnp.zeros((1, 1)),
             position_m=jnp.array([[[2.0, y, 0.0]]]),
             reach_m=jnp.array([0.3]),

@@ -4,7 +4,7 @@ import coal
 import numpy as np
 
 from angler_mjx.planning.problem import Problem, Team
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles, Knows
+from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.grid import Grid
 
 HULL_A = np.array([[-0.15, 0.12, -0.02], [-0.15, -0.12, -0.02], [0.0, 0.0, 0.1]])
@@ -29,7 +29,7 @@ def body(kind, size, p, q=(1.0, 0.0, 0.0, 0.0), moves=False):
 
 def obstacles(rows, time_s):
     n, t = len(rows), len(time_s)
-    known = KnownObstacles(
+    known = ObstacleInformation(
         kind=np.array([row[0] for row in rows], np.int32),
         half_size_m=np.array([row[1] for row in rows], float).reshape(n, 3),
         radius_m=np.zeros(n),
@@ -75,11 +75,11 @@ def problem(
             acceleration_mps2=np.ones((n, 3)),
         ),
         obstacles=obstacles(list(bodies), time_s),
-        current=KnownCurrent(components=(), stays=True),
+        current=CurrentInformation(components=(), stays=True),
         seed=np.uint32(0),
         horizon_s=120.0,
         goal_tolerance_m=0.5,
-        knows=Knows(),
+        knows=Information(),
         deadline_s=5.0,
     )
 

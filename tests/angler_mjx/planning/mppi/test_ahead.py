@@ -4,15 +4,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.planning.mppi import ahead
-from angler_mjx.sim.knowledge import KnownCurrent, KnownObstacles
-from angler_mjx.world.acoustics.channel import Others
+from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
+from angler_mjx.world.acoustics.channel import HeardRobots
 
 TIMES = np.array([0.25, 0.5, 1.25, 9.0])
 
 
 def known(time_s, p_m, velocity_mps):
     n, t = len(p_m), len(time_s)
-    return KnownObstacles(
+    return ObstacleInformation(
         kind=jnp.zeros(n, jnp.int32),
         half_size_m=jnp.ones((n, 3)),
         radius_m=jnp.linspace(0.5, 0.7, n),
@@ -48,7 +48,7 @@ def test_nothing_is_told_where_nothing_is_known():
     assert radius.shape == (0,)
     way = jnp.ones((4, 3))
     np.testing.assert_array_equal(ahead.flow(None, way, jnp.asarray(TIMES)), np.zeros((4, 3)))
-    still = KnownCurrent(components=(), stays=True)
+    still = CurrentInformation(components=(), stays=True)
     np.testing.assert_array_equal(ahead.flow(still, way, jnp.asarray(TIMES)), np.zeros((4, 3)))
 
 
@@ -67,7 +67,7 @@ def test_the_current_is_that_of_place_and_time_along_the_way():
 def test_robots_go_straight_on_from_where_they_were_heard_by_the_one_that_asks():
     rng = np.random.default_rng(4)
     p, v, at = rng.normal(size=(3, 3, 3)), rng.normal(size=(3, 3, 3)), rng.uniform(size=(3, 3))
-    heard = Others(
+    heard = HeardRobots(
         p_m=jnp.asarray(p),
         v_mps=jnp.asarray(v),
         time_s=jnp.asarray(at),

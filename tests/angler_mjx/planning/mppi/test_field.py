@@ -108,7 +108,7 @@ def test_what_is_linear_is_read_exactly():
     node = places()
     slope, other = np.array([0.3, -1.2, 2.0]), np.array([1.0, 0.5, -0.25])
     values = np.stack([node @ slope, node @ other], axis=-1)
-    read = field.Field(
+    read = field.DistanceField(
         values=jnp.asarray(values), origin_m=jnp.asarray(ORIGIN), spacing_m=jnp.asarray(CELL / 2)
     )
     upper = ORIGIN + CELL * np.array(SHAPE)

@@ -9,7 +9,7 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.state import Outcome
 
 from ...robot.vehicles import made_up
@@ -202,6 +202,6 @@ def test_a_policy_beside_the_scenarios_own_is_refused(load):
 
 
 def test_what_it_knows_is_what_the_planner_may_unless_it_is_said(load):
-    assert scenario_policy.policy_of(load(), None).knows == Knows(current="predicted")
+    assert scenario_policy.policy_of(load(), None).knows == Information(current="predicted")
     told = load(policy={"knows": None}, planner={"knows": {"obstacles": "observed"}})
-    assert scenario_policy.policy_of(told, None).knows == Knows(obstacles="observed")
+    assert scenario_policy.policy_of(told, None).knows == Information(obstacles="observed")

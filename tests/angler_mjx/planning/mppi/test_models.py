@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.mppi import drag, outputs
-from angler_mjx.planning.mppi.models import Forces, Lag
+from angler_mjx.planning.mppi.models import Forces, ThrusterLag
 from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.robot.control.stack import ControlParams
@@ -50,7 +50,7 @@ def settle(model, asked, flow):
     return np.asarray(v)[:, 0], float(power[-1, 0])
 
 
-@pytest.mark.parametrize("kind", [Lag, Forces])
+@pytest.mark.parametrize("kind", [ThrusterLag, Forces])
 def test_what_thrust_can_hold_is_held_and_takes_the_power_of_the_water_that_passes(hull, kind):
     model = kind(hull=replace(hull, lift_n=jnp.zeros(())), response_s=RESPONSE)
     ahead = 0.5 * np.array([np.cos(YAW), np.sin(YAW), 0.0])
@@ -65,7 +65,7 @@ def test_what_thrust_can_hold_is_held_and_takes_the_power_of_the_water_that_pass
     assert power == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("kind", [Lag, Forces])
+@pytest.mark.parametrize("kind", [ThrusterLag, Forces])
 def test_water_that_is_faster_than_the_robot_takes_it_along(hull, params, kind):
     model = kind(hull=hull, response_s=RESPONSE)
     bow = np.array([np.cos(YAW), np.sin(YAW), 0.0])

@@ -12,7 +12,7 @@ from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.params import build, stack
-from angler_mjx.sim.policy import Known
+from angler_mjx.sim.policy import PolicyInput
 from angler_mjx.sim.record import Belief
 from angler_mjx.world.grid import Grid
 
@@ -27,7 +27,7 @@ def known():
     """Inputs of one robot that moves ahead, to the east, in open water without a current."""
     vehicles = stack([build(library.load("bluerov2_heavy"), "wu2018", 16.0)])
     zero = jnp.zeros((1, 3))
-    return Known(
+    return PolicyInput(
         belief=Belief(
             p=jnp.asarray(START),
             q=jnp.array([[1.0, 0.0, 0.0, 0.0]]),

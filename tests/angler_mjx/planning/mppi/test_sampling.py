@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.mppi import field
-from angler_mjx.planning.mppi.costs import Bodies, Weights
-from angler_mjx.planning.mppi.sampling import Scene, improve, shifted
+from angler_mjx.planning.mppi.costs import CostBodies, Weights
+from angler_mjx.planning.mppi.sampling import RolloutScene, improve, shifted
 from angler_mjx.world.grid import Grid
 
 LIMIT, RADIUS, DT, STEPS, KNOTS, SAMPLES = 0.5, 0.32, 0.1, 30, 8, 128
@@ -36,15 +36,15 @@ def fly():
         h = 0.5 * grid.cell_m
         gap = field.gap(grid, origin[2])
         left = field.way_left(gap >= RADIUS + 0.1, jnp.asarray(GOAL), origin, h)
-        seen = field.Field(values=jnp.stack([gap, left], -1), origin_m=origin, spacing_m=h)
+        seen = field.DistanceField(values=jnp.stack([gap, left], -1), origin_m=origin, spacing_m=h)
         better = partial(improve, Weights(), Loop(), samples=SAMPLES, dt_s=DT)
 
         def one(carry, i):
             p, v, knots = carry
             ahead_s = 0.2 * i + DT * (jnp.arange(STEPS) + 1)
-            scene = Scene(
+            scene = RolloutScene(
                 field=seen,
-                bodies=Bodies(
+                bodies=CostBodies(
                     centre_m=(ball_m + ball_mps * ahead_s[:, None])[:, None],
                     reach_m=jnp.full(1, 2 * RADIUS),
                 ),

@@ -10,11 +10,11 @@ import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.batch import BatchSession
-from angler_mjx.runs.session.online import Flyer, problem_of
+from angler_mjx.runs.session.online import OnlineFlyer, problem_of
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.runs.storage import harvest
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.state import Outcome
 
 SCENARIO = """
@@ -203,14 +203,14 @@ def test_both_engines_replan_alike(load, replanned):
 def test_a_session_flies_as_a_batch(load, replanned):
     _, robots, _ = fly(replanned, replanned.worlds())
     session = BatchSession(load(planner=REPLANNED))
-    seen, flyer, places = session.reset(), Flyer(session), []
+    seen, flyer, places = session.reset(), OnlineFlyer(session), []
     for step in range(200):
         if step % 4 == 0:
             places.append(np.asarray(seen.estimate.p))
         seen = session.step(flyer.commands(seen))
     # 10 s, ten plans.
     np.testing.assert_allclose(places, robots[:50], atol=5e-3)
-    asked = problem_of(session, Knows(obstacles="observed"))
+    asked = problem_of(session, Information(obstacles="observed"))
     body = np.asarray(session.inside().state.obstacles.p)[0]
     np.testing.assert_allclose(asked.obstacles.p_m[:, 0], body, atol=1e-5)
     np.testing.assert_allclose(asked.obstacles.velocity_mps[0], [0.0, -0.15, 0.0], atol=5e-3)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.online import host_planner
-from angler_mjx.planning.online.host_planner import HostAnew
+from angler_mjx.planning.online.host_planner import HostReplanner
 from angler_mjx.planning.register import find
 
 from ..problems import problem
@@ -32,7 +32,7 @@ def ended():
 def test_a_compiled_policy_waits_for_the_plans_of_another_process(tmp_path):
     file = tmp_path / "planner.py"
     file.write_text(PLANNER)
-    anew = HostAnew(reference=find(f"{file}:OneStays"), settings=(), points=5)
+    anew = HostReplanner(reference=find(f"{file}:OneStays"), settings=(), points=5)
     starts, goals = [[1, 1, 5], [1, 4, 5]], [[9, 1, 5], [9, 4, 6]]
     plans = jax.jit(anew)(problem(starts, goals))
     np.testing.assert_array_equal(plans.found, [True, False])

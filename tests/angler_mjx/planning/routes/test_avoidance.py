@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.routes import avoidance
-from angler_mjx.planning.routes.avoidance import Bodies
+from angler_mjx.planning.routes.avoidance import AvoidedBodies
 from angler_mjx.world.routes import Routes
 
 from ...compiling import quickly
@@ -33,7 +33,7 @@ def water(rock_x=None):
 def bodies(rows):
     """Of rows of places, velocities, reach and whether they yield."""
     p, v, reach, yields = zip(*rows, strict=True)
-    return Bodies(
+    return AvoidedBodies(
         p_m=jnp.array(p, float),
         v_mps=jnp.array(v, float),
         reach_m=jnp.array(reach, float),
@@ -63,7 +63,9 @@ def test_contacts_are_those_that_stepping_through_time_finds():
     reach = rng.uniform(0.3, 1.5, n)
     yields = rng.random(n) < 0.5
     own, tried = rng.uniform(-0.5, 0.5, 3), rng.uniform(-0.5, 0.5, (m, 3))
-    around = Bodies(p_m=jnp.array(p), v_mps=jnp.array(v), reach_m=jnp.array(reach), yields=yields)
+    around = AvoidedBodies(
+        p_m=jnp.array(p), v_mps=jnp.array(v), reach_m=jnp.array(reach), yields=yields
+    )
     found = np.asarray(
         quickly(avoidance.contact_s)(around, jnp.zeros(3), jnp.array(own), jnp.array(tried.T))
     )
@@ -103,7 +105,7 @@ def flights(p, v, wanted, yields, steers):
 
         def one(i):
             other = 1 - i
-            around = Bodies(
+            around = AvoidedBodies(
                 p_m=p[other][None],
                 v_mps=v[other][None],
                 reach_m=jnp.ones(1),

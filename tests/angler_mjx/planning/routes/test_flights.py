@@ -12,8 +12,8 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes import fields
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.sim.aboard.here import Aboard, Sent
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.aboard.here import Sent, WorldContext
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world import routes as reading
 
@@ -187,7 +187,7 @@ def test_a_robot_that_is_sent_nowhere_stays_where_it_was_told_so(simulator):
 
     @quickly
     def told(memory, p, place):
-        here = Aboard(
+        here = WorldContext(
             spec=simulator.spec,
             policy=policy,
             world=world,
@@ -229,12 +229,12 @@ def test_engines_agree(load):
 def test_scenarios_say_how_often_and_what_it_knows(load):
     policy = scenario_policy.policy_of(load(), None)
     assert (policy.period, policy.looks, policy.routes_margin_m) == (5, 5, 0.1)
-    assert policy.knows == Knows(obstacles="observed")
+    assert policy.knows == Information(obstacles="observed")
     told = load(planner={"knows": {"obstacles": "truth"}, "margin_m": 0.2})
-    assert scenario_policy.policy_of(told, None).knows == Knows(obstacles="truth")
+    assert scenario_policy.policy_of(told, None).knows == Information(obstacles="truth")
     assert scenario_policy.policy_of(told, None).routes_margin_m == 0.2
     blind = load(policy={"knows": {"obstacles": "nothing"}, "routes": {"hz": 10.0}})
-    assert scenario_policy.policy_of(blind, None).knows == Knows()
+    assert scenario_policy.policy_of(blind, None).knows == Information()
     assert scenario_policy.policy_of(blind, None).period == 2
     with pytest.raises(ConfigError, match=r"policy\.routes\.hz = 3"):
         load(policy={"routes": {"hz": 3.0}})

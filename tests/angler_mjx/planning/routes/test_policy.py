@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.planning.routes.policy import _obstacles
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 
 
 def test_a_robot_that_knows_of_no_obstacle_has_no_body_to_avoid():
@@ -15,7 +15,7 @@ def test_a_robot_that_knows_of_no_obstacle_has_no_body_to_avoid():
 
 def test_only_obstacles_that_exist_and_move_are_bodies_and_none_yields():
     position = np.arange(12.0).reshape(4, 1, 3)
-    known = KnownObstacles(
+    known = ObstacleInformation(
         kind=jnp.zeros(4, jnp.int32),
         half_size_m=jnp.ones((4, 3)),
         radius_m=jnp.array([0.4, 0.5, 0.6, 0.7]),

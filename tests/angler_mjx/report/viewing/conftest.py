@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from angler_mjx.report.viewing.scene import RobotTrack, Scene
+from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
 from angler_mjx.runs.storage.columns import EPISODE_SCHEMA
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.runs.storage.recorder import Recorder, Shape
@@ -123,7 +123,7 @@ def make_scene(seed=0):
         )
     given = environment.obstacles
     drift = np.where((given.motion == DRIFT)[:, None], [0.05, 0.03, 0.0], 0.0)
-    return Scene(
+    return ReplayScene(
         world=12,
         time_s=time,
         environment=environment,

@@ -16,7 +16,7 @@ from angler_mjx.report.viewing import replay, scene
 from angler_mjx.runs.rollout import rollout
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.testing import referee
-from angler_mjx.world.tasks.history import History
+from angler_mjx.world.tasks.history import TaskHistory
 from angler_mjx.world.tasks.spec import TaskSpec
 
 rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -242,7 +242,7 @@ def delivery(scene, tmp_path, monkeypatch):
     """Chunks of the replay of a delivery made by hand."""
     time = DELIVERY["time"]
     count = len(time)
-    task = History(
+    task = TaskHistory(
         spec=TaskSpec(kind="deliver", jobs=2, robots=2, tolerance_m=0.5, period=1),
         time_s=time,
         place_m=np.arange(18.0).reshape(6, 3),

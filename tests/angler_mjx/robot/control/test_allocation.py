@@ -301,7 +301,7 @@ def test_on_lanes_it_is_the_same(faulty, methods):
     tau = demands(LARGE)[4]
     with jax.enable_x64(True):
         mine = jax.tree.map(lambda leaf: leaf[4], faulty[1])
-        table = lanes.Table(lambda at: mine.thrust_n[at], (201,), mine.thrust_n.dtype, base=0)
+        table = lanes.LookupTable(lambda at: mine.thrust_n[at], (201,), mine.thrust_n.dtype, base=0)
         held = jax.tree.map(
             lambda leaf: lanes.pack([np.asarray(x)[()] for x in leaf.ravel()], leaf.shape),
             replace(mine, thrust_n=jnp.zeros(1)),

@@ -151,7 +151,7 @@ def test_who_wants_it_is_told_what_the_thrusters_gave_and_nothing_where_it_begin
             wants_realised=wants,
         )
         made = (tells, *stages.build(["pseudo_inverse"], {})[0])
-        memory = stack.Memory(stages=((), ()), realised=BodyWrench(tau=gave))
+        memory = stack.ControlMemory(stages=((), ()), realised=BodyWrench(tau=gave))
         for fresh, told in ((0, gave), (1, jnp.zeros(6))):
             command = Mixed(which=jnp.int32(0), fresh=jnp.int32(fresh), commands=(COMMANDS[4],))
             gains = [stage.gains() for stage in made]
@@ -187,7 +187,7 @@ def test_two_stages_that_want_it_are_told_as_one_is(robot):
         ),
         *stages.build(["pseudo_inverse"], {})[0],
     )
-    memory = stack.Memory(stages=((), (), ()), realised=BodyWrench(tau=jnp.full(6, 9.0)))
+    memory = stack.ControlMemory(stages=((), (), ()), realised=BodyWrench(tau=jnp.full(6, 9.0)))
     command = Mixed(which=jnp.int32(0), fresh=jnp.int32(0), commands=(COMMANDS[4],))
     gains = [stage.gains() for stage in made]
     action = mixed.step(made, gains, known, memory, at, command, *WATER)

@@ -51,7 +51,7 @@ def test_a_command_enters_where_its_type_is_taken(robot):
     known, at = robot
     made, gains = stages.build(stages.CONTROLLERS["cascade"], {})
     before, whole = run(robot, stages.CONTROLLERS["cascade"], PATH)
-    given = stack.Given(
+    given = stack.StageInput(
         params=known, estimate=at, realised=None, dt=DT, density=DENSITY, gravity=GRAVITY
     )
     command, kinds = PATH, []

@@ -9,7 +9,7 @@ import pytest
 
 from angler_mjx.robot.control.joint_trajectory import CUBIC, JointTrajectory, from_path
 from angler_mjx.runs.session.batch import BatchSession
-from angler_mjx.runs.session.recording import Course, SessionRecording
+from angler_mjx.runs.session.recording import RecordedCourse, SessionRecording
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim.state import Outcome
@@ -83,7 +83,7 @@ def test_robots_fly_them_leave_them_and_take_them_up_again(drawn, tmp_path):
         # What is left of the longer plan, and what the way back and the wait took.
         rest = fly(float(path.time_s.max()))
         assert {status.outcome for status in rest[-1].status} == {Outcome.REACHED}
-        made = recording.close(Course(steps=980, wall_s=1.0, compile_s=0.0, more={}))
+        made = recording.close(RecordedCourse(steps=980, wall_s=1.0, compile_s=0.0, more={}))
     np.testing.assert_array_equal(
         made.trajectories["plan_velocity"][0], np.asarray(path.velocity)[0]
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.runs.session.plan import Plan
-from angler_mjx.runs.session.rejoin import Ways
+from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.world import generate
 from angler_mjx.world.config import WorldConfig, resolve
 
@@ -49,7 +49,7 @@ REST = np.zeros(3)
 
 
 def test_it_goes_straight_to_the_nearest_point_that_is_still_ahead(water):
-    ways = Ways(water)
+    ways = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
     back = ways.back(p, REST, PLAN, 4.0, CLEARANCE_M, SPEED_MPS)
     np.testing.assert_allclose(back.position_m[0], p)
@@ -64,7 +64,7 @@ def test_it_goes_straight_to_the_nearest_point_that_is_still_ahead(water):
 
 
 def test_it_sets_out_evenly_from_rest_and_keeps_its_speed_otherwise(water):
-    ways = Ways(water)
+    ways = RejoinPaths(water)
     p = np.array([-2.0, 1.0, -8.0])
     for velocity, first in ((REST, 0.0), (np.array([0.0, 0.5, 0.0]), 0.5)):
         back = ways.back(p, velocity, PLAN, 6.0, CLEARANCE_M, SPEED_MPS)
@@ -78,7 +78,7 @@ def test_it_sets_out_evenly_from_rest_and_keeps_its_speed_otherwise(water):
 def test_it_goes_around_a_wall(water):
     wall = with_rock(water, (slice(0, 10), 6, slice(None)))  # y from 0 to 1.5, open at large x
     p = np.array([-4.0, -3.0, -8.0])
-    back = Ways(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
+    back = RejoinPaths(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
     np.testing.assert_allclose(back.position_m[0], p)
     assert clearance(wall, back) >= CLEARANCE_M - 1e-3
     # The nearest point of the plan lies behind the wall: straight to it would run through rock.
@@ -93,7 +93,9 @@ def test_it_finds_a_hole_by_its_cells(water):
     wall[10, 6, 2] = False
     holed = replace(water, grid=replace(water.grid, occupied=jnp.asarray(wall)))
     plan = replace(PLAN, time_s=PLAN.time_s[:2], position_m=PLAN.position_m[:2])
-    back = Ways(holed).back(np.array([-4.0, -3.0, -8.0]), REST, plan, 0.0, CLEARANCE_M, SPEED_MPS)
+    back = RejoinPaths(holed).back(
+        np.array([-4.0, -3.0, -8.0]), REST, plan, 0.0, CLEARANCE_M, SPEED_MPS
+    )
     assert clearance(holed, back) >= CLEARANCE_M - 1e-3
     inside = back.at(np.linspace(0.0, back.time_s[-1], 4000))
     through = inside[(inside[:, 1] > 0.0) & (inside[:, 1] < 1.5)]
@@ -105,12 +107,12 @@ def test_who_is_shut_in_has_no_way_back(water):
     shut = with_rock(water, (slice(None), 6, slice(None)))
     plan = replace(PLAN, time_s=PLAN.time_s[:2], position_m=PLAN.position_m[:2])
     p = np.array([-4.0, -3.0, -8.0])
-    assert Ways(shut).back(p, REST, plan, 0.0, CLEARANCE_M, SPEED_MPS) is None
+    assert RejoinPaths(shut).back(p, REST, plan, 0.0, CLEARANCE_M, SPEED_MPS) is None
 
 
 def test_who_is_close_to_rock_leaves_it_at_its_own_distance(water):
     """0.3 m from a wall a robot that keeps 0.5 m from rock would find no way at all."""
     wall = with_rock(water, (slice(None), 2, slice(None)))  # y from -6 to -4.5
     p = np.array([0.0, -4.2, -8.0])
-    back = Ways(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
+    back = RejoinPaths(wall).back(p, REST, PLAN, 0.0, CLEARANCE_M, SPEED_MPS)
     assert clearance(wall, back) == pytest.approx(0.3, abs=1e-3)

@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from angler_mjx.runs.storage import arrays, environments, layout
-from angler_mjx.sim.knowledge import KnownObstacles
+from angler_mjx.sim.knowledge import ObstacleInformation
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import BOX, bounding_radius
 
@@ -86,8 +86,8 @@ def test_sizes_of_obstacles_are_half_edges_and_say_so(tmp_path):
 
 
 def test_the_former_name_keeps_its_meaning_and_warns():
-    held = {f.name: None for f in fields(KnownObstacles) if f.name != "some_stand"}
-    known = KnownObstacles(**{**held, "half_size_m": np.array([[0.5, 1.0, 1.5]])})
+    held = {f.name: None for f in fields(ObstacleInformation) if f.name != "some_stand"}
+    known = ObstacleInformation(**{**held, "half_size_m": np.array([[0.5, 1.0, 1.5]])})
     with pytest.warns(DeprecationWarning, match="half edges of boxes"):
         old = known.size_m
     assert old is known.half_size_m

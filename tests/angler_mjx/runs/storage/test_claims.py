@@ -42,15 +42,15 @@ def holder(tmp_path):
 
 def test_a_living_process_is_respected_and_a_dead_one_followed(holder, tmp_path):
     out = tmp_path / "out"
-    for take in (claims.claim, claims.reclaim):
+    for take in (claims.acquire, claims.acquire_unfinished):
         with pytest.raises(ConfigError, match=rf"another process makes this run: {holder.pid} on"):
             take(out)
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     assert out.is_dir()
     with pytest.raises(ConfigError, match=r"an unfinished run lies in .*\.out\.partial"):
-        claims.claim(out)
-    taken = claims.reclaim(out)
+        claims.acquire(out)
+    taken = claims.acquire_unfinished(out)
     assert taken is not None
     assert (taken.building / "result").read_text() == "half"
     taken.publish()
@@ -79,7 +79,7 @@ def leave(out, *name):
 def test_an_empty_claim_of_a_dead_process_is_no_hindrance(tmp_path):
     leave(tmp_path / "out")
     folder.require_none(tmp_path / "out")
-    held = claims.claim(tmp_path / "out")
+    held = claims.acquire(tmp_path / "out")
     (held.building / "result").write_text("whole")
     held.publish()
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["out", "result"]
@@ -89,7 +89,7 @@ def test_what_somebody_put_under_the_name_of_a_dead_claim_stays(tmp_path):
     leave(tmp_path / "out")
     (tmp_path / "out" / "mine").write_text("of another")
     with pytest.raises(ConfigError, match=r"it cannot go on; remove .*out and .*\.out\.partial"):
-        claims.claim(tmp_path / "out")
+        claims.acquire(tmp_path / "out")
     assert (tmp_path / "out" / "mine").read_text() == "of another"
 
 
@@ -124,44 +124,44 @@ def test_where_there_are_no_locks_the_file_says_who_it_is(tmp_path, monkeypatch)
         raise OSError(95, "Operation not supported")
 
     monkeypatch.setattr(claims.fcntl, "flock", no_locks)
-    held = claims.claim(tmp_path / "out")
+    held = claims.acquire(tmp_path / "out")
     with pytest.raises(ConfigError, match=f"another process makes this run: {os.getpid()}"):
-        claims.reclaim(tmp_path / "out")
+        claims.acquire_unfinished(tmp_path / "out")
     lock = held.building / claims.LOCK
     owner = json.loads(lock.read_text())
     # The same number, another process: begun at another time.
     lock.write_text(json.dumps(owner | {"started": "1"}))
     held.release()
-    again = claims.reclaim(tmp_path / "out")
+    again = claims.acquire_unfinished(tmp_path / "out")
     assert again is not None
     lock.write_text(json.dumps(owner | {"host": "elsewhere"}))
     with pytest.raises(ConfigError, match=r"on elsewhere.*if it is gone for sure, remove"):
-        claims.reclaim(tmp_path / "out")
+        claims.acquire_unfinished(tmp_path / "out")
     again.withdraw()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_name_is_taken_and_given_back(tmp_path):
-    held = claims.claim(tmp_path / "out")
+    held = claims.acquire(tmp_path / "out")
     with pytest.raises(FileExistsError):
         (tmp_path / "out").mkdir()
     held.release()
     assert [path.name for path in tmp_path.iterdir()] == [".out.partial"]
-    assert claims.reclaim(tmp_path / "nothing") is None
+    assert claims.acquire_unfinished(tmp_path / "nothing") is None
     (tmp_path / "empty").mkdir()
-    assert claims.reclaim(tmp_path / "empty") is None
+    assert claims.acquire_unfinished(tmp_path / "empty") is None
     with pytest.raises(ConfigError, match="exists"):
-        claims.claim(tmp_path / "empty")
+        claims.acquire(tmp_path / "empty")
 
 
 def test_a_name_under_a_file_says_that_this_is_no_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"a part of .*file is no folder"):
-        claims.claim(tmp_path / "file" / "out")
+        claims.acquire(tmp_path / "file" / "out")
 
 
 def test_what_is_in_the_way_at_the_end_stays_and_so_does_the_work(tmp_path):
-    held = claims.claim(tmp_path / "out")
+    held = claims.acquire(tmp_path / "out")
     (held.building / "result").write_text("whole")
     (tmp_path / "out" / "other").write_text("of another")
     with pytest.raises(RunError, match=r"what was made is whole in .*\.out\.partial"):

@@ -76,7 +76,7 @@ def test_a_command_fails_where_the_planner_raised_in_every_world(worlds, fault):
 
 def test_each_kind_of_failure_is_said_once_when_it_happens():
     said = []
-    failures = planned.Failures(said.append)
+    failures = planned.PlanningFailures(said.append)
     for first, (status, reason) in enumerate(
         [("error", RAISED), ("error", RAISED), ("timeout", late(6)), ("timeout", late(7)),
          ("none", "no way"), ("error", OTHER)]

@@ -7,7 +7,7 @@ import zarr
 
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage import recorder, shards
-from angler_mjx.runs.storage.harvest import Constants, End, FinishedTile, Last, arrays
+from angler_mjx.runs.storage.harvest import Constants, FinishedTile, Last, TileEnd, arrays
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.sim.record import FIELDS, Sample
 
@@ -62,7 +62,7 @@ def make_tile(environment, first, kept, rng):
         obstacle_p=rng.normal(size=(TILE, OBSTACLES, 3)).astype(np.float32),
         obstacle_q=rng.normal(size=(TILE, OBSTACLES, 4)).astype(np.float32),
     )
-    end = End(tally=None, p=None, last=last)
+    end = TileEnd(tally=None, p=None, last=last)
     parts = [part(3), part(2)]
     return FinishedTile(first=first, kept=kept, constants=constants, end=end, parts=parts)
 

@@ -18,7 +18,7 @@ from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, PoseTarget,
 from angler_mjx.robot.control.joint_trajectory import from_path
 from angler_mjx.robot.control.laws.targets import as_tracking
 from angler_mjx.sim import robot, step
-from angler_mjx.sim.engines.lanes.engine import FusedEngine, OfGroup
+from angler_mjx.sim.engines.lanes.engine import FusedEngine, GroupPhases
 from angler_mjx.sim.engines.lanes.layout import (
     moving_of,
     scene_of,
@@ -27,7 +27,7 @@ from angler_mjx.sim.engines.lanes.layout import (
     to_lanes,
 )
 from angler_mjx.sim.engines.triton.kernels import Kernels
-from angler_mjx.sim.engines.triton.launch import Program
+from angler_mjx.sim.engines.triton.launch import LaunchedProgram
 from angler_mjx.sim.engines.triton.segment import Segment
 from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.policy import Policy, PolicyMemory
@@ -82,7 +82,7 @@ def on_lanes(spec, kinds, worlds, state):
     scene, moving = scene_of(kinds, worlds), moving_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
     t = time_of(spec, state)
-    here = OfGroup(spec=spec, scene=scene, t=t, shape=scene.shape, given=given)
+    here = GroupPhases(spec=spec, scene=scene, t=t, shape=scene.shape, given=given)
     done = step.decide(here, {"known": robots.vehicle, "memory": robots.memory})
     like = robots.vehicle.p[0]
     given_back = (done.slots()["memory"], done.record()["pwm_us"])
@@ -129,7 +129,7 @@ def flown(scene, at_rest, engines_by_name):
     `test_fused` and `sim/test_senses`. The signals stand in for a policy's.
     """
     deciding = {"fused": on_lanes, "mjx": mapped}
-    signals = stack.Memory(stages=(), realised=None)
+    signals = stack.ControlMemory(stages=(), realised=None)
 
     def one(spec, engine, kinds, worlds, state, _):
         carry, pwm = deciding[engine](spec, kinds, worlds, state)
@@ -317,7 +317,7 @@ def test_the_kernel_of_every_controller_lowers_for_cuda(name, scene, at_rest, to
 
     def decide(worlds, state, command):
         part = Segment(Tile(jax.tree.map(single, scene.fleet), worlds), state, 1, 1, command, None)
-        kernels = Kernels(Program(lanes=1, warps=1, interpret=False), spec, part)
+        kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), spec, part)
         start = np.zeros(1, np.int32)
         return kernels.phase(DECIDE, part.tile.groups[0], start, start, part.start)
 

@@ -66,7 +66,7 @@ def test_lanes_do_what_the_step_does(begun, ours, plain):
 
 
 def test_the_kernel_does_what_plain_jax_does(begun, ours, plain, monkeypatch):
-    monkeypatch.setattr(triton, "Program", partial(triton.Program, interpret=True))
+    monkeypatch.setattr(triton, "LaunchedProgram", partial(triton.LaunchedProgram, interpret=True))
     assert_close(plain, jax.jit(partial(ours.simulate, n_steps=STEPS, kernels="triton"))(*begun))
 
 

@@ -15,7 +15,7 @@ from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.phase import Done, Phase
-from angler_mjx.sim.record import Progress
+from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
 from angler_mjx.world.tasks.spec import TaskSpec
 
@@ -56,7 +56,7 @@ def work(here, now):
         "loaded": (number >= LOADED[:, 0]) & (number < LOADED[:, 1]),
     }
     none = jnp.zeros(len(LOADED), jnp.int32)
-    progress = Progress(share=number * 1.0, target=none, carrying=none, done=none + number)
+    progress = ProgressRecord(share=number * 1.0, target=none, carrying=none, done=none + number)
     return Done(slots=lambda: slots, record=lambda: {"task": progress})
 
 

@@ -13,8 +13,8 @@ from angler_mjx.sim.engines.lanes.search import (
     GROUP,
     SLOTS,
     Met,
-    Nearest,
-    Others,
+    NearestBody,
+    OtherBodies,
     Seeker,
     in_groups,
     in_turn,
@@ -63,13 +63,13 @@ def search(how, mine, theirs, limit, running, start_gap):
         limit_m=one([jnp.full((R, W), limit, jnp.float32)]),
     )
     zero = jnp.zeros((R, W))
-    start = Nearest(
+    start = NearestBody(
         gap=jnp.full((R, W), start_gap, jnp.float32),
         index=jnp.full((R, W), -1),
         fixed=running & False,
         v=(zero, zero, zero),
     )
-    others = Others(count=N, load=load, first=FIRST)
+    others = OtherBodies(count=N, load=load, first=FIRST)
     return how(me, others, exact, start, np.arange(R)[:, None] + 1)
 
 

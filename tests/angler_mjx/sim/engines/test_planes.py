@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from angler_kernels import lanes
-from angler_kernels.lanes.planes import TABLE_FROM, Layout, is_table
+from angler_kernels.lanes.planes import TABLE_FROM, PlaneLayout, is_table
 
 W, R = 5, 3
 
@@ -41,7 +41,7 @@ def assert_equal(one, other):
 @pytest.mark.parametrize("lead", [(W,), (W, R)])
 def test_unpacks_what_was_packed(lead):
     tree = body(lead)
-    layout = Layout.of(tree, len(lead))
+    layout = PlaneLayout.of(tree, len(lead))
     flat = layout.pack(tree, jnp.float32)
     assert flat.shape == (layout.planes * layout.lanes,)
     assert layout.planes == 6 + 1 + 2 + 2 * (TABLE_FROM + 1)
@@ -52,7 +52,7 @@ def test_unpacks_a_series():
     trees = [
         jax.tree.map(lambda x, k=k: x if x.dtype == bool else x + k, body((W, R))) for k in range(4)
     ]
-    layout = Layout.of(trees[0], 2)
+    layout = PlaneLayout.of(trees[0], 2)
     flat = jnp.stack([layout.pack(tree, jnp.float32) for tree in trees])
     back = layout.unpack(flat, (W, R))
     for k, tree in enumerate(trees):
@@ -62,13 +62,13 @@ def test_unpacks_a_series():
 def test_reads_and_writes_lanes():
     """Lane r W + w is robot r of world w; long arrays are tables, read by the entry."""
     tree = body((W, R))
-    layout = Layout.of(tree, 2)
+    layout = PlaneLayout.of(tree, 2)
     flat = layout.pack(tree, jnp.float32)
     row, worlds = 2, jnp.array([4, 0, 3])
     got = layout.read(lambda place: flat[place], row * W + worlds)
     assert is_table((TABLE_FROM + 1, 2))
     assert not is_table((TABLE_FROM, 2))
-    assert isinstance(got.long, lanes.Table)
+    assert isinstance(got.long, lanes.LookupTable)
     wanted = jax.tree.map(lambda x: x[worlds, row], tree)
     for name in ("matrix", "flag", "number"):
         x, y = lanes.join(getattr(got, name)), getattr(wanted, name)
@@ -82,7 +82,7 @@ def test_reads_and_writes_lanes():
 def test_writes_lanes_and_nothing_else():
     tree = body((W, R))
     tree = {"matrix": tree.matrix, "flag": tree.flag, "number": tree.number}
-    layout = Layout.of(tree, 2)
+    layout = PlaneLayout.of(tree, 2)
     row, worlds = 1, np.array([4, 0, 3])
     chosen = jax.tree.map(lambda x: x[worlds, row], tree)
     target = np.full(layout.planes * layout.lanes, np.nan)

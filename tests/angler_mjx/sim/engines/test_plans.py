@@ -15,7 +15,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.joint_trajectory import CUBIC, from_path
 from angler_mjx.sim import step
-from angler_mjx.sim.engines.lanes.engine import OfGroup
+from angler_mjx.sim.engines.lanes.engine import GroupPhases
 from angler_mjx.sim.engines.lanes.layout import (
     moving_of,
     scene_of,
@@ -25,7 +25,7 @@ from angler_mjx.sim.engines.lanes.layout import (
 )
 from angler_mjx.sim.engines.mjx import OneWorld
 from angler_mjx.sim.engines.triton.kernels import Kernels
-from angler_mjx.sim.engines.triton.launch import Program
+from angler_mjx.sim.engines.triton.launch import LaunchedProgram
 from angler_mjx.sim.engines.triton.segment import Segment
 from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.step import DECIDE
@@ -98,7 +98,7 @@ def on_lanes(spec, kinds, worlds, state):
     """Memory, signals and aim of the controllers, as the fused engine has them decide."""
     scene, moving = scene_of(kinds, worlds), moving_of(kinds, state)
     (given,), (robots,) = scene.groups, moving.groups
-    here = OfGroup(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape, given=given)
+    here = GroupPhases(spec=spec, scene=scene, t=jnp.zeros(()), shape=scene.shape, given=given)
     done = step.decide(here, {"known": robots.vehicle, "memory": robots.memory})
     like = robots.vehicle.p[0]
     back = (done.slots()["memory"], done.record())
@@ -181,7 +181,7 @@ def test_the_kernel_reads_joints_of_many_points(scene, begun, plans):
 
     def decide(worlds, state):
         part = Segment(Tile(kinds, worlds), state, 1, 1, None, None)
-        kernels = Kernels(Program(lanes=1, warps=1, interpret=False), scene.spec, part)
+        kernels = Kernels(LaunchedProgram(lanes=1, warps=1, interpret=False), scene.spec, part)
         begin = np.zeros(1, np.int32)
         return kernels.phase(DECIDE, part.tile.groups[0], begin, begin, part.start)
 

@@ -13,7 +13,7 @@ from angler_mjx.robot.vehicles.config import VehicleConfig
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics import step as physics
-from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxEngine
+from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.world.currents import Uniform, Vortices
 
 from ...compiling import quickly
@@ -26,7 +26,7 @@ class Plants:
     names: list[str]
     configs: list[tuple[VehicleConfig, str]]
     models: list[mujoco.MjModel]
-    engine: MjxEngine
+    engine: MjxPhysics
     body: BodyInertia
     params: VehicleParams
 

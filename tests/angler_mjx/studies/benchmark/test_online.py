@@ -8,7 +8,7 @@ import pytest
 from angler_mjx.studies.benchmark import again, questions, running
 from angler_mjx.studies.benchmark.columns import NUMBERS
 from angler_mjx.studies.benchmark.report import reading
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 from .conftest import Interrupting, workers
 
@@ -56,9 +56,9 @@ def test_what_a_folder_keeps_of_it_is_the_same_benchmark(file):
 
 def test_a_database_of_an_older_version_is_brought_up_to_date(tmp_path):
     place = tmp_path / "old.sqlite"
-    with Store(place, new=True) as store:
+    with BenchmarkStore(place, new=True) as store:
         store._base.execute("ALTER TABLE runs DROP COLUMN failed_replans")
-    with Store(place) as store:
+    with BenchmarkStore(place) as store:
         there = {row["name"] for row in store.rows("PRAGMA table_info(runs)")}
     assert {name for _, name in NUMBERS} <= there
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.editing import merged
 from angler_mjx.scenario.scenario import shipped
-from angler_mjx.sim.knowledge import Knows
+from angler_mjx.sim.knowledge import Information
 from angler_mjx.studies.benchmark import questions
 
 FILE = """
@@ -113,7 +113,7 @@ def test_settings_are_all_presets_scenes_teams_seeds_and_knowledge(tmp_path):
     assert still.world.currents == ()
     assert len(tide.world.currents) == 2
     assert still.world.obstacles == tide.world.obstacles
-    assert {s.knows for s in made.settings} == {Knows()}
+    assert {s.knows for s in made.settings} == {Information()}
     assert all(len(made.asked(s)) == 2 for s in made.settings)
     # the fleet is two Heavies and two of the smaller kind: of three, two and one
     kinds = [entry.vehicle for entry in made.settings[2].scenario.fleet for _ in range(entry.count)]
@@ -150,9 +150,9 @@ def test_a_planner_that_says_what_it_is_told_is_asked_that_alone(tmp_path):
     )
     asked = {s.knows: [one.label for one in made.asked(s)] for s in made.settings}
     assert asked == {
-        Knows(obstacles="truth"): ["RRTConnect"],
-        Knows(): ["grid"],
-        Knows(obstacles="truth", current="truth"): ["RRT"],
+        Information(obstacles="truth"): ["RRTConnect"],
+        Information(): ["grid"],
+        Information(obstacles="truth", current="truth"): ["RRT"],
     }
 
 
@@ -190,14 +190,14 @@ def test_who_flies_otherwise_flies_the_same_problems_by_another_scenario(tmp_pat
     assert flown.planner.name == "grid"
     assert (flown.planner.replan_hz, flown.planner.delay_s) == (2.0, 0.25)
     assert flown.execution.order == "kept"
-    assert flown.planner.knows.knows() == Knows(obstacles="observed")
+    assert flown.planner.knows.knows() == Information(obstacles="observed")
     assert flown.planner.deadline_s == setting.scenario.planner.deadline_s
     flown_by_policy = told.flown(mppi)
     assert flown_by_policy.policy.name == "mppi"
     assert flown_by_policy.policy.mppi.samples == 64
     known = flown_by_policy.policy.knows
     assert known is not None
-    assert known.knows() == Knows(obstacles="truth", current="predicted")
+    assert known.knows() == Information(obstacles="truth", current="predicted")
     assert not flown_by_policy.online
     digests = {one.digest() for one in (setting.scenario, flown, flown_by_policy)}
     assert len(digests) == 1

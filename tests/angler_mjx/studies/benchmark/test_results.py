@@ -16,7 +16,7 @@ import pytest
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.benchmark import again, running
 from angler_mjx.studies.benchmark import paths as bytes_of
-from angler_mjx.studies.benchmark.store import Store
+from angler_mjx.studies.benchmark.store import BenchmarkStore
 
 from .conftest import PLANNERS, Interrupting, rows, workers
 
@@ -132,7 +132,7 @@ def test_a_folder_compared_with_itself_and_with_an_edited_one(folder, tmp_path):
     assert again.compare(folder, same).same
     edited = tmp_path / "edited"
     shutil.copytree(folder, edited)
-    with Store(edited / "results.sqlite") as store:
+    with BenchmarkStore(edited / "results.sqlite") as store:
         run = store.rows("SELECT runid, paths FROM plans")[0]
         paths = bytes_of.unpacked(run["paths"])
         paths[1].position_m[1, 2] += np.float32(1e-3)
@@ -174,7 +174,7 @@ def test_a_finished_folder_records_that_it_is_complete(folder):
 
 def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path):
     full = sqlite3.OperationalError("database or disk is full")
-    with Store(folder / "results.sqlite", only_read=True) as store:
+    with BenchmarkStore(folder / "results.sqlite", only_read=True) as store:
         assert isinstance(store._named(full), RunError)
         assert "make room and go on with --resume" in str(store._named(full))
         locked = store._named(sqlite3.OperationalError("database is locked"))
@@ -182,7 +182,7 @@ def test_a_full_disk_and_a_damaged_database_have_a_message_each(folder, tmp_path
     damaged = tmp_path / "results.sqlite"
     damaged.write_bytes(b"no database at all" * 100)
     with pytest.raises(ConfigError, match="no database of a benchmark, or it is damaged"):
-        Store(damaged, only_read=True)
+        BenchmarkStore(damaged, only_read=True)
 
 
 def test_a_finished_or_foreign_folder_is_not_gone_on_with(source, folder, tmp_path):

@@ -20,7 +20,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.fleet_size import asking, flying, folder, report, running
 from angler_mjx.studies.fleet_size.flying import arrival
 from angler_mjx.studies.fleet_size.simulators import Simulators
-from angler_mjx.studies.fleet_size.store import Batch, Store
+from angler_mjx.studies.fleet_size.store import Batch, StudyStore
 
 from ...threads import together
 
@@ -225,8 +225,8 @@ def test_processes_that_share_batches_come_to_the_same_bytes(
     ends, ours = together(3, run)
     assert [end["ended"] for end in ends] == ["interrupted"] * 3
     assert [one.stops for one in ours] == [0, 1, 0]
-    held = Store(out / "batches.jsonl", writes=False).batches
-    assert 0 < len(held) < len(Store(whole[0] / "batches.jsonl", writes=False).batches)
+    held = StudyStore(out / "batches.jsonl", writes=False).batches
+    assert 0 < len(held) < len(StudyStore(whole[0] / "batches.jsonl", writes=False).batches)
     flights.stop = math.inf
     ends, ours = together(3, lambda one: run(one, resume=True))
     assert [one.left for one in ours] == [0, 0, 0]  # who leaves first ends the wait of others
@@ -360,7 +360,7 @@ def test_arrival_of_some_robots():
 
 def test_a_damaged_file_of_batches_is_refused(tmp_path):
     path = tmp_path / "batches.jsonl"
-    store = Store(path)
+    store = StudyStore(path)
     batch = Batch(
         condition="a",
         size=1,
@@ -374,9 +374,9 @@ def test_a_damaged_file_of_batches_is_refused(tmp_path):
     )
     store.add(batch)
     store.close()
-    assert Store(path).batches == [batch]
+    assert StudyStore(path).batches == [batch]
     assert batch.hits(3.0) == 1
     assert batch.hits(2.9) == 0
     path.write_text(path.read_text().replace('"lost":[1,0]', '"lost":[1]'))
     with pytest.raises(ConfigError, match="cannot be read"):
-        Store(path)
+        StudyStore(path)

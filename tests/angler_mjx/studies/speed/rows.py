@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict
 
-from angler_mjx.studies.speed.rows import Row
+from angler_mjx.studies.speed.rows import SpeedRow
 
 
 def make_row(**changes):
@@ -24,7 +24,7 @@ def make_row(**changes):
         "flops_from": "loops as often as they run",
         "least_bytes": 30.0,
     }
-    return Row(**(known | changes))
+    return SpeedRow(**(known | changes))
 
 
 def write_rows(path, rows, **around):

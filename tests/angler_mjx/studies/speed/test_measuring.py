@@ -32,7 +32,7 @@ from angler_mjx.studies.speed.measured.simulation import require_moving
 from angler_mjx.studies.speed.workloads import (
     PROFILES,
     WORKLOADS,
-    Request,
+    SpeedRequest,
     cases,
 )
 
@@ -40,7 +40,7 @@ from .rows import make_row
 
 
 def ask(**changes):
-    return cases(Request(**changes))
+    return cases(SpeedRequest(**changes))
 
 
 @pytest.fixture(scope="module")
@@ -315,7 +315,7 @@ def test_a_refused_run_has_no_number(monkeypatch):
 
 @pytest.mark.parametrize("profile", sorted(PROFILES))
 def test_all_workloads_of_a_profile_load(profile):
-    chosen = cases(Request(profile=profile))
+    chosen = cases(SpeedRequest(profile=profile))
     assert {case.workload.kind for case in chosen} <= {
         "dynamics",
         "simulation",

@@ -8,7 +8,7 @@ import pytest
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies.speed.measured import worlds_once
-from angler_mjx.studies.speed.workloads import Request, cases
+from angler_mjx.studies.speed.workloads import SpeedRequest, cases
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_no_more_are_drawn_than_said_and_unfit_ones_are_refused(drawings):
 
 
 def test_the_largest_row_says_how_many_all_draw():
-    chosen = cases(Request(workloads=("reef_fleet",), worlds=(4, 64, 16), robots=(1, 4)))
+    chosen = cases(SpeedRequest(workloads=("reef_fleet",), worlds=(4, 64, 16), robots=(1, 4)))
     assert [(case.worlds, case.robots) for case in chosen] == [
         *((4, 1), (16, 1), (64, 1)),
         *((4, 4), (16, 4), (64, 4)),

@@ -15,14 +15,14 @@ from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.sim.engines import free_flight
 from angler_mjx.studies.flights import courses, kinds, tracks
 from angler_mjx.studies.flights import draws as drawing
-from angler_mjx.studies.flights.kinds import Kind
+from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.trials import document, draws, eight, figures, listing, steps
 from angler_mjx.studies.trials.trial import Trial, misses_of_eight, misses_of_step
 from angler_mjx.world.currents import Uniform
 
 from ...compiling import quickly
 
-HEAVY = Kind(vehicle="bluerov2_heavy", parameter_set="wu2018")
+HEAVY = FlightKind(vehicle="bluerov2_heavy", parameter_set="wu2018")
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from angler_mjx.errors import AnglerError, ConfigError
 from angler_mjx.studies.tuning import folder, tune
-from angler_mjx.studies.tuning.search import Generation, History
+from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 
@@ -15,7 +15,9 @@ VALUES = (None, True, -1, 10**30, "x", [], {}, [[]], [{"costs": 1}])
 @pytest.fixture
 def stored(tmp_path):
     claimed = folder.create(tmp_path / "tuned")
-    history = History(generations=[Generation(costs=[1.0, 0.9], failed=[0, 1], gradients=None)])
+    history = TuningHistory(
+        generations=[Generation(costs=[1.0, 0.9], failed=[0, 1], gradients=None)]
+    )
     table = {"settings": {"seed": 1}, "provenance": {"commit": None}}
     folder.save(claimed.building, table, history, complete=False)
     claimed.release()
@@ -34,7 +36,9 @@ def test_a_whole_checkpoint_is_taken_up(stored):
 def test_what_is_refused_keeps_its_name_and_settings_that_are_not_there_are_other_ones(tmp_path):
     out = tmp_path / "tuned"
     claimed = folder.create(out)
-    folder.save(claimed.building, {"settings": {}, "provenance": {}}, History(), complete=False)
+    folder.save(
+        claimed.building, {"settings": {}, "provenance": {}}, TuningHistory(), complete=False
+    )
     claimed.publish()
 
     def require(known):

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.sim.engines.free_flight import Flight
+from angler_mjx.sim.engines.free_flight import FreeFlight
 from angler_mjx.studies.flights import kinds, measures
-from angler_mjx.studies.flights.measures import LEVER_M, Measures, Reference
+from angler_mjx.studies.flights.measures import LEVER_M, Measures, ReferenceMotion
 from angler_mjx.studies.tuning import objectives
 
 from ...compiling import quickly
@@ -27,14 +27,14 @@ def vehicle():
 
 def flown(vehicle, p, q=None, nu=None, pwm=None, pose=None, still=1.0, heading=1.0):
     n = len(p)
-    flight = Flight(
+    flight = FreeFlight(
         p=jnp.asarray(p),
         q=jnp.asarray(np.tile([1.0, 0, 0, 0], (n, 1)) if q is None else q),
         nu=jnp.zeros((n, 6)) if nu is None else jnp.asarray(nu),
         target_m=jnp.zeros((n, 3)),
         pwm_us=jnp.full((n, vehicle.B.shape[1]), 1500.0) if pwm is None else jnp.asarray(pwm),
     )
-    reference = Reference(
+    reference = ReferenceMotion(
         pose=jnp.zeros((n, 4)) if pose is None else jnp.asarray(pose),
         still=jnp.array(still),
         heading=jnp.array(heading),

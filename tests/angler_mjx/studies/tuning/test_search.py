@@ -6,7 +6,7 @@ import pytest
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.studies.tuning import optimisers, search
 from angler_mjx.studies.tuning.optimisers import Adam, Cma
-from angler_mjx.studies.tuning.search import Generation, History
+from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 LOW, HIGH = [-1.5, -1.5, -0.2], [1.5, 1.5, 1.5]
 BEST = np.array([0.6, -0.9, -0.2])
@@ -32,7 +32,7 @@ def made(method):
 
 @pytest.mark.parametrize("method", ["gradient", "cma"])
 def test_both_searches_find_the_optimum_within_their_bounds(method):
-    history = History()
+    history = TuningHistory()
     search.run(made(method), bowl, history, GENERATIONS, lambda _: None)
     cost, found = history.best()
     # Each bends its steps to the bowl in a few dozen generations; 0.03 is 3 % of a gain.
@@ -45,7 +45,7 @@ def test_both_searches_find_the_optimum_within_their_bounds(method):
 
 @pytest.mark.parametrize("method", ["gradient", "cma"])
 def test_a_search_that_was_told_what_was_found_goes_on_as_it_would_have(method):
-    whole = History()
+    whole = TuningHistory()
     search.run(made(method), bowl, whole, 12, lambda _: None)
     again = made(method)
     history = search.replayed(again, whole.generations[:5])
@@ -54,7 +54,7 @@ def test_a_search_that_was_told_what_was_found_goes_on_as_it_would_have(method):
 
 
 def test_what_a_search_began_with_is_best_until_something_is_better():
-    history = History()
+    history = TuningHistory()
     history.settings.append([[0.5], [0.1]])
     history.generations.append(Generation(costs=[2.0, 1.0], failed=[0, 0], gradients=None))
     assert history.best() == (1.0, None)

@@ -23,7 +23,7 @@ from angler_mjx.studies.tuning import (
     tune,
 )
 from angler_mjx.studies.tuning.optimisers import Cma
-from angler_mjx.studies.tuning.problem import Problem, Settings
+from angler_mjx.studies.tuning.problem import TuningProblem, TuningSettings
 
 SCENARIO = "open_water_current"
 ROLLOUTS = 6
@@ -47,7 +47,7 @@ def settings(controller="cascade", method="cma", **more):
         "generations": 2,
         "seed": 1,
     }
-    return Settings(**{**given, **more})
+    return TuningSettings(**{**given, **more})
 
 
 @pytest.mark.parametrize("controller", stages.CONTROLLERS)
@@ -128,7 +128,7 @@ def test_a_fleet_that_nothing_holds_level_is_refused():
 
 @pytest.fixture(scope="module")
 def cascade():
-    return Problem(settings())
+    return TuningProblem(settings())
 
 
 @pytest.mark.nightly(by="tuning/test_search.py")
@@ -144,7 +144,7 @@ def test_the_gradient_is_that_of_the_flights_and_evolution_goes_the_same_way(cas
     slope = (costs[:d] - costs[d:]) / (2 * h)
     # Curvature over 3 % of a gain, and clipped thrust that has kinks, leave a few per cent.
     np.testing.assert_allclose(gradient, slope, atol=0.05 * np.abs(slope).max())
-    history = search.History()
+    history = search.TuningHistory()
     low, high = ([getattr(k, end) for k in cascade.knobs] for end in ("low", "high"))
 
     def evaluate(candidates, *, gradients):
@@ -158,7 +158,7 @@ def test_the_gradient_is_that_of_the_flights_and_evolution_goes_the_same_way(cas
     assert cosine > math.cos(math.radians(75))
 
 
-class Stop(tune.Silent):
+class Stop(tune.SilentTuningProgress):
     """Interrupts after some generations."""
 
     def __init__(self, after):
@@ -208,7 +208,7 @@ def test_a_tuning_that_was_interrupted_leaves_its_best_and_ends_with_the_same_by
 
 
 def test_an_interrupt_before_anything_is_known_leaves_a_tuning_to_go_on_with(tmp_path):
-    class Now(tune.Silent):
+    class Now(tune.SilentTuningProgress):
         def flown(self, flights):
             raise KeyboardInterrupt
 

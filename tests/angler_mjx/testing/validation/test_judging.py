@@ -11,7 +11,13 @@ from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.validation import page, terms
 from angler_mjx.testing.validation import validate as all_of_it
-from angler_mjx.testing.validation.found import Expected, Found, Measured, Result, read
+from angler_mjx.testing.validation.found import (
+    Expected,
+    Measured,
+    TermResult,
+    ValidationResult,
+    read,
+)
 from angler_mjx.testing.validation.judging import faults
 from angler_mjx.testing.validation.terms import Worse
 
@@ -81,7 +87,7 @@ def measured(rounding=1e-13, scheme=0.1):
 
 def study(count=4.0):
     numbers = {"robots": {"value": count, "unit": "robots", "worse": "count"}}
-    return Result.model_validate({"about": ABOUT, "numbers": numbers, "text": "| a study |"})
+    return TermResult.model_validate({"about": ABOUT, "numbers": numbers, "text": "| a study |"})
 
 
 @pytest.fixture
@@ -103,7 +109,7 @@ def root(tmp_path):
 def run(root, found, **asked):
     path = root / "measured.json"
     path.write_text(json.dumps(found))
-    request = all_of_it.Request(measured=path, **asked)
+    request = all_of_it.ValidationRequest(measured=path, **asked)
     return all_of_it.validate(request, root, lambda line: None)
 
 
@@ -208,7 +214,7 @@ def test_the_page_is_written_between_its_marks_alone(root):
     # Twice is once.
     run(root, measured())
     assert (root / "docs" / "validation.md").read_text() == text
-    kept = read(Found, root / "docs" / "validation" / "validation.json")
+    kept = read(ValidationResult, root / "docs" / "validation" / "validation.json")
     assert set(kept.tests) == {"a.rounding", "a.scheme"}
 
 
@@ -231,7 +237,7 @@ def test_out_leaves_the_checkout_alone(root, tmp_path):
     run(root, measured(), out=tmp_path / "other")
     assert (root / "docs" / "validation.md").read_text() == PAGE
     assert "1e-13" in (tmp_path / "other" / "validation.md").read_text()
-    assert read(Found, tmp_path / "other" / "validation.json").tests
+    assert read(ValidationResult, tmp_path / "other" / "validation.json").tests
 
 
 def test_rows_measured_at_another_time_say_so(root):

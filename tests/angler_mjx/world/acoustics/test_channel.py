@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.acoustics import access, channel
-from angler_mjx.world.acoustics.channel import Channel, Now, Said
+from angler_mjx.world.acoustics.channel import Channel, Now, Packet
 from angler_mjx.world.acoustics.link import Budget, Reach
 from angler_mjx.world.acoustics.shadow import Rock
 from angler_mjx.world.grid import Grid
@@ -49,7 +49,7 @@ def flight(one, robots, steps, words=False):
                 number=number,
                 p_m=p,
                 grid=grid,
-                says=lambda: Said(
+                says=lambda: Packet(
                     p_m=p,
                     v_mps=v_mps,
                     time_s=jnp.full(robots, t),

@@ -12,7 +12,7 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.world.tasks import allocation
-from angler_mjx.world.tasks.allocation import View
+from angler_mjx.world.tasks.allocation import AllocationView
 from angler_mjx.world.tasks.travel import Travel
 
 ROBOTS, JOBS = 4, 11
@@ -25,9 +25,9 @@ def view(
     able: Any,
     active: Any = None,
     rank: Any = None,
-) -> View:
+) -> AllocationView:
     robots, jobs = robots_m.shape[0], jobs_m.shape[0]
-    return View(
+    return AllocationView(
         open=jnp.asarray(open_),
         able=jnp.asarray(able),
         active=jnp.asarray(able if active is None else active),

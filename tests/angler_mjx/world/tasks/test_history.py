@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.tasks import sight
-from angler_mjx.world.tasks.faces import faces
-from angler_mjx.world.tasks.history import Doing, Goods, History
+from angler_mjx.world.tasks.faces import surface_quads
+from angler_mjx.world.tasks.history import Doing, Goods, TaskHistory
 from angler_mjx.world.tasks.spec import SurveySpec
 
 from .test_work import CELL, flown, spec_of
@@ -24,7 +24,7 @@ def recorded(spec, ends=None):
     over = ~running | np.array([state.finished for state in states])
     surveyed = task.survey is not None
     cells = np.asarray(task.survey.cells) if surveyed else None
-    history = History(
+    history = TaskHistory(
         spec=spec,
         time_s=LOOK_S * np.arange(len(states)),
         place_m=np.asarray(task.place_m),
@@ -151,7 +151,7 @@ def test_faces_are_those_behind_which_there_is_what_is_surveyed(of):
                 if (rock and of != "floor") or (ground and of != "rock"):
                     cells[i, j, k] = True
                     expected.add((i, j, k, axis, side))
-    found = faces(of, cells, occupied, origin, 1.5, floor_z)
+    found = surface_quads(of, cells, occupied, origin, 1.5, floor_z)
     order = np.argwhere(cells)
     shown = set()
     for centre, axis, cell in zip(found.centre_m, found.axis, found.cell, strict=True):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_kernels.matching import Pairs
+from angler_kernels.matching import MatchedPairs
 from angler_mjx.world.routes import NO_WAY, Routes
 from angler_mjx.world.tasks import pairs
 from angler_mjx.world.tasks.travel import Travel
@@ -72,7 +72,7 @@ def plain(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
 
 
 def kernel(words: Any, place_m: Any, p: Any, able: Any, open_: Any) -> Any:
-    asking = Pairs.of((ROBOTS, JOBS), lanes_a_warp=64, interpret=True)
+    asking = MatchedPairs.of((ROBOTS, JOBS), lanes_a_warp=64, interpret=True)
     return pairs._Kernel(asking, words.shape).run(routes(words, place_m), p, able, open_)
 
 

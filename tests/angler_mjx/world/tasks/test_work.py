@@ -12,9 +12,9 @@ import pytest
 
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.tasks import bits, drawing, sight, work
-from angler_mjx.world.tasks.drawing import Places
-from angler_mjx.world.tasks.knowing import Others, Scene
-from angler_mjx.world.tasks.spec import Report, SurveySpec, TaskSpec, TaskState, TaskWorld
+from angler_mjx.world.tasks.drawing import GoalSampling
+from angler_mjx.world.tasks.knowing import HeardReports, TaskScene
+from angler_mjx.world.tasks.spec import SurveySpec, TaskReport, TaskSpec, TaskState, TaskWorld
 from angler_mjx.world.tasks.travel import Travel
 
 ROBOTS, SHAPE, CELL = 3, (8, 8, 6), 1.5
@@ -34,7 +34,7 @@ class Water:
 
 
 def task_of(spec: TaskSpec) -> TaskWorld:
-    places = (Places(within=((0.3, 0.0, 0.0), (1.0, 1.0, 1.0))), Places())
+    places = (GoalSampling(within=((0.3, 0.0, 0.0), (1.0, 1.0, 1.0))), GoalSampling())
     environment: Any = Water()
     return drawing.draw(spec, *places, jax.random.key(4), environment, jnp.ones(SHAPE, bool))
 
@@ -44,7 +44,7 @@ def looked(
     spec: TaskSpec, task: TaskWorld, state: TaskState, p: Any, running: Any, t: Any, others: Any
 ) -> TaskState:
     grid = Water().grid
-    scene = Scene(t=t, p=p, q=LEVEL, running=running, believed_m=p, grid=grid, others=others)
+    scene = TaskScene(t=t, p=p, q=LEVEL, running=running, believed_m=p, grid=grid, others=others)
     return work.look(spec, task, state, scene, Travel(place_m=task.place_m))
 
 
@@ -70,13 +70,13 @@ def flown(
     return task, states, under_way
 
 
-def heard(active: Any = False, over: Any = 0, carrying: Any = -1) -> Others:
+def heard(active: Any = False, over: Any = 0, carrying: Any = -1) -> HeardReports:
     """What each robot has heard of each, the receiver first; nothing if left out."""
     each = (ROBOTS, ROBOTS)
-    return Others(
+    return HeardReports(
         p=jnp.zeros((*each, 3)) + Water().start_m,
         active=jnp.broadcast_to(jnp.asarray(active), each),
-        said=Report(
+        said=TaskReport(
             over=jnp.broadcast_to(jnp.asarray(over, jnp.uint32), (*each, 1)),
             carrying=jnp.broadcast_to(jnp.asarray(carrying, jnp.int32), each),
             at_work=jnp.ones(each, bool),
