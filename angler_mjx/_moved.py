@@ -8,6 +8,7 @@ from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
 from types import ModuleType
+from typing import Any
 
 MOVED = {
     "angler_mjx.acoustics": "angler_mjx.world.acoustics",
@@ -21,6 +22,7 @@ MOVED = {
     "angler_mjx.planning.host.ray_workers": "angler_mjx.planning.host.cluster.ray_workers",
     "angler_mjx.sensing": "angler_mjx.robot.sensing",
     "angler_mjx.session": "angler_mjx.runs.session",
+    "angler_mjx.sim.knowledge": "angler_mjx.sim.information",
     "angler_mjx.simulator": "angler_mjx.runs.simulator",
     "angler_mjx.speed": "angler_mjx.studies.speed",
     "angler_mjx.storage": "angler_mjx.runs.storage",
@@ -33,6 +35,17 @@ MOVED = {
 }
 """Package or module of before, and of today; modules below have the same names."""
 
+RENAMED = {
+    "angler_mjx.sim.information": {
+        "KnownCurrent": "CurrentInformation",
+        "KnownObstacles": "ObstacleInformation",
+        "Knows": "Information",
+        "Level": "InformationLevel",
+    },
+    "angler_mjx.sim.policy": {"Known": "PolicyInput"},
+}
+"""Public names of before, and of today, by module."""
+
 
 def moved(name: str) -> str | None:
     """Return the path of today of a module; None if it has not moved."""
@@ -42,6 +55,27 @@ def moved(name: str) -> str | None:
         if not before:
             return None
     return MOVED[before] + name.removeprefix(before)
+
+
+def renamed(module: str, name: str) -> Any:
+    """Return an attribute of a module by its name of before, with a DeprecationWarning.
+
+    Args:
+        module: of today; it calls this from its ``__getattr__``.
+        name: that the module does not have.
+
+    Raises:
+        AttributeError: the name is none of before either.
+    """
+    today = RENAMED[module].get(name)
+    if today is None:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    warnings.warn(
+        f"{module}.{name} is {today} since 0.2; the old name works until 1.0",
+        DeprecationWarning,
+        stacklevel=3,
+    )
+    return getattr(sys.modules[module], today)
 
 
 class _Finder(MetaPathFinder, Loader):

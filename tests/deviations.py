@@ -83,7 +83,7 @@ def pytest_sessionfinish(session, exitstatus):
 
 def write(path, found, exitstatus):
     """One entry a key, with the greatest value and every test that asked."""
-    from angler_mjx.testing.validation.place import describe
+    from angler_mjx.testing.validation.host import describe
 
     merged = {}
     for entry in found:

@@ -44,10 +44,10 @@ def control(
 
 
 def _one_draw(names: Sequence[str], seed: int) -> None:
-    from angler_mjx.studies.trials import draws, listing
+    from angler_mjx.studies.trials import listing, samples
 
     for name in names:
-        (verdict,) = draws.fly(name, [seed])
+        (verdict,) = samples.fly(name, [seed])
         print(listing.verdict_text(name, verdict))
 
 

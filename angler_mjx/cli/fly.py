@@ -65,7 +65,7 @@ def fly(
         prepare(isolate=isolate, gcs=None)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import (
+    from angler_mjx.cli.shared.inputs import (
         knows_given,
         planner_given,
         policy_given,

@@ -89,7 +89,7 @@ def rollout(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import (
+    from angler_mjx.cli.shared.inputs import (
         at_least_one,
         flag,
         knows_given,

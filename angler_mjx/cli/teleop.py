@@ -73,7 +73,7 @@ def teleop(
         prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import scenario_given
+    from angler_mjx.cli.shared.inputs import scenario_given
     from angler_mjx.teleop import driving, opening
 
     settings = driving.TeleopSettings(

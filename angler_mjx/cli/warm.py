@@ -36,7 +36,7 @@ def warm(
     keep_all_programs()
     import jax
 
-    from angler_mjx.cli.shared.given import scenario_given
+    from angler_mjx.cli.shared.inputs import scenario_given
     from angler_mjx.runs.simulator.simulator import Simulator
 
     given = {"worlds": worlds, "engine": engine, "kernels": kernels, "tile": tile}

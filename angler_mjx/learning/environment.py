@@ -20,10 +20,10 @@ from angler_mjx.learning.bank import WorldBank
 from angler_mjx.learning.observations import ObservationPart, ObservedState
 from angler_mjx.robot.control import stack
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.engines.base import Engine
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.state import Outcome, SimSpec, WorldState
+from angler_mjx.sim.world_phases import sensing
 
 type Aim = Literal["goal", "start"]
 """What robots are rewarded for being near to: their goals, or the poses that they start at."""
@@ -235,7 +235,7 @@ class FleetEnv:
         if not self.rules.spec.instrumented:
             return state.vehicles, flow
         worlds = jax.tree.map(lambda leaf: leaf[rows], self.bank.worlds)
-        read = jax.vmap(partial(senses.step, self.rules.spec))
+        read = jax.vmap(partial(sensing.step, self.rules.spec))
         _, belief = read(worlds, state.senses, state.step, state.vehicles, flow)
         return belief, belief.flow
 

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.bodies import bodies_traffic
-from angler_mjx.planning.ways.lattice import terrain
-from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
-from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic
+from angler_mjx.planning.path_search.bodies import bodies_traffic
+from angler_mjx.planning.path_search.lattice import terrain
+from angler_mjx.planning.path_search.robot import WayConfig, grown, plan_one
+from angler_mjx.planning.path_search.starts import meets_starts, only, standing
+from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.grid import Grid
 
 

@@ -12,9 +12,9 @@ from angler_mjx.runs import sizes
 from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.provenance import describe_environment, write_policy
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import claims, folder, mending
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import folder, mending, output_lock
 from angler_mjx.runs.storage.damage import read_table
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.recorder import Recorder
 from angler_mjx.scenario.scenario import Scenario
@@ -110,7 +110,7 @@ def require_same(place: Path, scenario: Scenario) -> None:
 
     What a run may override stands in its folder, and is not compared.
     """
-    building = claims.partial_path(place)
+    building = output_lock.partial_path(place)
     where = building if (building / folder.CONFIG).is_file() else place
     if not (where / folder.CONFIG).is_file():
         return  # and `folder.reopen` says that there is no run

@@ -15,7 +15,7 @@ import numpy as np
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.planning.online import host_planner
 from angler_mjx.planning.online.policy import Online
-from angler_mjx.runs import opening, sizes, waves
+from angler_mjx.runs import device_batches, opening, sizes
 from angler_mjx.runs.log import Log
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.progress import Progress, SilentProgress
@@ -23,9 +23,9 @@ from angler_mjx.runs.provenance import peak_memory_bytes, require_policy
 from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.runs.simulator.compiling import CompileTime
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import claims, folder, harvest, planned, results
-from angler_mjx.runs.storage.claims import OutputLock
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage import device_to_host, folder, output_lock, planned, results
+from angler_mjx.runs.storage.device_to_host import FinishedTile
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import PlanFile, open_plans
 from angler_mjx.runs.storage.recorder import Recorder
 from angler_mjx.runs.storage.writer import Writer
@@ -168,7 +168,7 @@ def resume(
             claimed = folder.reopen(place, told.tell)
             stack.enter_context(opening.held(claimed, new=False))
         processes.meet("found")
-        building = claims.partial_path(place)
+        building = output_lock.partial_path(place)
         stored = folder.read_scenario(building)
         found = opening.plans_again(building, plans, stored)
         if simulator is None:
@@ -215,7 +215,7 @@ class _Rollout:
         self._scenario = simulator.scenario
         self._claimed = claimed
         """Process 0's alone."""
-        self._building = claims.partial_path(out)
+        self._building = output_lock.partial_path(out)
         self._out = out
         self._room = room
         number = f".{processes.index}" if processes.index else ""
@@ -298,7 +298,7 @@ class _Rollout:
         writer = Writer[FinishedTile](self._write, room=self._room)
         begun = time.perf_counter()
         try:
-            for finished in waves.simulate(
+            for finished in device_batches.simulate(
                 self._sim,
                 tiles,
                 recorded=recorded,
@@ -328,10 +328,10 @@ class _Rollout:
         """Write a finished tile; its episodes last, for they say that it is whole."""
         try:
             if self._recorder is not None and tile.constants.environment is not None:
-                arrays = harvest.arrays(tile, self._shape.samples)
+                arrays = device_to_host.arrays(tile, self._shape.samples)
                 self._recorder.write(tile.first, arrays, tile.constants.environment)
                 self._recorder.sync(tile.first)
-            result = harvest.tile_result(tile)
+            result = device_to_host.tile_result(tile)
             self._failures.add(result.world, result.notes)
             rows = results.episode_table(result, self._sim.labels(), self._scenario.seed)
             folder.write_part(self._building, tile.first, rows)

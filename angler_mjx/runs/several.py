@@ -15,9 +15,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.runs import rollout
 from angler_mjx.runs.processes import OneOfMany, Processes
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.storage import claims, folder
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.damage import read_table
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.scenario.scenario import Scenario
 
@@ -45,7 +45,7 @@ def begin(out: Path, what: str, asked: Mapping[str, Any]) -> OutputLock:
     Raises:
         ConfigError: the name is taken or cannot be had.
     """
-    claimed = claims.acquire(out, what=what)
+    claimed = output_lock.acquire(out, what=what)
     try:
         folder.write_json(claimed.building / MAKING, dict(asked))
         (claimed.building / RUNS).mkdir()
@@ -79,7 +79,7 @@ def again(out: Path, what: str, asked: Mapping[str, Any], *, whole: bool) -> Out
             f"--resume {out}: was begun with another {other} (see {building / MAKING}); give what "
             "it was begun with, or begin a new one"
         )
-    claimed = claims.acquire_unfinished(out, what=what)
+    claimed = output_lock.acquire_unfinished(out, what=what)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted {what} of that name")
     return claimed
@@ -131,5 +131,5 @@ def stands(place: Path) -> str:
     """How far a run is: whole, begun or none."""
     if (place / folder.SUMMARY).is_file() and folder.Run(place).summary.get("complete"):
         return "whole"
-    begun = place if place.is_dir() and any(place.iterdir()) else claims.partial_path(place)
+    begun = place if place.is_dir() and any(place.iterdir()) else output_lock.partial_path(place)
     return "begun" if (begun / folder.CONFIG).is_file() else "none"

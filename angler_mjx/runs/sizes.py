@@ -6,7 +6,7 @@ import psutil
 from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage.harvest import task_sizes
+from angler_mjx.runs.storage.device_to_host import task_sizes
 from angler_mjx.runs.storage.recorder import Shape
 
 

@@ -24,7 +24,7 @@ from angler_mjx.planning.register import PlannerReference, PlannerSpec
 from angler_mjx.quantities import Length
 from angler_mjx.robot.control import stack, stages
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import Information, InformationLevel
+from angler_mjx.sim.information import Information, InformationLevel
 
 
 class WaterConfig(FileModel):

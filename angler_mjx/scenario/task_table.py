@@ -16,7 +16,7 @@ from angler_mjx.scenario.tables import TimeConfig, whole
 from angler_mjx.world.config import Vector, WorldRecipe
 from angler_mjx.world.rules import OpenRule
 from angler_mjx.world.tasks import allocation, sight
-from angler_mjx.world.tasks.drawing import WHOLE, GoalSampling
+from angler_mjx.world.tasks.sampling import WHOLE, GoalSampling
 from angler_mjx.world.tasks.spec import MOST_JOBS, After, Dropped, Surface, SurveySpec, TaskSpec
 
 MOST_ROBOTS = 64

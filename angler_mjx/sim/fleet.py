@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.lanes.planes import is_table
-from angler_mjx.draws import children
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import allocation
 from angler_mjx.robot.control.stack import ControlParams
@@ -25,6 +24,7 @@ from angler_mjx.robot.vehicles.load import Load, laden
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.rotor_config import RotorResponse
 from angler_mjx.robot.vehicles.variation import Variation, varied
+from angler_mjx.sampling import children
 from angler_mjx.sim.physics import mjx_engine
 from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.state import World

@@ -16,13 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.counting import every_n_steps
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.errors import ConfigError
+from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import command_checks, stack
 from angler_mjx.robot.control.mixed import Mixed
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlParams, Stages
-from angler_mjx.sim.knowledge import (
+from angler_mjx.sim.information import (
     CurrentInformation,
     Information,
     InformationLevel,
@@ -306,3 +307,8 @@ def step(
     before = memory.carry, memory.command
     carry, command = every_n_steps(policy.period, number, act, lambda: before, every)
     return PolicyMemory(carry=carry, command=command), command
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

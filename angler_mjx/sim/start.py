@@ -11,13 +11,13 @@ from angler_kernels import quaternion
 from angler_mjx.errors import ConfigError
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
-from angler_mjx.sim.aboard import hearing, phases, senses
-from angler_mjx.sim.aboard.here import Sent, WorldContext
 from angler_mjx.sim.detection import detect
 from angler_mjx.sim.physics import step as physics
 from angler_mjx.sim.physics.step import Multibody
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec, Tally, World, WorldState
+from angler_mjx.sim.world_phases import hearing, phases, sensing
+from angler_mjx.sim.world_phases.context import Sent, WorldContext
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.tasks import work as tasks
@@ -72,7 +72,7 @@ def reset(
             impact_speed_mps=jnp.full(n, jnp.nan, dtype),
         ),
         step=jnp.zeros((), jnp.int32),
-        senses=senses.reset(spec, world, vehicles),
+        senses=sensing.reset(spec, world, vehicles),
         task=_begun(spec, world),
     )
     if policy is not None:

@@ -117,8 +117,8 @@ class World:
 
     Some of it is derived: ``control`` (but for its cruise speeds) and ``body`` from the fleet and
     ``variant``, ``cell_neighbours`` from the environment's cells. A `Simulator` refuses parameters
-    that were edited here and packs edited cells anew (`angler_mjx.sim.admission`); who calls an
-    engine without one keeps them in step.
+    that were edited here and packs edited cells anew (`angler_mjx.sim.validate_worlds`); who calls
+    an engine without one keeps them in step.
     """
 
     environment: Environment

@@ -23,12 +23,12 @@ import jax.numpy as jnp
 
 from angler_mjx.robot.control import stack
 from angler_mjx.sim import robot
-from angler_mjx.sim.aboard import phases as world_phases
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.phase import BatchContext, Done, Phase, Slots
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Tally
+from angler_mjx.sim.world_phases import phases as world_phases
 from angler_mjx.world.obstacles import ObstacleState
 
 

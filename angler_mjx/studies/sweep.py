@@ -21,10 +21,10 @@ from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.rollout import NothingKeptError
 from angler_mjx.runs.several import RunsProgress
-from angler_mjx.runs.storage import claims, folder
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.damage import read_table
 from angler_mjx.runs.storage.folder import Run
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.studies import cells, chart, measures, paired, tables
@@ -111,7 +111,7 @@ def make(
             )
             stack.callback(claimed.release)
         together.meet("sweep")
-        building = claims.partial_path(out)
+        building = output_lock.partial_path(out)
         flights = [(cell.path, cell.scenario) for cell in asked.cells]
         how = {"devices": devices, "workers": workers}
         try:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from angler_kernels.bit_grid import shift, unpack
 from angler_kernels.programs import MOST_LANES, on_gpu
-from angler_mjx.world import groups, ways_kernel
+from angler_mjx.world import groups, path_length_kernel
 
 type Move = tuple[int, ...]
 type _Settling = tuple[jax.Array, jax.Array, jax.Array]
@@ -32,7 +32,9 @@ within 1.1e-6 of the true ones."""
 _COST = {n_axis: round(_EDGE * math.sqrt(n_axis)) for n_axis in (1, 2, 3)}
 _NONE = 1 << 30
 """No way: 4,096 edges, which is many times the longest way through any grid that is drawn here."""
-LENGTHS = ways_kernel.Lengths(of_axes=(_COST[1], _COST[2], _COST[3]), none=_NONE, strides=_STRIDE)
+LENGTHS = path_length_kernel.Lengths(
+    of_axes=(_COST[1], _COST[2], _COST[3]), none=_NONE, strides=_STRIDE
+)
 """The same for kernels."""
 _GROUP_SHARE = 8
 """A group of pairs is this part of all of them."""
@@ -60,7 +62,7 @@ def shortest_paths(passable: jax.Array, nz: int, start: jax.Array, goal: jax.Arr
     """
     nx, ny = passable.shape[:2]
     _, n, n_world = start.shape
-    if on_gpu() and ways_kernel.lanes_needed((nx, ny, nz)) <= MOST_LANES:
+    if on_gpu() and path_length_kernel.lanes_needed((nx, ny, nz)) <= MOST_LANES:
         return in_cells(by_kernel(passable, nz, start, goal))
     n_pair = n * n_world
     size = -(-n_pair // _GROUP_SHARE)
@@ -119,7 +121,7 @@ def by_kernel(
 
     def of_world(moves: jax.Array, starts: jax.Array, goals: jax.Array) -> jax.Array:
         return jax.vmap(
-            lambda a, b: ways_kernel.least(moves, a, b, LENGTHS, interpret=interpret),
+            lambda a, b: path_length_kernel.least(moves, a, b, LENGTHS, interpret=interpret),
             in_axes=1,
         )(starts, goals)
 

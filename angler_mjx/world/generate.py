@@ -15,11 +15,11 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.world import currents, obstacles
 from angler_mjx.world.config import WorldConfig, WorldRecipe, resolve
 from angler_mjx.world.currents import ground
-from angler_mjx.world.drawing import draw
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.ocean.floor import Centres
 from angler_mjx.world.placement import check_given
+from angler_mjx.world.sampling import draw
 
 _SEA_FLOOR = 0x464C4F4F
 """Folded into a world's key for the place of its sea floor: no other draw has it."""

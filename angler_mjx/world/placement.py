@@ -16,8 +16,8 @@ import numpy as np
 from angler_kernels.bit_grid import pack, shift, unpack
 from angler_kernels.caverns import largest_cavern
 from angler_kernels.clearance import capsules_obstacle
-from angler_mjx.draws import children, uniforms
 from angler_mjx.errors import ConfigError
+from angler_mjx.sampling import children, uniforms
 from angler_mjx.world.config import WorldRecipe
 from angler_mjx.world.obstacles import STATIC, Obstacles
 from angler_mjx.world.obstacles.explicit import explicit_rows

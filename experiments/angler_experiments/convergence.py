@@ -30,7 +30,7 @@ from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.sim.physics import mjx_engine, step
 from angler_mjx.sim.physics.mjx_engine import BodyInertia, MjxPhysics
 from angler_mjx.sim.physics.step import VehicleState, Water
-from angler_mjx.testing.validation.found import Number, save_result
+from angler_mjx.testing.validation.results import Number, save_result
 from angler_mjx.world.currents import Current, Uniform, Vortices
 
 type Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ from angler_experiments.shared.tracing import Trace
 from angler_mjx.errors import RunError
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.testing.validation.found import Number, save_result
+from angler_mjx.testing.validation.results import Number, save_result
 
 DEVICES = {"gpu": "cuda", "cpu": "cpu"}
 """What JAX is told."""

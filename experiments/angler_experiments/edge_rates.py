@@ -14,12 +14,12 @@ import jax
 import numpy as np
 import tyro
 
-from angler_mjx.planning.asking import build_problems
+from angler_mjx.planning.build_problem import build_problems
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 
 REPEATS = 5
 HORIZON_S = 120.0

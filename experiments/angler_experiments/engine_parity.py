@@ -23,7 +23,7 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario, load_scenario
 from angler_mjx.sim.state import Outcome
-from angler_mjx.testing.validation.found import Number, save_result
+from angler_mjx.testing.validation.results import Number, save_result
 
 type Array = NDArray[np.float64]
 

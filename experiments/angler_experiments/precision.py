@@ -16,7 +16,7 @@ import tyro
 from angler_experiments.devices_parity import ParitySettings, numbers, to_markdown
 from angler_experiments.shared import flights, tracing
 from angler_experiments.shared.flights import StudyFlight
-from angler_mjx.testing.validation.found import Number, save_result
+from angler_mjx.testing.validation.results import Number, save_result
 
 
 def energy(single: StudyFlight, double: StudyFlight) -> float:

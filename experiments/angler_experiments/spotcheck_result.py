@@ -17,7 +17,7 @@ import numpy as np
 import tyro
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.found import Number, write
+from angler_mjx.testing.validation.results import Number, write
 
 HEAD = ("flown by", "against", "same outcome", "track, m", "way, m", "endpoint, m")
 

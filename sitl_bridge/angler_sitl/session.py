@@ -20,13 +20,13 @@ from angler_mjx.robot.vehicles import library
 from angler_mjx.runs.session import checks, fleet_facts, paths, presence
 from angler_mjx.runs.session.batch import POINTS, START_TOLERANCE, Inside
 from angler_mjx.runs.session.checks import CommandLimits, RobotPosition
+from angler_mjx.runs.session.command_queue import PLAN, CommandQueue
 from angler_mjx.runs.session.interface import (
     Observation,
     Order,
     RobotInfo,
     RobotStatus,
 )
-from angler_mjx.runs.session.orders import PLAN, CommandQueue
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
@@ -38,7 +38,7 @@ from angler_sitl.missions.choosing import scenario_of, speed_of
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.scene.sight import SessionView
 from angler_sitl.steering import levels
-from angler_sitl.steering.helm import CommandSender
+from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.levels import STICK_LEVELS
 
 

@@ -8,7 +8,7 @@ import warnings
 
 import pytest
 
-from angler_mjx._moved import MOVED, moved
+from angler_mjx._moved import MOVED, RENAMED, moved
 
 PRINTED = {
     "angler_mjx.datasets": ("open", "Dataset"),
@@ -80,3 +80,23 @@ def test_a_script_of_before_runs_and_is_warned_at_its_line(tmp_path):
     )
     assert done.stdout == "angler_mjx.learning.datasets\n"
     assert f"{script}:1: DeprecationWarning: angler_mjx.datasets is" in done.stderr
+
+
+@pytest.mark.parametrize("name", [f"{a}:{b}" for a, names in RENAMED.items() for b in names])
+def test_a_renamed_class_is_found_by_its_name_of_before(name):
+    path, before = name.split(":")
+    module, today = importlib.import_module(path), RENAMED[path][before]
+    with pytest.warns(DeprecationWarning, match=f"{path}.{before} is {today} since 0.2") as caught:
+        assert getattr(module, before) is getattr(module, today)
+    assert caught[0].filename == __file__
+    with pytest.raises(AttributeError, match="has no attribute 'Knowledge'"):
+        module.Knowledge  # noqa: B018
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_policy_of_before_imports_what_its_page_printed():
+    from angler_mjx.sim.knowledge import Knows
+
+    from angler_mjx.sim.policy import Known
+
+    assert (Knows.__name__, Known.__name__) == ("Information", "PolicyInput")

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from angler_experiments import convergence
-from angler_mjx.testing.validation.found import TermResult, read
+from angler_mjx.testing.validation.results import TermResult, read
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 
 from angler_experiments import spotcheck_result
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.found import TermResult, read
-from angler_mjx.testing.validation.place import describe
+from angler_mjx.testing.validation.host import describe
+from angler_mjx.testing.validation.results import TermResult, read
 
 ROWS = """\
 level,robots,against,world,robot,outcome,other_outcome,track_rms_m,path_rms_m,endpoint_m

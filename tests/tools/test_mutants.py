@@ -91,7 +91,7 @@ def test_relevant_are_those_that_import_a_module_the_nearest_first(tree):
 
 
 def drawn(tree, seed=0, count=1000):
-    places = pytest.importorskip("tools.mutants.places", reason="needs the extra `mutants`")
+    places = pytest.importorskip("tools.mutants.positions", reason="needs the extra `mutants`")
     return places.sample(tree, ["angler_mjx/rooms"], count, seed)
 
 

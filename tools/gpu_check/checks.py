@@ -38,9 +38,9 @@ def _kernels() -> list[GpuCheck]:
     found: list[tuple[str, Run, dict[str, ErrorBound]]] = [
         ("angler_kernels.matching", kernels.matching, {}),
         ("angler_mjx.world.tasks.pairs", kernels.pairs, {}),
-        ("angler_mjx.planning.ways.search_kernel", kernels.reachable, {}),
+        ("angler_mjx.planning.path_search.search_kernel", kernels.reachable, {}),
         ("angler_mjx.planning.current.search_kernel", kernels.costs_to_goal, {}),
-        ("angler_mjx.world.ways_kernel", kernels.shortest_ways, {}),
+        ("angler_mjx.world.path_length_kernel", kernels.shortest_ways, {}),
         ("angler_mjx.sim.engines.dynamics", kernels.dynamics, {"p": free, "q": free, "nu": free}),
     ]
     return [

@@ -32,7 +32,7 @@ def pairs() -> Arrays:
 
 def reachable() -> Arrays:
     """Return arrival layers of space-time searches, -1 without one, and the cells they reached."""
-    from angler_mjx.planning.ways import robot
+    from angler_mjx.planning.path_search import robot
     from tests.angler_mjx.planning.test_search_kernel import LAYOUT, SHAPE, asked, land_at
 
     def search(origin: Any, start: Any, first: Any, goal: Any, **rest: Any) -> Any:

@@ -102,7 +102,7 @@ def _mutants(options: MutantOptions) -> tuple[Sequence[str], list[Mutant], list[
     if options.sample < 1:
         raise ValueError(f"--sample {options.sample}: must be at least 1")
     try:
-        from tools.mutants.places import sample
+        from tools.mutants.positions import sample
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith(("cosmic_ray", "parso", "stevedore")):
             raise

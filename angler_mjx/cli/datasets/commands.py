@@ -58,7 +58,7 @@ def make(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import at_least_one
+    from angler_mjx.cli.shared.inputs import at_least_one
     from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.learning.datasets import making, manifest
     from angler_mjx.runs.processes import telling

@@ -45,7 +45,7 @@ def benchmark(
     """
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import at_least_one
+    from angler_mjx.cli.shared.inputs import at_least_one
     from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.benchmark import running
 

@@ -51,7 +51,7 @@ def plan(
     """
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import (
+    from angler_mjx.cli.shared.inputs import (
         at_least_one,
         knows_given,
         planner_given,
@@ -153,7 +153,7 @@ def problems(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from angler_mjx.cli.shared.given import knows_given, planner_given, scenario_given
+    from angler_mjx.cli.shared.inputs import knows_given, planner_given, scenario_given
     from angler_mjx.planning.planner import PathShape
     from angler_mjx.runs.simulator.simulator import Simulator
     from angler_mjx.runs.storage.plans import problems as store

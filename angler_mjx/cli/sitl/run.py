@@ -66,7 +66,7 @@ def run(
     prepare(isolate=isolate, gcs=gcs)
     choose(device)
     keep_all_programs()
-    from angler_mjx.cli.shared.given import scenario_given
+    from angler_mjx.cli.shared.inputs import scenario_given
     from angler_mjx.cli.sitl.status_table import status_table
     from angler_sitl.missions import mission
     from angler_sitl.missions.choosing import scenario_of

@@ -71,7 +71,7 @@ def spotcheck(
     from angler_sitl.scene.motion import compute_inline
     from angler_sitl.spotcheck import checking, page
     from angler_sitl.spotcheck import dataset as of_dataset
-    from angler_sitl.spotcheck.found import SpotcheckSettings
+    from angler_sitl.spotcheck.results import SpotcheckSettings
 
     compute_inline()
     settings = SpotcheckSettings(

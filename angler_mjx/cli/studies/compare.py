@@ -24,11 +24,11 @@ def compare(
     from angler_mjx.report.viewing import style
     from angler_mjx.runs.storage.folder import Run
     from angler_mjx.studies import compare as comparing
-    from angler_mjx.studies import told
+    from angler_mjx.studies import comparison_report
 
     if figure is not None:
         style.require_format(figure, flag="--figure")
     found = comparing.compare(Run(first), Run(second))
-    print(text.dumps(found) if json else told.text(found))
+    print(text.dumps(found) if json else comparison_report.text(found))
     if figure is not None:
-        style.save(told.draw(found), figure)
+        style.save(comparison_report.draw(found), figure)

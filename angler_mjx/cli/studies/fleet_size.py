@@ -66,11 +66,11 @@ def fleet_size(
     )
     from angler_mjx.runs.processes import telling
     from angler_mjx.shipped import find_shipped
-    from angler_mjx.studies.fleet_size import asking, running
+    from angler_mjx.studies.fleet_size import conditions, running
 
     with telling(shared):
         source = find_shipped(source, "angler_mjx.studies.fleet_size", "study")
-        study = asking.read(
+        study = conditions.read(
             source,
             only,
             smoke=smoke,

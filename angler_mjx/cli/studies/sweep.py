@@ -66,7 +66,7 @@ def sweep(
         processes=processes,
         process=process,
     )
-    from angler_mjx.cli.shared.given import at_least_one, require_planned, scenario_given
+    from angler_mjx.cli.shared.inputs import at_least_one, require_planned, scenario_given
     from angler_mjx.cli.shared.progress import PartsBar
     from angler_mjx.runs.processes import telling
     from angler_mjx.runs.storage import planned

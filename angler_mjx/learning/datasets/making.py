@@ -20,8 +20,8 @@ from angler_mjx.runs import several
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.several import RunsProgress
 from angler_mjx.runs.simulator.simulator import default_tile
-from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import Shape
 from angler_mjx.world.config import resolve
 
@@ -112,7 +112,7 @@ def _make(
     parts = asked.parts
     _require_one_recording(parts, asked.source)
     _require_crossings(asked.config, parts, asked.source)
-    building = claims.partial_path(out)
+    building = output_lock.partial_path(out)
     with ExitStack() as stack:
         claimed = None
         if together.index == 0:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning.datasets.manifest import MANIFEST, SUMS, require_inside
-from angler_mjx.runs.storage import atomic, claims
+from angler_mjx.runs.storage import atomic, output_lock
 
-_LEFT_OUT = {SUMS, MANIFEST, claims.LOCK}
+_LEFT_OUT = {SUMS, MANIFEST, output_lock.LOCK}
 """Files of the dataset's own folder without a sum: the manifest holds that of the sums."""
 
 

@@ -7,7 +7,13 @@ import jax.numpy as jnp
 
 from angler_mjx.planning.current.pace import PowerModel, pace
 from angler_mjx.planning.current.search import STEPS
-from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, LatticeLayout, Terrain, free_space
+from angler_mjx.planning.path_search.lattice import (
+    EDGES,
+    FreeSpace,
+    LatticeLayout,
+    Terrain,
+    free_space,
+)
 
 type Flow = Callable[[jax.Array], jax.Array]
 """Velocity [3] m/s of the water at a point [3]."""

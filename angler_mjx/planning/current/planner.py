@@ -18,13 +18,13 @@ from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import Objective, PowerModel, power_model
 from angler_mjx.planning.current.shaping import descended, evened, legs, shortened
 from angler_mjx.planning.current.timetable import scheduled
+from angler_mjx.planning.path_search.bodies import bodies_traffic
+from angler_mjx.planning.path_search.lattice import Terrain, terrain
+from angler_mjx.planning.path_search.robot import WayConfig
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Team
-from angler_mjx.planning.ways.bodies import bodies_traffic
-from angler_mjx.planning.ways.lattice import Terrain, terrain
-from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 AT_ONCE = 4096

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.planning.current.pace import PowerModel, pace
-from angler_mjx.planning.ways.lattice import Terrain, line_of_sight
+from angler_mjx.planning.path_search.lattice import Terrain, line_of_sight
 
 type Flow = Callable[[jax.Array, jax.Array], jax.Array]
 """Velocity [3] m/s of the water at a point [3] and a time [] s."""

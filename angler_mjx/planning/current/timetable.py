@@ -5,10 +5,10 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.bodies import STANDS_S
-from angler_mjx.planning.ways.pulling import keeps_clear
-from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import GridTraffic, met_by
+from angler_mjx.planning.path_search.bodies import STANDS_S
+from angler_mjx.planning.path_search.pulling import keeps_clear
+from angler_mjx.planning.path_search.starts import meets_starts, only, standing
+from angler_mjx.planning.path_search.traffic import GridTraffic, met_by
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDS = 3

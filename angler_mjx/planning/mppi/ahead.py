@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.world.acoustics.channel import HeardRobots
 
 NOBODY_M = -1e3

@@ -20,7 +20,7 @@ from angler_mjx.robot.control.commands import BodyTwist, BodyWrench, Estimate
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.params import VehicleParams
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy, PolicyInput
 
 type Output = Literal["twist", "wrench"]

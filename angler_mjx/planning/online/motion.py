@@ -5,9 +5,9 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.traffic import GridTraffic, clear_of
+from angler_mjx.planning.path_search.traffic import GridTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 
 
 def later(known: ObstacleInformation, delay_s: float) -> ObstacleInformation:

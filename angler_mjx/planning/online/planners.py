@@ -11,12 +11,12 @@ from angler_mjx.errors import ConfigError, raised_by
 from angler_mjx.planning import grid
 from angler_mjx.planning.current import planner as current
 from angler_mjx.planning.current.planner import CurrentConfig
+from angler_mjx.planning.path_search.robot import WayConfig
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerReference, PlannerSpec
-from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC, Obstacles
 

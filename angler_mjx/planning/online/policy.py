@@ -13,7 +13,7 @@ from angler_mjx.robot.control.commands import Estimate, PoseTarget
 from angler_mjx.robot.control.laws.follow import FollowCarry, FollowGains
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy, PolicyInput
 
 

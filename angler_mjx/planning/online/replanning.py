@@ -13,15 +13,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning import asking
+from angler_mjx.planning import build_problem
 from angler_mjx.planning.online.joining import joined, padded, remainder
 from angler_mjx.planning.online.motion import is_clear, later, plan_rows
+from angler_mjx.planning.path_search.bodies import bodies_traffic
+from angler_mjx.planning.path_search.traffic import GridTraffic, beside
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.ways.bodies import bodies_traffic
-from angler_mjx.planning.ways.traffic import GridTraffic, beside
 from angler_mjx.robot.control.laws.follow import FollowCarry
 from angler_mjx.robot.control.trajectory import Trajectory, sample
-from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.sim.policy import OF_RESET, PolicyInput
 
 
@@ -121,7 +121,7 @@ def make(
     problem = Problem(
         grid=known.grid,
         floor_z_m=known.floor_z_m,
-        team=asking.team(known.params, start, clocks.yaw_rad, known.goal_m),
+        team=build_problem.team(known.params, start, clocks.yaw_rad, known.goal_m),
         obstacles=obstacles,
         current=_later(known.current, settings.delay_s),
         seed=jax.random.bits(jax.random.fold_in(key, OF_RESET), dtype=jnp.uint32),

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import jax
 
+from angler_mjx.planning.path_search.bodies import bodies_traffic
+from angler_mjx.planning.path_search.lattice import terrain
+from angler_mjx.planning.path_search.robot import MOST_LAYERS, WayConfig
 from angler_mjx.planning.priority import team
 from angler_mjx.planning.priority.queue import work_off
 from angler_mjx.planning.priority.team import PriorityTask
-from angler_mjx.planning.ways.bodies import bodies_traffic
-from angler_mjx.planning.ways.lattice import terrain
-from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig
 from angler_mjx.robot.control.trajectory import Trajectory
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world.environment import Environment
 
 ROOM_M = 0.8

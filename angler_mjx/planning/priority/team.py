@@ -1,10 +1,10 @@
 """The search of one team, robot by robot: who finds no way drives some of the others out.
 
-A robot that is to be planned is searched a way clear of all that are (see `planning.ways`). If
-there is none, it is tried again with some of those, drawn by lot and more at each try, not looked
-at; whom the new path then meets loses its own and waits for its next turn. So robots that are hard
-to plan come to be first, and only what stands in their way is planned again. The most robots that
-were ever planned at a time are handed out.
+A robot that is to be planned is searched a way clear of all that are (see `planning.path_search`).
+If there is none, it is tried again with some of those, drawn by lot and more at each try, not
+looked at; whom the new path then meets loses its own and waits for its next turn. So robots that
+are hard to plan come to be first, and only what stands in their way is planned again. The most
+robots that were ever planned at a time are handed out.
 
 The paths of the robots that are planned never meet: each new one is proved against those that it
 was searched among, and takes out those of the rest that it meets.
@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.lattice import Terrain
-from angler_mjx.planning.ways.robot import WayConfig, grown, plan_one
-from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic, met_by
+from angler_mjx.planning.path_search.lattice import Terrain
+from angler_mjx.planning.path_search.robot import WayConfig, grown, plan_one
+from angler_mjx.planning.path_search.starts import meets_starts, only, standing
+from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, met_by
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 _NEVER = 2**31 - 1

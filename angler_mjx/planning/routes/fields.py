@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle
-from angler_mjx.planning.ways.batching import least_of_batch
-from angler_mjx.planning.ways.lattice import EDGES, Terrain, terrain
+from angler_mjx.planning.path_search.batching import least_of_batch
+from angler_mjx.planning.path_search.lattice import EDGES, Terrain, terrain
 from angler_mjx.world.difficulty import LENGTHS, MOVES, Move, bit_of, relaxed, widened
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid

@@ -18,7 +18,7 @@ from angler_mjx.planning.routes.avoidance import (
 )
 from angler_mjx.robot.control.commands import PoseTarget
 from angler_mjx.robot.control.laws.model import wrap
-from angler_mjx.sim.knowledge import Information, ObstacleInformation
+from angler_mjx.sim.information import Information, ObstacleInformation
 from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.world.routes import Routes
 

@@ -27,8 +27,8 @@ from angler_mjx.runs.storage.results import end_time_s
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.obstacles import BOX, CAPSULE, SPHERE, STATIC
 from angler_mjx.world.slices import Slices, through
-from angler_mjx.world.tasks.faces import SurfaceQuads, surface
 from angler_mjx.world.tasks.history import TaskHistory
+from angler_mjx.world.tasks.surface_quads import SurfaceQuads, surface
 
 MAP = "map"
 """Frame of all worlds."""

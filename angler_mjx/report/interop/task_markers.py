@@ -4,8 +4,8 @@ import numpy as np
 
 from angler_mjx.report.interop import ros_messages as ros
 from angler_mjx.world.environment import Environment
-from angler_mjx.world.tasks.faces import SurfaceQuads
 from angler_mjx.world.tasks.history import Goods, TaskHistory
+from angler_mjx.world.tasks.surface_quads import SurfaceQuads
 
 _UNSEEN, _SEEN, _OPEN, _GOODS = (
     (0.78, 0.40, 0.25, 1.0),

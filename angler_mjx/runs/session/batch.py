@@ -15,8 +15,8 @@ from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.runs.session import checks, fleet_facts, paths, presence
 from angler_mjx.runs.session.checks import CommandLimits, RobotPosition
+from angler_mjx.runs.session.command_queue import PLAN, CommandQueue
 from angler_mjx.runs.session.interface import Floats, Observation, Order, RobotInfo
-from angler_mjx.runs.session.orders import PLAN, CommandQueue
 from angler_mjx.runs.session.rejoin import RejoinPaths
 from angler_mjx.runs.session.view import StateView, Watched, believed, covariance, look, shown
 from angler_mjx.runs.simulator.simulator import Simulator

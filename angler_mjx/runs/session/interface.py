@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from angler_mjx.robot.control.commands import BodyWrench, Estimate, ThrusterPwm
 from angler_mjx.robot.control.joint_goal import JointGoal
 from angler_mjx.robot.control.stack import Command
-from angler_mjx.sim.knowledge import renamed
+from angler_mjx.sim.information import renamed
 from angler_mjx.sim.state import Outcome
 
 type Floats = NDArray[np.floating[Any]]
@@ -71,7 +71,7 @@ class SceneObstacles:
     kind: NDArray[np.integer[Any]]
     """[n] a kind of `angler_mjx.world.obstacles.types`."""
     half_size_m: Floats
-    """[n, 3] as `angler_mjx.sim.knowledge.ObstacleInformation.half_size_m`."""
+    """[n, 3] as `angler_mjx.sim.information.ObstacleInformation.half_size_m`."""
 
     @property
     def size_m(self) -> Floats:

@@ -14,18 +14,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning import asking
+from angler_mjx.planning import build_problem
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.commands import Estimate
 from angler_mjx.runs.session.interface import Observation, Order, Session
 from angler_mjx.runs.session.recording import Recordable
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.aboard.here import WorldContext
-from angler_mjx.sim.knowledge import Information
-from angler_mjx.sim.knowledge import SceneObservation as Seen
+from angler_mjx.sim.information import Information
+from angler_mjx.sim.information import SceneObservation as Seen
 from angler_mjx.sim.policy import Policy, PolicyMemory
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.world_phases.context import WorldContext
 from angler_mjx.world.acoustics.config import refuse_acoustics
 
 FLYING = (Outcome.RUNNING, Outcome.REACHED)
@@ -140,7 +140,7 @@ def problem_of(session: OnlineScene, knows: Information | None = None) -> Proble
     left_s = max(scenario.time.horizon_s - now.time_s, spec.control_dt_s)
     world, obstacles = _alone((inside.worlds, inside.state.obstacles))
     w, x, y, z = np.moveaxis(np.asarray(now.estimate.q, np.float32), -1, 0)
-    made = asking.build_problem_now(
+    made = build_problem.build_problem_now(
         world,
         jnp.uint32(scenario.seed),
         spec,

@@ -18,10 +18,10 @@ from angler_mjx.robot.control.joint_trajectory import LINEAR
 from angler_mjx.runs.provenance import describe_environment, peak_memory_bytes
 from angler_mjx.runs.session.batch import Inside
 from angler_mjx.runs.session.interface import Floats, Observation
-from angler_mjx.runs.storage import folder, harvest, results
+from angler_mjx.runs.storage import device_to_host, folder, results
 from angler_mjx.runs.storage import inputs as copies
-from angler_mjx.runs.storage.claims import OutputLock
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage.device_to_host import FinishedTile
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample, asked_in, sizes_of
@@ -185,7 +185,7 @@ class SessionRecording:
             folder.write_json(building / folder.ENVIRONMENT, describe_environment())
             self._write_trajectories(building, tile)
             episodes = results.episode_table(
-                harvest.tile_result(tile), inside.simulator.labels(), scenario.seed
+                device_to_host.tile_result(tile), inside.simulator.labels(), scenario.seed
             )
             summary = {**self._summary(scenario, course), **results.summarise(episodes)}
             return folder.finish(claimed, episodes, summary)
@@ -200,7 +200,7 @@ class SessionRecording:
     def _tile(self, inside: Inside) -> FinishedTile:
         """The world as the tile of a run, its samples joined to [1, n, ...]."""
         joined: Sample = jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *self._samples)
-        kept = jax.tree.map(np.array, harvest.constants(inside.worlds, recorded=True))
+        kept = jax.tree.map(np.array, device_to_host.constants(inside.worlds, recorded=True))
         for robot, way in self._ways.items():
             kept.planned[0, robot] = True
             # In as many rows as the planner's paths have.
@@ -211,7 +211,7 @@ class SessionRecording:
             first=self._world,
             kept=1,
             constants=kept,
-            end=jax.tree.map(np.asarray, harvest.end(inside.state, recorded=True)),
+            end=jax.tree.map(np.asarray, device_to_host.end(inside.state, recorded=True)),
             parts=[joined],
         )
 
@@ -246,7 +246,7 @@ class SessionRecording:
             jointed="plan_degree" in plan,
             finely=self._scenario.store,
             also=asked_in(first),
-            task=harvest.task_sizes(tile.constants.task),
+            task=device_to_host.task_sizes(tile.constants.task),
         )
         recorder = Recorder.create(
             building / folder.TRAJECTORIES,
@@ -255,7 +255,7 @@ class SessionRecording:
             tile=1,
             sample_dt_s=1.0 / self._scenario.time.record_hz,
         )
-        recorder.write(tile.first, harvest.arrays(tile, shape.samples), environment)
+        recorder.write(tile.first, device_to_host.arrays(tile, shape.samples), environment)
         recorder.sync(tile.first)
 
     def _summary(self, scenario: Scenario, course: RecordedCourse) -> dict[str, Any]:

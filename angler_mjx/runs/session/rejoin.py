@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from angler_mjx.planning.ways import lattice
+from angler_mjx.planning.path_search import lattice
 from angler_mjx.runs.session.interface import Floats
 from angler_mjx.runs.session.plan import Plan
 from angler_mjx.world.environment import Environment

@@ -10,11 +10,11 @@ from angler_mjx.errors import ConfigError, raised_by
 from angler_mjx.planning import grid as grid_planner
 from angler_mjx.planning.current import planner as current
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings
+from angler_mjx.planning.path_search.robot import WayConfig, layers
 from angler_mjx.planning.planner import Path
 from angler_mjx.planning.priority import planner as priority
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
-from angler_mjx.planning.ways.robot import WayConfig, layers
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
 from angler_mjx.world.config import resolve

@@ -11,34 +11,34 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_kernels.clearance import cell_neighbours
-from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import ConfigError, shown
 from angler_mjx.planning import grid as grid_planner
-from angler_mjx.planning.asking import build_problems
+from angler_mjx.planning.build_problem import build_problems
+from angler_mjx.planning.path_search.robot import WayConfig
 from angler_mjx.planning.planner import Path, PathShape
 from angler_mjx.planning.problem import Problem
 from angler_mjx.planning.register import PlannerSpec
 from angler_mjx.planning.routes import fields as fields_of_routes
-from angler_mjx.planning.ways.robot import WayConfig
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.joint_trajectory import hold as hold_joints
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.control.trajectory import hold
 from angler_mjx.runs.simulator.on_device import GRID, device_planner, foresees, ways_config
+from angler_mjx.sampling import between, children, uniforms
 from angler_mjx.scenario.randomise_table import RandomiseConfig
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import drawn_places
 from angler_mjx.sim import fleet
-from angler_mjx.sim.knowledge import Information, obstacles
+from angler_mjx.sim.information import Information, obstacles
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import Factors, World
 from angler_mjx.world import currents, generate
 from angler_mjx.world.config import WorldRecipe, resolve
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.routes import Routes
-from angler_mjx.world.tasks import drawing
-from angler_mjx.world.tasks.drawing import GoalSampling
+from angler_mjx.world.tasks import sampling
 from angler_mjx.world.tasks.reach import reachable_cells
+from angler_mjx.world.tasks.sampling import GoalSampling
 from angler_mjx.world.tasks.spec import TaskWorld
 
 AT_ONCE = {"gpu": 16384}
@@ -316,7 +316,7 @@ def _task(
     margin_m = MARGIN_M if policy is None else policy.routes_margin_m or MARGIN_M
     clearance_m = jnp.max(control.vehicle.radius_m) + margin_m
     places = [where for _, where, _ in drawn_places(scenario.task)] or [GoalSampling()]
-    return drawing.draw(
+    return sampling.draw(
         spec,
         places[0],
         places[-1],

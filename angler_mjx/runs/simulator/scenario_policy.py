@@ -30,7 +30,7 @@ from angler_mjx.runs.simulator.on_device import (
 )
 from angler_mjx.scenario.policy_tables import default_knows
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 
 

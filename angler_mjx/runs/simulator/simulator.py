@@ -32,13 +32,13 @@ from angler_mjx.runs.simulator.programs import Programs, Segment
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.admission import WorldValidator
 from angler_mjx.sim.engines import base as engines
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.validate_worlds import WorldValidator
 
 DEFAULT_TILE = {"cpu": 128, "gpu": 4096}
 """Worlds in one device call where the scenario does not say: measured in docs/validation.md."""
@@ -429,9 +429,10 @@ class Simulator:
             policy: the simulator's with other numbers in it.
 
         Raises:
-            ConfigError: the worlds hold what the engine would not see (`angler_mjx.sim.admission`),
-                as in `step` and `segment`; no stage of the controllers takes what the policy
-                commands, or it is made otherwise than the simulator's.
+            ConfigError: the worlds hold what the engine would not see
+                (`angler_mjx.sim.validate_worlds`), as in `step` and `segment`; no stage of the
+                controllers takes what the policy commands, or it is made otherwise than the
+                simulator's.
         """
         admitted, driver = self._gate.admit(worlds), self._driven(policy)
         state: WorldState = self._programs.reset(self.fleet, admitted, *driver)

@@ -16,7 +16,7 @@ import zarr
 from zarr.codecs import BloscCodec
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import arrays, claims, inputs
+from angler_mjx.runs.storage import arrays, inputs, output_lock
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.world import currents, ocean
 from angler_mjx.world.config import WorldConfig, resolve
@@ -256,7 +256,7 @@ def make(
     """
     tile = min(tile, count)
     # What a process that was killed left cannot be gone on with: it is made anew.
-    claimed = claims.acquire(path, what="file of environments", left=lambda building: None)
+    claimed = output_lock.acquire(path, what="file of environments", left=lambda building: None)
     invalid, done = 0, 0
     try:
         group = zarr.open_group(claimed.building, mode="a")

@@ -23,9 +23,9 @@ import zarr
 
 from angler_mjx.errors import ConfigError, RunError, size
 from angler_mjx.files import parse
-from angler_mjx.runs.storage import atomic, claims, environments, inputs, layout, results
-from angler_mjx.runs.storage.claims import OutputLock, partial_path
+from angler_mjx.runs.storage import atomic, environments, inputs, layout, output_lock, results
 from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.runs.storage.output_lock import OutputLock, partial_path
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
 
@@ -145,14 +145,14 @@ def left(building: Path) -> str | None:
     A run can go on as soon as it says of what it is; logs of robots are kept.
     """
     if (building / CONFIG).exists():
-        return claims.RESUMABLE
+        return output_lock.RESUMABLE
     held = (building / ROBOTS).exists() or holds_results(building)
-    return claims.BROKEN_OFF if held else None
+    return output_lock.BROKEN_OFF if held else None
 
 
 def require_none(out: Path) -> None:
-    """Refuse the name of a run that is taken; see `claims.require_none`."""
-    claims.require_none(out, left=left)
+    """Refuse the name of a run that is taken; see `output_lock.require_none`."""
+    output_lock.require_none(out, left=left)
 
 
 def create(out: Path) -> OutputLock:
@@ -161,7 +161,7 @@ def create(out: Path) -> OutputLock:
     Raises:
         ConfigError: ``out`` exists, or its parent cannot be written.
     """
-    claimed = claims.acquire(out, left=left)
+    claimed = output_lock.acquire(out, left=left)
     try:
         (claimed.building / PARTS).mkdir()
     except OSError as error:
@@ -226,7 +226,7 @@ def reopen(out: Path, tell: Callable[[str], None]) -> OutputLock:
     inputs.require_unchanged(place, flag=f"--resume {out}")
     if (place / inputs.FOLDER).resolve() in Path(scenario.planner.name).parents:
         tell(f"the planner's file is another one now; the run goes on with {scenario.planner.name}")
-    claimed = claims.acquire_unfinished(out)
+    claimed = output_lock.acquire_unfinished(out)
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted run of that name")
     try:

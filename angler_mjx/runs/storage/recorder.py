@@ -25,7 +25,7 @@ from zarr.codecs import BloscCodec
 from angler_mjx.runs.storage import atomic, layout, shards
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage.damage import reading
-from angler_mjx.runs.storage.harvest import Arrays
+from angler_mjx.runs.storage.device_to_host import Arrays
 from angler_mjx.runs.storage.stepped import Stepped, stepped
 from angler_mjx.scenario.store_table import StoreConfig
 from angler_mjx.world.environment import Environment

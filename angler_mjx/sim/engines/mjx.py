@@ -12,8 +12,6 @@ from angler_mjx.errors import UnsupportedError
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import nearness, start
-from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact, detect
 from angler_mjx.sim.fleet import Fleet, carrying
@@ -26,6 +24,8 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, MEETING, OBSTACLES
+from angler_mjx.sim.world_phases import running
+from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 from angler_mjx.world import currents
 from angler_mjx.world import obstacles as obstacle_motion
 from angler_mjx.world.currents import Current
@@ -177,10 +177,10 @@ def control_step(
     """
     t = state.step.astype(state.vehicles.p.dtype) * spec.control_dt_s
     minds, told = WorldMemory.of(state), WorldPhaseOutput()
-    policy = telling.active_policy(policy, command)
-    if telling.has_world_phases(spec, policy):
+    policy = running.active_policy(policy, command)
+    if running.has_world_phases(spec, policy):
         count = state.step if number is None else number
-        minds, told = telling.run_world_phases(
+        minds, told = running.run_world_phases(
             spec,
             policy,
             world,

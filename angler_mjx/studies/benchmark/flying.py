@@ -11,13 +11,13 @@ import numpy as np
 from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.runs import waves
+from angler_mjx.runs import device_batches
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.simulator import hosted
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import harvest, results
+from angler_mjx.runs.storage import device_to_host, results
 from angler_mjx.runs.storage.damage import reading
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.sim.state import World
 from angler_mjx.studies.benchmark import paths as bytes_of
 from angler_mjx.studies.benchmark import scenery
@@ -91,7 +91,7 @@ def fly(
         if any(first <= world < first + tile for world in flight.plans)
     ]
     landing = iter(orders)
-    waves_of = waves.simulate(
+    waves_of = device_batches.simulate(
         simulator,
         [first for _, first in orders],
         recorded=setting.scenario.time.record_hz > 0,
@@ -113,7 +113,7 @@ class _Plans:
         self._coming = iter(orders)
 
     def of(self, firsts: list[int], worlds: World, simulator: Simulator) -> tuple[Plan, None]:
-        """See `waves.StoredPlans`; worlds without a plan hold their starts."""
+        """See `device_batches.StoredPlans`; worlds without a plan hold their starts."""
         answers: dict[int, Answer] = {}
         for t in range(len(firsts)):
             flight, first = next(self._coming)
@@ -137,7 +137,9 @@ def _keep(
     examples: int,
     store: BenchmarkStore,
 ) -> None:
-    table = results.episode_table(harvest.tile_result(tile), simulator.labels(), setting.seed)
+    table = results.episode_table(
+        device_to_host.tile_result(tile), simulator.labels(), setting.seed
+    )
     of_world = defaultdict(list)
     for row in table.to_pylist():
         of_world[row["world"]].append(row)

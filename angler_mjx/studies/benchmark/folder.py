@@ -13,10 +13,10 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import atomic, claims, inputs
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import atomic, inputs, output_lock
 from angler_mjx.runs.storage.damage import read_table, reading
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.studies.benchmark import questions
 from angler_mjx.studies.benchmark.questions import Benchmark
@@ -33,7 +33,7 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    claimed = claims.acquire(out, what=WHAT, left=_worth)
+    claimed = output_lock.acquire(out, what=WHAT, left=_worth)
     building = claimed.building
     try:
         shutil.copyfile(source / SOURCE if source.is_dir() else source, building / SOURCE)
@@ -58,7 +58,7 @@ def begin(benchmark: Benchmark, source: Path, out: Path) -> OutputLock:
 
 
 def _worth(building: Path) -> str | None:
-    return claims.RESUMABLE if (building / FILE).exists() else None
+    return output_lock.RESUMABLE if (building / FILE).exists() else None
 
 
 def reopen(benchmark: Benchmark, out: Path) -> OutputLock:
@@ -69,7 +69,7 @@ def reopen(benchmark: Benchmark, out: Path) -> OutputLock:
     """
     if (out / ABOUT).is_file():
         raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    claimed = claims.acquire_unfinished(out, what=WHAT)
+    claimed = output_lock.acquire_unfinished(out, what=WHAT)
     if claimed is None:
         raise ConfigError(f"--resume: there is no interrupted benchmark {out}")
     try:

@@ -23,7 +23,7 @@ from angler_mjx.runs.simulator.prepare import with_paths
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.studies.benchmark import paths as bytes_of
 from angler_mjx.studies.benchmark.columns import CLOSED, NO_ROOM, POLICY, WORDS
-from angler_mjx.studies.benchmark.contestants import ComparedPlanner
+from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.measures import of_answer
 from angler_mjx.studies.benchmark.questions import Setting
 from angler_mjx.studies.benchmark.store import BenchmarkStore

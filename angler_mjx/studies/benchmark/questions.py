@@ -16,10 +16,10 @@ from angler_mjx.scenario.reachable import check_reachable
 from angler_mjx.scenario.scenario import Scenario, load_beside
 from angler_mjx.scenario.tables import InformationConfig
 from angler_mjx.scenario.task_table import refuse_task
-from angler_mjx.sim.knowledge import Information
-from angler_mjx.studies.benchmark import contestants as compared
+from angler_mjx.sim.information import Information
+from angler_mjx.studies.benchmark import compared_planners as compared
+from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.config import BenchmarkConfig
-from angler_mjx.studies.benchmark.contestants import ComparedPlanner
 
 PLAIN = "as it is"
 """Name of the scene of a benchmark that names none."""
@@ -50,7 +50,7 @@ class Setting:
         return self.scenario.model_copy(update={"planner": planner})
 
     def flown(self, one: ComparedPlanner, source: str = "") -> Scenario:
-        """The scenario by which the robots of a contestant fly; see `contestants.flown`."""
+        """The scenario by which the robots of a contestant fly; see `compared_planners.flown`."""
         return compared.flown(self.scenario, self.knows, one, f"{source} ({self})")
 
     def __str__(self) -> str:

@@ -19,12 +19,12 @@ from angler_mjx.planning.host.pool import Pool
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import claims, planned
+from angler_mjx.runs.storage import output_lock, planned
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import flying, folder, planning, questions, scenery, tables
 from angler_mjx.studies.benchmark.columns import POLICY
-from angler_mjx.studies.benchmark.contestants import ComparedPlanner
+from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.questions import Benchmark, Setting
 from angler_mjx.studies.benchmark.report import page
 from angler_mjx.studies.benchmark.store import FILE, STATUS, BenchmarkStore
@@ -144,7 +144,7 @@ def report(place: Path) -> Path:
         ConfigError: it is none.
     """
     benchmark = folder.read(place)
-    complete = not place.name.startswith(claims.PREFIX)
+    complete = not place.name.startswith(output_lock.PREFIX)
     with BenchmarkStore(place / FILE) as store:
         _results(benchmark, place, store, complete=complete)
     return place / "report.html"

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.studies.benchmark.columns import NUMBERS, POLICY, WORDS
-from angler_mjx.studies.benchmark.contestants import ComparedPlanner
+from angler_mjx.studies.benchmark.compared_planners import ComparedPlanner
 from angler_mjx.studies.benchmark.questions import Setting
 
 FILE = "results.sqlite"

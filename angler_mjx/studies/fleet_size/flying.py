@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from angler_mjx.runs import waves
+from angler_mjx.runs import device_batches
 from angler_mjx.runs.progress import SilentProgress
-from angler_mjx.runs.storage import harvest
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage import device_to_host
+from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.planned import PlanningFailures
 from angler_mjx.sim.state import Outcome
-from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch
 
@@ -54,7 +54,7 @@ def fly(
     at, of = share
     tiles = range(first, first + study.config.budget.batch, simulator.tile)[at::of]
     parts: list[dict[str, list[Any]]] = []
-    for wave in waves.simulate(
+    for wave in device_batches.simulate(
         simulator,
         tiles,
         recorded=False,
@@ -94,7 +94,7 @@ def _of_tile(
     study: FleetSizeStudy, tile: FinishedTile, failures: PlanningFailures | None
 ) -> dict[str, list[Any]]:
     """Of each world of a tile."""
-    result = harvest.tile_result(tile)
+    result = device_to_host.tile_result(tile)
     if failures is not None:
         failures.add(result.world, result.notes)
     planned = np.sum(result.planned, axis=1).tolist()

@@ -12,13 +12,13 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.provenance import describe_environment
-from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.damage import read_table, reading
 from angler_mjx.runs.storage.folder import ENVIRONMENT, write_json
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.scenario.editing import first_difference
 from angler_mjx.studies.fleet_size import figures, report
-from angler_mjx.studies.fleet_size.asking import FleetSizeStudy
+from angler_mjx.studies.fleet_size.conditions import FleetSizeStudy
 from angler_mjx.studies.fleet_size.store import FILE, Batch
 
 SOURCE, RESOLVED, STUDY = "study.toml", "resolved.json", "study.json"
@@ -33,7 +33,7 @@ def begin(study: FleetSizeStudy, source: Path, out: Path, tile: int) -> OutputLo
         ConfigError: the name is taken.
         RunError: it cannot be written.
     """
-    claimed = claims.acquire(out, what=WHAT, left=_worth)
+    claimed = output_lock.acquire(out, what=WHAT, left=_worth)
     try:
         shutil.copyfile(source, claimed.building / SOURCE)
         write_json(claimed.building / ENVIRONMENT, describe_environment())
@@ -49,7 +49,7 @@ def begin(study: FleetSizeStudy, source: Path, out: Path, tile: int) -> OutputLo
 
 def _worth(building: Path) -> str | None:
     batches = building / FILE
-    return claims.RESUMABLE if batches.is_file() and batches.stat().st_size else None
+    return output_lock.RESUMABLE if batches.is_file() and batches.stat().st_size else None
 
 
 def reopen(study: FleetSizeStudy, out: Path) -> tuple[OutputLock, int]:
@@ -60,7 +60,7 @@ def reopen(study: FleetSizeStudy, out: Path) -> tuple[OutputLock, int]:
     """
     if (out / STUDY).is_file() and read(out).get("complete"):
         raise ConfigError(f"--resume: {out} is complete; nothing is left to do")
-    claimed = claims.acquire_unfinished(out, what=WHAT)
+    claimed = output_lock.acquire_unfinished(out, what=WHAT)
     if claimed is None:
         raise ConfigError(f"--resume: there is no interrupted study {out}")
     place = claimed.building / RESOLVED

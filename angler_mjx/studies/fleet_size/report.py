@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from angler_mjx.runs.storage import atomic
 from angler_mjx.studies.fleet_size import bernoulli, sequence, survival
-from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequence import Rule
 from angler_mjx.studies.fleet_size.store import Batch
 

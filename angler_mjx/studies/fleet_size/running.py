@@ -19,11 +19,11 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs.processes import OneProcess, Processes, telling
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.simulator import default_tile
-from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import output_lock
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.planned import PlanningFailures
 from angler_mjx.studies.fleet_size import flying, folder, report
-from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 from angler_mjx.studies.fleet_size.sequence import Rule, answer, wanted
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import FILE, Batch, StudyStore
@@ -149,7 +149,7 @@ def run(
             stack.callback(simulators.close)
         if not resume:
             _tell_of_idle(study, tile, devices, together, told)
-        place = claims.partial_path(out)
+        place = output_lock.partial_path(out)
         found = _run(study, claimed, place, simulators, told, together)
         together.meet("closed")
     return folder.read(out) if found is None else found

@@ -29,7 +29,7 @@ from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.randomise_table import AS_SAID
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
-from angler_mjx.studies.fleet_size.asking import Condition, FleetSizeStudy
+from angler_mjx.studies.fleet_size.conditions import Condition, FleetSizeStudy
 
 MOST = 24
 """Simulators that are held at a time: the programs of more would use up the memory maps that a

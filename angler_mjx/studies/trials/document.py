@@ -8,8 +8,8 @@ from pathlib import Path
 from angler_mjx.report.viewing import tables
 from angler_mjx.report.viewing.tables import table
 from angler_mjx.studies.flights import kinds, measures
-from angler_mjx.studies.flights.draws import CURRENT_MPS, STEP_M
-from angler_mjx.studies.trials import draws, eight, steps, trial
+from angler_mjx.studies.flights.samples import CURRENT_MPS, STEP_M
+from angler_mjx.studies.trials import eight, samples, steps, trial
 from angler_mjx.studies.trials.eight import Eight
 from angler_mjx.studies.trials.steps import TrialStep
 from angler_mjx.studies.trials.trial import Trial
@@ -136,14 +136,15 @@ def _draws(trials: Sequence[Trial]) -> str:
     return "\n\n".join(
         [
             f"{len(trials[0].verdicts):,} draws of each controller: parameter set x battery "
-            f"{draws.BATTERY_V[0]:g} to {draws.BATTERY_V[1]:g} V x current to "
-            f"{CURRENT_MPS:g} m/s x every gain {100 * draws.GAIN_SHARE:.0f} % up or down x a "
-            f"step of up to {STEP_M:g} m and half a turn; {draws.FLIGHT_S:g} s each. Failed "
+            f"{samples.BATTERY_V[0]:g} to {samples.BATTERY_V[1]:g} V x current to "
+            f"{CURRENT_MPS:g} m/s x every gain {100 * samples.GAIN_SHARE:.0f} % up or down x a "
+            f"step of up to {STEP_M:g} m and half a turn; {samples.FLIGHT_S:g} s each. Failed "
             f"is what leans more than {math.degrees(measures.TILT_RAD):.0f} degrees, turns faster "
-            f"than {measures.RATE_RADPS:g} rad/s, or still turns faster than {draws.QUIET_RADPS:g} "
-            f"rad/s in the last {draws.LAST_S:g} s. On station is within {draws.STATION_M:g} m "
-            f"there; outrun is not, in a current above {100 * draws.OUTRUN_SHARE:.0f} % of the "
-            "vehicle's slowest level terminal speed; away is not, in a slower one.",
+            f"than {measures.RATE_RADPS:g} rad/s, or still turns faster than "
+            f"{samples.QUIET_RADPS:g} rad/s in the last {samples.LAST_S:g} s. On station is within "
+            f"{samples.STATION_M:g} m there; outrun is not, in a current above "
+            f"{100 * samples.OUTRUN_SHARE:.0f} % of the vehicle's slowest level "
+            "terminal speed; away is not, in a slower one.",
             table(head, rows),
             "Failing draws of vehicles that something holds level: "
             + ("\n\n" + "\n".join(faults) if faults else "none."),

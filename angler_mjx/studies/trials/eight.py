@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.robot.vehicles.thrusters import FloatArray
-from angler_mjx.studies.flights import courses, draws, flying, kinds, tracks
+from angler_mjx.studies.flights import courses, flying, kinds, samples, tracks
 from angler_mjx.studies.flights.courses import Times
-from angler_mjx.studies.flights.draws import MASS_ERROR, VORTEX_MPS
 from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.kinds import FlightKind
+from angler_mjx.studies.flights.samples import MASS_ERROR, VORTEX_MPS
 
 SPEED_MPS, SLOW_MPS = 0.5, 0.3
 """Along the course; the slow one for sets that cannot make 0.5 m/s against the vortices."""
@@ -66,11 +66,11 @@ def fly(controller: str, vehicles: Sequence[FlightKind]) -> tuple[Eight, ...]:
     heavier = np.array([1.0 + error for _, (_, _, error) in cases])
     orders = FlightSettings(
         params=params,
-        plant=draws.as_it_is(params.vehicle, heavier),
+        plant=samples.as_it_is(params.vehicle, heavier),
         start_m=flying.starts(len(cases)),
         yaw_rad=np.array([course.pose[0, 3] for course in flown]),
         command=courses.command(flown, timed=timed),
-        current=(draws.vortices(np.array([flow for _, (_, flow, _) in cases])),),
+        current=(samples.vortices(np.array([flow for _, (_, flow, _) in cases])),),
     )
     gains = flying.same_gains(spec, len(cases))
     track = tracks.track(spec, flying.program(spec, times.steps)(orders, gains))

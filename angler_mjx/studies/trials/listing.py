@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.studies.trials.draws import TrialVerdict
+from angler_mjx.studies.trials.samples import TrialVerdict
 from angler_mjx.studies.trials.trial import Trial
 
 

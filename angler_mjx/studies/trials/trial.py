@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from angler_mjx.studies.flights.kinds import FlightKind
-from angler_mjx.studies.trials import draws, eight, steps
-from angler_mjx.studies.trials.draws import TrialVerdict
+from angler_mjx.studies.trials import eight, samples, steps
 from angler_mjx.studies.trials.eight import Eight
+from angler_mjx.studies.trials.samples import TrialVerdict
 from angler_mjx.studies.trials.steps import TrialFlight, TrialStep
 
 STILL_M, STILL_RAD, CURRENT_M = 0.02, math.radians(1.0), 0.05
@@ -43,7 +43,7 @@ def fly(
         controller=controller,
         flown=steps.fly(controller, vehicles),
         eights=eight.fly(controller, vehicles),
-        verdicts=tuple(draws.fly(controller, range(n_draw), done)),
+        verdicts=tuple(samples.fly(controller, range(n_draw), done)),
     )
 
 

@@ -10,9 +10,9 @@ from matplotlib.ticker import MaxNLocator
 from angler_mjx.report.viewing import style
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.studies.flights.measures import KEPT_S, Measures
-from angler_mjx.studies.tuning.draws import COURSES
 from angler_mjx.studies.tuning.knobs import SPAN
 from angler_mjx.studies.tuning.outcome import ObjectivePart, TuningOutcome
+from angler_mjx.studies.tuning.samples import COURSES
 
 BEFORE, AFTER = style.QUIET, style.ROBOTS[0]
 _LEAST_M = 1e-3

@@ -14,8 +14,8 @@ from angler_mjx.studies.flights import flying, kinds, measures
 from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.measures import Measures, ReferenceMotion
 from angler_mjx.studies.tuning import knobs as turning
-from angler_mjx.studies.tuning.draws import FLIGHT_S, Flights
 from angler_mjx.studies.tuning.knobs import Knob
+from angler_mjx.studies.tuning.samples import FLIGHT_S, Flights
 
 CHUNK = {"cpu": 256}
 """Flights in a device call: few enough to stay in a processor's cache ..."""

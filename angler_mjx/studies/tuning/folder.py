@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic, claims
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import atomic, output_lock
 from angler_mjx.runs.storage.damage import read_table, reading
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.studies.tuning.search import Generation, TuningHistory
 
 CHECKPOINT = "checkpoint.json"
@@ -29,11 +29,11 @@ def create(out: Path) -> OutputLock:
     Raises:
         ConfigError: it or ``out`` exists, or the parent cannot be written.
     """
-    return claims.acquire(out, what="tuning", left=_left)
+    return output_lock.acquire(out, what="tuning", left=_left)
 
 
 def _left(building: Path) -> str | None:
-    return claims.RESUMABLE if (building / CHECKPOINT).exists() else None
+    return output_lock.RESUMABLE if (building / CHECKPOINT).exists() else None
 
 
 def reopen(
@@ -48,7 +48,7 @@ def reopen(
     Raises:
         ConfigError: there is none, it is complete, it goes on, or its checkpoint is damaged.
     """
-    building = claims.partial_path(out)
+    building = output_lock.partial_path(out)
     hidden = building.exists()
     place = building if hidden else out
     if not (place / CHECKPOINT).is_file():
@@ -58,7 +58,7 @@ def reopen(
         raise ConfigError(f"--resume {out}: this tuning is complete; nothing is left to do")
     with reading(place / CHECKPOINT, ADVICE):
         require(table)
-    claimed = claims.acquire_unfinished(out, what="tuning")
+    claimed = output_lock.acquire_unfinished(out, what="tuning")
     if claimed is None:
         raise ConfigError(f"--resume {out}: there is no interrupted tuning of that name")
     return claimed, table

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from angler_mjx.studies.flights.measures import Measures
-from angler_mjx.studies.tuning import draws, knobs
-from angler_mjx.studies.tuning.draws import Flights
+from angler_mjx.studies.tuning import knobs, samples
 from angler_mjx.studies.tuning.problem import TuningProblem
+from angler_mjx.studies.tuning.samples import Flights
 from angler_mjx.studies.tuning.search import TuningHistory
 
 STIFFER = 1.5
@@ -73,7 +73,7 @@ def measure(
     best = history.best()[1] or [0.0] * len(problem.knobs)
     turns = knobs.rounded(problem.knobs, best)
     train = _part(problem, problem.train, turns)
-    held_out = _part(problem, problem.flights(draws.HELD_OUT), turns)
+    held_out = _part(problem, problem.flights(samples.HELD_OUT), turns)
     stiff = problem.fly(np.array(turns) + math.log(STIFFER), held_out.flights)
     return TuningOutcome(
         problem=problem,

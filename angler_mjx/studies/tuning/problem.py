@@ -14,10 +14,10 @@ from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import SimSpec
 from angler_mjx.studies.flights import kinds
 from angler_mjx.studies.flights.measures import LAST_S, Measures
-from angler_mjx.studies.tuning import draws, knobs, objectives
-from angler_mjx.studies.tuning.draws import COURSES, Flights
+from angler_mjx.studies.tuning import knobs, objectives, samples
 from angler_mjx.studies.tuning.flying import Done, TuningFlyer
 from angler_mjx.studies.tuning.objectives import Judge, Objective
+from angler_mjx.studies.tuning.samples import COURSES, Flights
 from angler_mjx.studies.tuning.search import Generation
 
 type Method = Literal["gradient", "cma"]
@@ -88,7 +88,7 @@ class TuningProblem:
         self.settings = settings
         self.spec = spec_of(settings.scenario, settings.controller)
         self.knobs = knobs.of_spec(self.spec)
-        self.robots = draws.robots(settings.scenario)
+        self.robots = samples.robots(settings.scenario)
         groups = len(self.robots.labels) * len(COURSES)
         if settings.rollouts < groups:
             raise ConfigError(
@@ -104,20 +104,20 @@ class TuningProblem:
 
     def flights(self, part: int) -> Flights:
         """Those of one part, ``TRAIN`` or ``HELD_OUT``."""
-        return draws.draw(
+        return samples.draw(
             self.robots,
             self.settings.rollouts,
             self.settings.seed,
             part,
             self.spec.control_dt_s,
             timed=kinds.keeps_time(self.spec),
-            thrust_error=draws.THRUST_ERROR if self.settings.objective == "robust" else 0.0,
+            thrust_error=samples.THRUST_ERROR if self.settings.objective == "robust" else 0.0,
         )
 
     @cached_property
     def train(self) -> Flights:
         """The flights that candidates are judged by."""
-        return self.flights(draws.TRAIN)
+        return self.flights(samples.TRAIN)
 
     def fly(self, settings: FloatArray, flights: Flights) -> Measures:
         """Measures [n] of one candidate [n_knob]."""

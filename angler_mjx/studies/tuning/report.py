@@ -9,8 +9,8 @@ from angler_mjx.report.viewing.style import save
 from angler_mjx.report.viewing.tables import table
 from angler_mjx.studies.flights.measures import Measures
 from angler_mjx.studies.tuning import figures, folder, gain_files
-from angler_mjx.studies.tuning.draws import COURSES
 from angler_mjx.studies.tuning.outcome import STIFFER, ObjectivePart, TuningOutcome
+from angler_mjx.studies.tuning.samples import COURSES
 
 _SHOWN = 20
 """Seeds of flights that failed, at most."""

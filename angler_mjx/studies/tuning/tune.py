@@ -7,8 +7,8 @@ from typing import Any, Protocol
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.runs import provenance
-from angler_mjx.runs.storage.claims import OutputLock
 from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.studies.tuning import folder, outcome, report, search
 from angler_mjx.studies.tuning.optimisers import Adam, Cma, Optimiser
 from angler_mjx.studies.tuning.outcome import TuningOutcome

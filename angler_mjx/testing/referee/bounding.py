@@ -3,11 +3,11 @@
 import numpy as np
 
 from angler_mjx.testing.referee import findings as say
+from angler_mjx.testing.referee.collecting import FindingCollector
 from angler_mjx.testing.referee.contacts import STILL
 from angler_mjx.testing.referee.findings import RefereeFinding, Result
 from angler_mjx.testing.referee.record import OUTCOMES
 from angler_mjx.testing.referee.scene import FAILED, RefereeEpisode, RefereeScene
-from angler_mjx.testing.referee.telling import FindingCollector
 
 SPARSE = "what was between the samples is not known"
 

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from angler_mjx.testing.referee import findings as say
+from angler_mjx.testing.referee.collecting import FindingCollector
 from angler_mjx.testing.referee.contacts import OBSTACLE, ROBOT, STILL
 from angler_mjx.testing.referee.findings import How, RefereeFinding, Result
 from angler_mjx.testing.referee.geometry import Floats
 from angler_mjx.testing.referee.scene import RefereeEpisode, RefereeScene
-from angler_mjx.testing.referee.telling import FindingCollector
 
 HALF_US = 0.5
 """A command that was stored as whole microseconds is known to this."""

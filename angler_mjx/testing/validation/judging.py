@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from angler_mjx.testing.validation.found import Deviation, Expected, Measured, TermResult
+from angler_mjx.testing.validation.results import Deviation, Expected, Measured, TermResult
 from angler_mjx.testing.validation.terms import Terms, Worse
 
 

@@ -5,13 +5,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.testing.validation.found import (
+from angler_mjx.testing.validation.host import said
+from angler_mjx.testing.validation.results import (
     Deviation,
     MeasurementMetadata,
     TermResult,
     ValidationResult,
 )
-from angler_mjx.testing.validation.place import said
 from angler_mjx.testing.validation.terms import Part, StoredTerm, StudyTerm, Term, Terms
 
 PAGE = Path("docs/validation.md")

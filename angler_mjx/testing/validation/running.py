@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from angler_mjx.errors import RunError
-from angler_mjx.testing.validation import found
-from angler_mjx.testing.validation.found import Measured, TermResult
+from angler_mjx.testing.validation import results
+from angler_mjx.testing.validation.results import Measured, TermResult
 from angler_mjx.testing.validation.terms import StudyTerm
 
 TEST_XLA_FLAGS = (
@@ -51,7 +51,7 @@ def run_tests(root: Path, tests: Sequence[str], say: Say) -> tuple[Measured, lis
         if code not in (0, 1) or not out.is_file():
             raise RunError(f"pytest ended with {code}; its last words:\n{_tail(said)}")
         failed = [line.split(" - ")[0] for line in said if line.startswith(("FAILED ", "ERROR "))]
-        return found.read(Measured, out), failed
+        return results.read(Measured, out), failed
 
 
 def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], say: Say) -> TermResult:
@@ -67,7 +67,7 @@ def run_study(root: Path, study: StudyTerm, arguments: Sequence[str], say: Say) 
         said, code = _run(command, root, {}, say, study.name)
         if code != 0 or not out.is_file():
             raise RunError(f"{study.module} ended with {code}; its last words:\n{_tail(said)}")
-        return found.read(TermResult, out)
+        return results.read(TermResult, out)
 
 
 def _spread() -> list[str]:

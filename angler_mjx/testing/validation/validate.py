@@ -8,16 +8,16 @@ from typing import Any
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic import replacing
-from angler_mjx.testing.validation import found, page, running, speeds
+from angler_mjx.testing.validation import page, results, running, speeds
 from angler_mjx.testing.validation import terms as all_terms
-from angler_mjx.testing.validation.found import (
+from angler_mjx.testing.validation.judging import ValidationFault, faults
+from angler_mjx.testing.validation.results import (
     Expectation,
     Expected,
     Measured,
     TermResult,
     ValidationResult,
 )
-from angler_mjx.testing.validation.judging import ValidationFault, faults
 from angler_mjx.testing.validation.running import Say
 from angler_mjx.testing.validation.terms import EXPECTED, FOLDER, FOUND, Terms
 
@@ -70,9 +70,9 @@ def opened(root: Path) -> Checkout:
     return Checkout(
         root=root,
         terms=terms,
-        expected=found.read_or_empty(Expected, folder / EXPECTED),
-        found=found.read_or_empty(ValidationResult, folder / FOUND),
-        stored={n: found.read(TermResult, path) for n, path in files.items() if path.exists()},
+        expected=results.read_or_empty(Expected, folder / EXPECTED),
+        found=results.read_or_empty(ValidationResult, folder / FOUND),
+        stored={n: results.read(TermResult, path) for n, path in files.items() if path.exists()},
     )
 
 
@@ -93,20 +93,20 @@ def validate(request: ValidationRequest, root: Path, say: Say) -> list[Validatio
     """
     _sensible(request)
     here = opened(root)
-    measured, results, failed = _measure(request, here, say)
+    measured, by_study, failed = _measure(request, here, say)
     wanted = _wanted(request, here.terms) if measured else set()
     expected = here.expected
     if request.store:
-        expected = _with(expected, measured, results)
+        expected = _with(expected, measured, by_study)
     bad = [ValidationFault(key=test, said="failed") for test in failed]
-    bad += faults(here.terms, expected, measured, results, wanted)
-    whole = {} if request.quick else results
-    after = found.merged(here.found, measured, whole)
+    bad += faults(here.terms, expected, measured, by_study, wanted)
+    whole = {} if request.quick else by_study
+    after = results.merged(here.found, measured, whole)
     if request.check:
         return bad + _stale_page(here)
     _write(request, here, after)
     if request.store:
-        found.write(here.folder / EXPECTED, expected.model_dump())
+        results.write(here.folder / EXPECTED, expected.model_dump())
         say(f"{here.folder / EXPECTED}")
     return bad
 
@@ -134,7 +134,7 @@ def _measure(
     if request.page_only:
         return None, {}, []
     if request.measured is not None:
-        return found.read(Measured, request.measured), {}, []
+        return results.read(Measured, request.measured), {}, []
     tests = here.terms.tests(quick=request.quick)
     say(_plan(request, here, len(tests)))
     # Side by side: each compiles on one core for most of its time, and nothing here is a timing.
@@ -145,8 +145,8 @@ def _measure(
             if arguments is not None:
                 begun[study.name] = pool.submit(running.run_study, here.root, study, arguments, say)
         measured, failed = running.run_tests(here.root, tests, say)
-        results = {name: study.result() for name, study in begun.items()}
-    return measured, results, failed
+        by_study = {name: study.result() for name, study in begun.items()}
+    return measured, by_study, failed
 
 
 def _plan(request: ValidationRequest, here: Checkout, tests: int) -> str:
@@ -211,7 +211,7 @@ def _write(request: ValidationRequest, here: Checkout, after: ValidationResult) 
     place = here.root / page.PAGE if folder is None else folder / page.PAGE.name
     with replacing(place, flag="--out", force=True) as writing:
         writing.write_text(text, encoding="utf-8")
-    found.write((folder or here.folder) / FOUND, _joined(here, after))
+    results.write((folder or here.folder) / FOUND, _joined(here, after))
 
 
 def _joined(here: Checkout, after: ValidationResult) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.counting import every_n_steps
-from angler_mjx.draws import children
+from angler_mjx.periods import every_n_steps
+from angler_mjx.sampling import children
 from angler_mjx.world.acoustics.access import Access, Aloha, Tdma
 from angler_mjx.world.acoustics.link import Budget, Link
 from angler_mjx.world.acoustics.shadow import Rock

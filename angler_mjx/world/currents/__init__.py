@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from pydantic import Field
 
-from angler_mjx.draws import children
+from angler_mjx.sampling import children
 from angler_mjx.world.currents.eddies import DoubleGyreConfig, RankineConfig
 from angler_mjx.world.currents.fields import (
     Component,

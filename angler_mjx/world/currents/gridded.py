@@ -12,13 +12,13 @@ from pydantic import Field as Key
 from pydantic import ValidationInfo, field_validator, model_validator
 
 from angler_kernels.gridded_field import gridded
-from angler_mjx.draws import children
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel, absolute, named
 from angler_mjx.quantities import FASTEST_MPS
+from angler_mjx.sampling import children
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current, Flow
-from angler_mjx.world.ocean.places import DeepestCells, Span, origin, places, span_in
+from angler_mjx.world.ocean.deepest_cells import DeepestCells, Span, origin, places, span_in
 
 
 @jax.tree_util.register_dataclass

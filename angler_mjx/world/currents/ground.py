@@ -14,8 +14,8 @@ from angler_mjx.files import FileModel, absolute, named
 from angler_mjx.world import ocean
 from angler_mjx.world.currents.fields import Current
 from angler_mjx.world.currents.gridded import GridConfig, Gridded
+from angler_mjx.world.ocean.deepest_cells import DeepestCells, Span, origin, places, span_in
 from angler_mjx.world.ocean.floor import Centres, below_floor, carried_over, dry_cells
-from angler_mjx.world.ocean.places import DeepestCells, Span, origin, places, span_in
 
 
 class BathymetryConfig(FileModel):

@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from angler_kernels.current_field import monotone_slopes
-from angler_mjx.draws import between, children, uniforms
 from angler_mjx.errors import shown
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Length, Speed
+from angler_mjx.sampling import between, children, uniforms
 from angler_mjx.world.currents.fields import DepthProfile, Tide
 
 type Level = tuple[Speed, Speed]

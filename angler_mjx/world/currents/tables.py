@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from pydantic import Field, model_validator
 
 from angler_kernels.current_field import lamb_oseen_circulation
-from angler_mjx.draws import between, children, uniforms
 from angler_mjx.files import FileModel
 from angler_mjx.quantities import Speed
+from angler_mjx.sampling import between, children, uniforms
 from angler_mjx.world.currents.fields import GaussMarkov, Uniform, Vortices
 
 type Span = tuple[float, float]

@@ -6,8 +6,8 @@ shape (`obstacle_bodies`), how it moves (`obstacle_motion`), what a file may ask
 """
 
 from angler_mjx.world.obstacles.config import ObstaclesConfig
-from angler_mjx.world.obstacles.drawing import draw
 from angler_mjx.world.obstacles.motion import reset, step
+from angler_mjx.world.obstacles.sampling import draw
 from angler_mjx.world.obstacles.types import (
     BOX,
     CAPSULE,

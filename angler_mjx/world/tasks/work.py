@@ -11,9 +11,8 @@ import jax.numpy as jnp
 
 from angler_kernels import bit_grid
 from angler_kernels.quaternion import rotate
-from angler_mjx.world.tasks import allocation, bits, deliver, knowing, sight
+from angler_mjx.world.tasks import allocation, bits, deliver, sight, task_belief
 from angler_mjx.world.tasks.allocation import AllocationView
-from angler_mjx.world.tasks.knowing import TaskScene
 from angler_mjx.world.tasks.spec import (
     GoodsBelief,
     SurveySpec,
@@ -22,6 +21,7 @@ from angler_mjx.world.tasks.spec import (
     TaskState,
     TaskWorld,
 )
+from angler_mjx.world.tasks.task_belief import TaskScene
 from angler_mjx.world.tasks.travel import Travel
 
 
@@ -71,13 +71,13 @@ def look(
         scene: what is seen of the world.
         travel: ways between its places.
     """
-    after = knowing.known(spec, task, _done(spec, task, state, scene), scene)
-    return _sent(spec, task, after, scene, travel, knowing.news(spec, state, after, scene))
+    after = task_belief.known(spec, task, _done(spec, task, state, scene), scene)
+    return _sent(spec, task, after, scene, travel, task_belief.news(spec, state, after, scene))
 
 
 def _done(spec: TaskSpec, task: TaskWorld, state: TaskState, scene: TaskScene) -> TaskState:
     """What has become true since the last look."""
-    near = knowing.near(spec, scene.p, task.place_m) & scene.running[:, None]
+    near = task_belief.near(spec, scene.p, task.place_m) & scene.running[:, None]
     by = near[:, : spec.jobs]
     if spec.kind == "deliver":
         state, by = deliver.advance(spec, state, scene.running, near)
@@ -202,7 +202,7 @@ def _sent(
     robots = jnp.arange(spec.robots)
     carries = state.carrying >= 0
     before = jnp.where(state.target < spec.jobs, state.target, -1)
-    closed = bits.unpack(knowing.closed(state), spec.jobs)
+    closed = bits.unpack(task_belief.closed(state), spec.jobs)
     job = jnp.where(news, _jobs(spec, task, state, scene, travel, closed, news), before)
     target = jnp.where(carries, spec.jobs + state.carrying, job)
     left = ~jnp.all(over, axis=1) | carries

@@ -220,9 +220,9 @@ def main(
     for lines in (by_team(study, level), by_level(study), replans(study), pairs(study)):
         print("\n".join(lines))
     if figures is not None:
-        from angler_experiments.benchmarks import fleets_drawn
+        from angler_experiments.benchmarks import fleets_plotted
 
-        for path in fleets_drawn.make(study, level, figures):
+        for path in fleets_plotted.make(study, level, figures):
             print(path)
 
 

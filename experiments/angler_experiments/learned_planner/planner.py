@@ -8,7 +8,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner import checkpoint, flow, network, repair, ways
+from angler_experiments.learned_planner import checkpoint, flow, network, path_encoding, repair
 from angler_experiments.learned_planner.repair import RepairConfig
 from angler_experiments.learned_planner.scene import lines, scene
 from angler_experiments.learned_planner.shapes import CHANNELS, INNER
@@ -138,16 +138,16 @@ class LearnedPlanner:
             found = jax.vmap(choose)(worse)
         else:
             team = problem.team
-            place = jax.vmap(ways.points)(drawn[0], frames, team.goal_m)
-            added = jax.vmap(ways.delays_s)(drawn[0])
-            time, place = jax.vmap(ways.timed)(
+            place = jax.vmap(path_encoding.points)(drawn[0], frames, team.goal_m)
+            added = jax.vmap(path_encoding.delays_s)(drawn[0])
+            time, place = jax.vmap(path_encoding.timed)(
                 place, added, jnp.zeros_like(team.radius_m), team.cruise_speed_mps
             )
             found = Trajectory(
                 time_s=time, position_m=place, found=time[:, -1] <= problem.horizon_s
             )
             found = jax.tree.map(lambda leaf: jnp.stack([leaf] * teams), found)
-        path = jax.vmap(jax.vmap(lambda one: ways.padded(one, settings.points)))(found)
+        path = jax.vmap(jax.vmap(lambda one: path_encoding.padded(one, settings.points)))(found)
         start = problem.team.start_m[:, None]
         return replace(
             path,

@@ -13,15 +13,15 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from angler_experiments.learned_planner import rock, ways
+from angler_experiments.learned_planner import path_encoding, rock
 from angler_experiments.learned_planner.frames import StraightFrame
+from angler_mjx.planning.path_search.bodies import STANDS_S, bodies_traffic
+from angler_mjx.planning.path_search.lattice import column_words
+from angler_mjx.planning.path_search.starts import meets_starts, only, standing
+from angler_mjx.planning.path_search.traffic import GridTraffic, beside, clear_of, met_by
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
-from angler_mjx.planning.ways.lattice import column_words
-from angler_mjx.planning.ways.starts import meets_starts, only, standing
-from angler_mjx.planning.ways.traffic import GridTraffic, beside, clear_of, met_by
 from angler_mjx.robot.control.trajectory import Trajectory, hold
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 
 _ROUNDING_M = 1e-3
 _STEP = 0.5
@@ -108,13 +108,13 @@ def candidates(
         need = radius + config.margin_m
 
         def of_way(way: jax.Array) -> Trajectory:
-            place = ways.points(way, frame, goal)
+            place = path_encoding.points(way, frame, goal)
             drawn_clear = _stands_clear(problem, columns, place, need)
             moved = pushed(problem, field, place, need, config.pushes)
             clear = drawn_clear | _stands_clear(problem, columns, moved, need)
             place = jnp.where(drawn_clear, place, moved)
-            added = ways.delays_s(way)
-            time, place = jax.vmap(ways.timed, in_axes=(None, None, 0, None))(
+            added = path_encoding.delays_s(way)
+            time, place = jax.vmap(path_encoding.timed, in_axes=(None, None, 0, None))(
                 place, added, holds, speed
             )
             paths = Trajectory(

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.lattice import span_bits
+from angler_mjx.planning.path_search.lattice import span_bits
 from angler_mjx.world.grid import Grid
 
 _REACH = 4

@@ -13,7 +13,7 @@ from angler_experiments.learned_planner.frames import StraightFrame, straight
 from angler_experiments.learned_planner.rock import depth_field, read_field
 from angler_experiments.learned_planner.shapes import ABOVE, ASIDE, LOOK_M, SLICES
 from angler_mjx.planning.problem import Problem
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 
 _FAR_M = 3.0
 """Gaps count up to this."""

@@ -13,10 +13,9 @@ from typing import Literal
 
 import tyro
 
+from angler_experiments.learned_planner.progress import Clock
 from angler_experiments.learned_planner.shapes import Width
-from angler_experiments.learned_planner.telling import Clock
 from angler_experiments.learned_planner.training import gathering, keeping, stored
-from angler_experiments.learned_planner.training.drawn import Source
 from angler_experiments.learned_planner.training.examples import Examples
 from angler_experiments.learned_planner.training.loop import (
     MOST_HELD,
@@ -25,6 +24,7 @@ from angler_experiments.learned_planner.training.loop import (
     paced,
     train,
 )
+from angler_experiments.learned_planner.training.sampled import Source
 
 _DRAWING = 0.4
 """Of the time that may be spent: on drawing worlds."""

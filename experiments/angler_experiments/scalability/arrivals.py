@@ -18,7 +18,7 @@ import tyro
 from angler_mjx.report.viewing import style, tables
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.simulator import cache
-from angler_mjx.runs.storage import claims, folder
+from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies import chart, sweep
 from angler_mjx.studies import tables as sweep_tables
@@ -113,7 +113,7 @@ def make(study: ArrivalsStudy, out: Path, **given: Any) -> dict[str, Any]:
     """
     if (out / sweep.SWEEP).is_file() and sweep.read(out)["complete"]:
         return sweep.read(out)
-    begun = claims.partial_path(out).is_dir() or out.is_dir()
+    begun = output_lock.partial_path(out).is_dir() or out.is_dir()
     return sweep.make(study.asked(**given), out, told=ArrivalsProgress(), resume=begun)
 
 

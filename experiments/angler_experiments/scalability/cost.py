@@ -1,7 +1,7 @@
 """What more worlds, robots, obstacles, vortices, cells and way-points cost, in time and memory.
 
     python -m angler_experiments.scalability.cost --out docs/scalability/cost.jsonl
-    python -m angler_experiments.scalability.draw docs/scalability/cost.jsonl
+    python -m angler_experiments.scalability.plot docs/scalability/cost.jsonl
 
 Rows are written as they come, and those that the file holds already for this device are not
 measured again: a run that was ended, or that ran into --limit-s, goes on when it is started anew.

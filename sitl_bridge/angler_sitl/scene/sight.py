@@ -12,9 +12,9 @@ from angler_mjx.robot.control.allocation import NEUTRAL_US
 from angler_mjx.robot.control.joint_tolerance import Tolerances
 from angler_mjx.robot.control.joint_trajectory import JointTrajectory
 from angler_mjx.robot.control.stack import ControlMemory
+from angler_mjx.runs.session.command_queue import CommandQueue
 from angler_mjx.runs.session.fleet_facts import Facts
 from angler_mjx.runs.session.interface import Floats, Observation, RobotStatus
-from angler_mjx.runs.session.orders import CommandQueue
 from angler_mjx.runs.session.view import StateView, Watched, believed, look, shown
 from angler_mjx.sim import step
 from angler_mjx.sim.record import Belief, Sample
@@ -23,8 +23,8 @@ from angler_sitl.autopilots import Autopilots
 from angler_sitl.scene.flat import Arrays, Flat
 from angler_sitl.scene.motion import HIGH_US, LOW_US
 from angler_sitl.scene.scene import AutopilotScene
+from angler_sitl.steering.command_sender import CommandSender
 from angler_sitl.steering.guidance import Decision, belief_of, trusting
-from angler_sitl.steering.helm import CommandSender
 
 
 class SessionView:

@@ -22,8 +22,8 @@ from angler_sitl.missions.choosing import speed_of
 from angler_sitl.spotcheck import flight, flying, folder, page, picking, scenes
 from angler_sitl.spotcheck.flight import RECORDED
 from angler_sitl.spotcheck.flying import SpotcheckFlyer
-from angler_sitl.spotcheck.found import Key, SpotcheckResult, SpotcheckSettings
 from angler_sitl.spotcheck.picking import Pick
+from angler_sitl.spotcheck.results import Key, SpotcheckResult, SpotcheckSettings
 
 
 class SpotcheckProgress(Protocol):

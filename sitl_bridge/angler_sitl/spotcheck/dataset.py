@@ -21,8 +21,8 @@ from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.runs.storage.folder import Run
 from angler_sitl.spotcheck import checking, folder, gaps, page
 from angler_sitl.spotcheck.checking import SpotcheckProgress
-from angler_sitl.spotcheck.found import SpotcheckResult, SpotcheckSettings
 from angler_sitl.spotcheck.gaps import Gap, Sum
+from angler_sitl.spotcheck.results import SpotcheckResult, SpotcheckSettings
 
 
 def check(

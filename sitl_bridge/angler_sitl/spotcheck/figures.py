@@ -14,8 +14,8 @@ from angler_mjx.report.viewing import style
 from angler_mjx.runs.storage import layout
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck.flight import RECORDED, SpotcheckFlight
-from angler_sitl.spotcheck.found import SpotcheckResult
 from angler_sitl.spotcheck.gaps import Gap
+from angler_sitl.spotcheck.results import SpotcheckResult
 
 COLORS = {
     RECORDED: style.INK,

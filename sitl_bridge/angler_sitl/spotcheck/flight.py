@@ -15,11 +15,11 @@ import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from angler_mjx.runs.storage import harvest, results
+from angler_mjx.runs.storage import device_to_host, results
 from angler_mjx.runs.storage.atomic import replacing
 from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.folder import TRAJECTORIES, Run
-from angler_mjx.runs.storage.harvest import FinishedTile
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World, WorldState
 
@@ -96,11 +96,11 @@ def flown(
     tile = FinishedTile(
         first=world,
         kept=1,
-        constants=jax.tree.map(np.asarray, harvest.constants(worlds, recorded=False)),
-        end=jax.tree.map(np.asarray, harvest.end(state, recorded=False)),
+        constants=jax.tree.map(np.asarray, device_to_host.constants(worlds, recorded=False)),
+        end=jax.tree.map(np.asarray, device_to_host.end(state, recorded=False)),
         parts=[],
     )
-    rows = results.episode_table(harvest.tile_result(tile), variants, seed).to_pylist()
+    rows = results.episode_table(device_to_host.tile_result(tile), variants, seed).to_pylist()
     robots = len(rows)
     p = np.concatenate([np.asarray(one.p).reshape(-1, robots, 3) for one in samples])
     pwm = [np.asarray(one.pwm_us) for one in samples]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.atomic import replacing
 from angler_mjx.runs.storage.damage import read_table, reading
 
@@ -23,7 +23,7 @@ def create(out: Path) -> None:
     Raises:
         ConfigError: it exists, or its parent cannot be written.
     """
-    claims.require_name(out, flag="--out")
+    output_lock.require_name(out, flag="--out")
     if (out / TABLE).is_file() and not read(out)["complete"]:
         raise ConfigError(
             f"--out {out}: an unfinished spot check lies there; take it up again with --resume or "
@@ -47,7 +47,7 @@ def reopen(out: Path, asked: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: there is none, it is complete, or it was asked something else.
     """
-    claims.require_name(out, flag="--resume")
+    output_lock.require_name(out, flag="--resume")
     if not (out / TABLE).is_file():
         raise ConfigError(f"--resume {out}: there is no spot check of that name")
     table = read(out)

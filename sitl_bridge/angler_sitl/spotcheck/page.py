@@ -12,8 +12,8 @@ from angler_mjx.report.viewing.tables import table
 from angler_mjx.runs.storage.results import OUTCOMES
 from angler_sitl.spotcheck import figures, folder, gaps
 from angler_sitl.spotcheck.flight import RECORDED
-from angler_sitl.spotcheck.found import SpotcheckResult
 from angler_sitl.spotcheck.gaps import Sum
+from angler_sitl.spotcheck.results import SpotcheckResult
 
 REPORT, GAPS, SUMMARY = "report.md", "gaps.csv", "summary.png"
 

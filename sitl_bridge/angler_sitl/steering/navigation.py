@@ -14,9 +14,9 @@ import numpy as np
 
 from angler_mjx.frames import quaternion_enu_to_ned, vector_enu_to_ned
 from angler_mjx.runs.session.interface import Floats
-from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import Senses, SimSpec, World
+from angler_mjx.sim.world_phases import sensing
 from angler_sitl.scene.scene import AutopilotScene
 from angler_sitl.steering.pilot import Fix
 
@@ -87,7 +87,7 @@ def in_world(q: Floats, nu: Floats) -> Floats:
 
 def _begin(spec: SimSpec, worlds: World, vehicles: Any) -> Memory:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
-    return senses.reset(spec, world, now)
+    return sensing.reset(spec, world, now)
 
 
 def _sense(
@@ -95,4 +95,4 @@ def _sense(
 ) -> tuple[Memory, Belief]:
     world, now = jax.tree.map(lambda leaf: leaf[0], (worlds, vehicles))
     flow = jnp.zeros_like(now.p)
-    return senses.step(spec, world, memory, number, now, flow)
+    return sensing.step(spec, world, memory, number, now, flow)

@@ -3,7 +3,7 @@
 import pytest
 
 from angler_mjx.cli.main import main
-from angler_mjx.cli.shared.given import (
+from angler_mjx.cli.shared.inputs import (
     knows_given,
     planner_given,
     policy_given,
@@ -14,7 +14,7 @@ from angler_mjx.files import check
 from angler_mjx.scenario.editing import table_of
 from angler_mjx.scenario.notices import blind
 from angler_mjx.scenario.scenario import Scenario, find
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 
 
 def loaded(name, **keys):

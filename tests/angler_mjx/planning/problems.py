@@ -3,7 +3,7 @@
 import numpy as np
 
 from angler_mjx.planning.problem import Problem, Team
-from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.currents import Uniform
 from angler_mjx.world.grid import Grid
 

@@ -1,8 +1,7 @@
 """The rules of the planner's lattice, once more, in plain numpy and for every cell on its own.
 
-Written from the words of `planning.ways.search` and `tracing`: no packed words, no shifts, no
-batch. Distances are in float64.
-"""
+Written from the words of `planning.path_search.search` and `tracing`: no packed words, no shifts,
+no batch. Distances are in float64."""
 
 import itertools
 from dataclasses import dataclass

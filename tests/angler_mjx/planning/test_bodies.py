@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from angler_mjx.planning.grid import plan
-from angler_mjx.planning.ways.bodies import STANDS_S, bodies_traffic
-from angler_mjx.planning.ways.robot import WayConfig
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.planning.path_search.bodies import STANDS_S, bodies_traffic
+from angler_mjx.planning.path_search.robot import WayConfig
+from angler_mjx.sim.information import ObstacleInformation
 
 from ..compiling import quickly
 from .test_grid import make_world

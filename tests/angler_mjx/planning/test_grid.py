@@ -9,8 +9,8 @@ import pytest
 from angler_kernels.clearance import capsules_obstacle
 from angler_mjx.errors import UnsupportedError
 from angler_mjx.planning.grid import plan
-from angler_mjx.planning.ways import search
-from angler_mjx.planning.ways.robot import WayConfig
+from angler_mjx.planning.path_search import search
+from angler_mjx.planning.path_search.robot import WayConfig
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import BOX, CAPSULE, DRIFT, SPHERE, STATIC, Obstacles

@@ -11,11 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.planning.ways.lattice import EDGES, free_space, line_of_sight, span_bits, terrain
-from angler_mjx.planning.ways.pulling import pull
-from angler_mjx.planning.ways.search import reachable
-from angler_mjx.planning.ways.tracing import Route, trace_back
-from angler_mjx.planning.ways.traffic import Balls, GridTraffic, PlannedTraffic, balls, clear_of
+from angler_mjx.planning.path_search.lattice import (
+    EDGES,
+    free_space,
+    line_of_sight,
+    span_bits,
+    terrain,
+)
+from angler_mjx.planning.path_search.pulling import pull
+from angler_mjx.planning.path_search.search import reachable
+from angler_mjx.planning.path_search.tracing import Route, trace_back
+from angler_mjx.planning.path_search.traffic import (
+    Balls,
+    GridTraffic,
+    PlannedTraffic,
+    balls,
+    clear_of,
+)
 from angler_mjx.world.environment import Environment
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import SPHERE, STATIC, Obstacles

@@ -10,9 +10,9 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning import grid
+from angler_mjx.planning.path_search.robot import MOST_LAYERS, WayConfig, layers
 from angler_mjx.planning.priority import planner
 from angler_mjx.planning.priority.queue import work_off
-from angler_mjx.planning.ways.robot import MOST_LAYERS, WayConfig, layers
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import load_scenario
 

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from angler_mjx.planning.ways import search, search_kernel
-from angler_mjx.planning.ways.lattice import FreeSpace, LatticeLayout, Terrain
-from angler_mjx.planning.ways.traffic import Balls
+from angler_mjx.planning.path_search import search, search_kernel
+from angler_mjx.planning.path_search.lattice import FreeSpace, LatticeLayout, Terrain
+from angler_mjx.planning.path_search.traffic import Balls
 from angler_mjx.world.grid import Grid
 
 CELL = 1.5

@@ -11,7 +11,7 @@ from angler_mjx.learning.datasets import parts
 from angler_mjx.robot.vehicles import library
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.studies.benchmark import questions
-from angler_mjx.studies.fleet_size import asking
+from angler_mjx.studies.fleet_size import conditions
 
 SCENARIO = """
 name = "near"
@@ -85,7 +85,7 @@ def test_a_sweep_takes_files_from_the_working_directory(there, capsys):
 
 OTHERS = {
     "study": (
-        asking.read,
+        conditions.read,
         "sizes = [1]\ndeadline_s = 50.0\n[axis.water.fast]\nworld = {{ currents = [{grid}] }}",
     ),
     "dataset": (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning.asking import team
+from angler_mjx.planning.build_problem import team
 from angler_mjx.robot.sensing import params as instruments
 from angler_mjx.robot.sensing import suite
 from angler_mjx.robot.sensing.config import SensorsConfig

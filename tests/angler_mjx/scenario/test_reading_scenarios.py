@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from angler_mjx.cli.shared.given import scenario_given
+from angler_mjx.cli.shared.inputs import scenario_given
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.scenario import load_scenario
 

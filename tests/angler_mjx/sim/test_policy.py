@@ -24,12 +24,12 @@ from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles import library, params
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim import robot
-from angler_mjx.sim.aboard.here import WorldContext
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput
+from angler_mjx.sim.world_phases.context import WorldContext
 from angler_mjx.world import currents
 
 from ..compiling import quickly

@@ -13,13 +13,13 @@ from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.joint_trajectory import from_path
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.scenario import instrumented
-from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.state import SimSpec
+from angler_mjx.sim.world_phases import sensing
 from angler_mjx.world.grid import Grid, height_above_bottom
 
 from .. import declared
@@ -241,8 +241,8 @@ def test_only_robots_that_are_told_with_noise_are(before, noisy, after):
 
     @quickly
     def one(robots, flow):
-        memory = senses.reset(spec, world, robots)
-        return senses.step(spec, world, memory, jnp.int32(3), robots, flow)[1]
+        memory = sensing.reset(spec, world, robots)
+        return sensing.step(spec, world, memory, jnp.int32(3), robots, flow)[1]
 
     belief = one(robots, jnp.ones((n, 3)))
     for told, true in (

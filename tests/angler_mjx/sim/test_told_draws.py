@@ -11,9 +11,9 @@ from angler_kernels import quaternion
 from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import instruments, params
 from angler_mjx.robot.sensing.config import SensorsConfig
-from angler_mjx.sim.aboard import senses
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import InstrumentedRobots, SimSpec
+from angler_mjx.sim.world_phases import sensing
 from angler_mjx.world.grid import Grid
 
 from ..independence import assert_uncorrelated
@@ -68,7 +68,7 @@ def side_by_side(groups):
 
 
 def test_instruments_and_filter_begin_with_errors_of_their_own(world, vehicles):
-    (begun,) = jax.jit(lambda: senses.reset(crew("ekf"), world, vehicles))()
+    (begun,) = jax.jit(lambda: sensing.reset(crew("ekf"), world, vehicles))()
     assert_uncorrelated(
         *side_by_side(
             {
@@ -89,7 +89,7 @@ def test_noise_on_the_truth_is_new_at_every_step_axis_and_robot(world, vehicles)
     @jax.jit
     def told(step):
         flow = jnp.zeros((N, 3))
-        return senses.step(crew("noisy"), world, (None,), step, vehicles, flow)[1]
+        return sensing.step(crew("noisy"), world, (None,), step, vehicles, flow)[1]
 
     groups = {}
     for step in (0, 1):

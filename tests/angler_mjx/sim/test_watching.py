@@ -11,12 +11,12 @@ import pytest
 
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import BodyTwist
-from angler_mjx.sim import knowledge
+from angler_mjx.sim import information
 from angler_mjx.sim import policy as policies
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.mjx import MjxEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.policy import Policy
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import DRIFT
@@ -111,7 +111,7 @@ def test_what_is_predicted_at_the_start_knows_nothing_of_later_currents(scene):
         @partial(quickly, static_argnums=1)
         def told(environment, obstacles):
             knows = Information(obstacles=obstacles, current="predicted")
-            return knowledge.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
+            return information.obstacles(environment, knows, 4.0, 0.05, 1000.0, 9.81).p_m
 
         predicted, held = told(turns, "predicted"), told(stays, "truth")
         drifting = np.asarray(place.obstacles.motion == DRIFT)
@@ -124,8 +124,8 @@ def test_whether_any_may_stand_is_said(scene):
     place = jax.tree.map(lambda leaf: leaf[0], scene.worlds.environment)
     moving = replace(place, obstacles=replace(place.obstacles, motions=(DRIFT,)))
     asked = (Information(obstacles="observed"), 1.0, 0.05, 1000.0, 9.81)
-    assert knowledge.obstacles(place, *asked).some_stand
-    assert not knowledge.obstacles(moving, *asked).some_stand
+    assert information.obstacles(place, *asked).some_stand
+    assert not information.obstacles(moving, *asked).some_stand
 
 
 @pytest.mark.parametrize(

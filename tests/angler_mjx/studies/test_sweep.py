@@ -14,7 +14,7 @@ from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.scenario.scenario import load_scenario
-from angler_mjx.studies import chart, compare, sweep, tables, told
+from angler_mjx.studies import chart, compare, comparison_report, sweep, tables
 from angler_mjx.studies.settings import axes
 
 SCENARIO = """
@@ -257,7 +257,7 @@ def test_two_runs_are_compared_world_by_world(made, capsys, tmp_path):
     others = [i for i in range(6) if ended[i][0] != ended[i][1]]
     assert set(changed[: len(others)]) == set(others)
     assert (tmp_path / "c.png").stat().st_size > 5_000
-    text = told.text(found)
+    text = comparison_report.text(found)
     assert f"{KEY}: 1.5 -> 0.5" in text
     assert f"world {changed[0]}: 0 -> 1 arrived; robot 0: timeout -> reached" in text
 
@@ -269,7 +269,7 @@ def test_a_run_against_itself_changed_nothing(made):
     assert found["changed"] == []
     assert found["same_problems"]
     assert found["teams"]["p"] == 1.0
-    assert "the scenarios are the same" in told.text(found)
+    assert "the scenarios are the same" in comparison_report.text(found)
 
 
 @pytest.mark.parametrize(

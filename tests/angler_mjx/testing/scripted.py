@@ -12,7 +12,7 @@ import numpy as np
 
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library, params
-from angler_mjx.runs.storage.harvest import TileResult
+from angler_mjx.runs.storage.device_to_host import TileResult
 from angler_mjx.runs.storage.results import episode_table
 from angler_mjx.sim import robot
 from angler_mjx.sim.detection import detect

@@ -21,7 +21,7 @@ from angler_mjx.learning.datasets.keeping import repair
 from angler_mjx.learning.datasets.verifying import sound
 from angler_mjx.runs.progress import SilentProgress
 from angler_sitl.spotcheck import checking, dataset, flight, picking
-from angler_sitl.spotcheck.found import SpotcheckResult, SpotcheckSettings
+from angler_sitl.spotcheck.results import SpotcheckResult, SpotcheckSettings
 
 ASIDE_M = {"000_near": 0.1, "001_far": 0.5}
 """How far real autopilots are from what each part recorded."""

@@ -36,7 +36,7 @@ from angler_mjx.sim.state import Outcome, World
 from angler_sitl.firmware import parameters, probe
 from angler_sitl.spotcheck import checking, figures, flight, flying, gaps, picking, scenes
 from angler_sitl.spotcheck.flight import SpotcheckFlight
-from angler_sitl.spotcheck.found import SpotcheckSettings
+from angler_sitl.spotcheck.results import SpotcheckSettings
 
 SCENE = """
 schema_version = 1

@@ -9,8 +9,8 @@ import pytest
 from angler_experiments.learned_planner.evaluate.book import EvaluationLog
 from angler_experiments.learned_planner.scene import Scene
 from angler_experiments.learned_planner.training import keeping
-from angler_experiments.learned_planner.training.drawn import Source
 from angler_experiments.learned_planner.training.examples import Examples
+from angler_experiments.learned_planner.training.sampled import Source
 from angler_mjx.errors import ConfigError
 
 SOURCES = (Source(worlds=4, robots=2), Source(worlds=1, preset="dense"))

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from angler_experiments.learned_planner import ways
+from angler_experiments.learned_planner import path_encoding
 from angler_experiments.learned_planner.planner import LearnedPlanner, LearnedSettings
 from angler_experiments.learned_planner.scene import lines
 
@@ -100,15 +100,15 @@ def test_a_way_of_a_path_leads_back_near_to_it(planned, robot):
     assert path.found
     frame = jax.tree.map(lambda leaf: leaf[robot], lines(problem))
     speed = problem.team.cruise_speed_mps[robot]
-    way = ways.from_path(path, frame, speed)
-    place = np.asarray(ways.points(way, frame, problem.team.goal_m[robot]))
+    way = path_encoding.from_path(path, frame, speed)
+    place = np.asarray(path_encoding.points(way, frame, problem.team.goal_m[robot]))
     corner = np.asarray(path.position_m, float)
     begin, leg = corner[:-1], np.diff(corner, axis=0)
     square = np.maximum((leg**2).sum(axis=1), 1e-12)
     share = np.clip(((place[:, None] - begin) * leg).sum(axis=-1) / square, 0.0, 1.0)
     off = np.linalg.norm(place[:, None] - (begin + share[..., None] * leg), axis=-1).min(axis=1)
     assert off.max() < 1e-3
-    time, _ = ways.timed(place, ways.delays_s(way), np.float32(0.0), speed)
+    time, _ = path_encoding.timed(place, path_encoding.delays_s(way), np.float32(0.0), speed)
     # Corners are cut, so it is not later than the path; delays are kept.
     assert 0.8 * path.time_s[-1] < time[-1] < path.time_s[-1] + 0.5
 

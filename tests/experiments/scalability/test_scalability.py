@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from angler_experiments.scalability import arrivals, cost, draw, ladders
+from angler_experiments.scalability import arrivals, cost, ladders, plot
 from angler_experiments.scalability.fits import power, shares
 from angler_mjx.errors import ConfigError
 from angler_mjx.studies.speed import rows as speed
@@ -94,7 +94,7 @@ def file(tmp_path):
 
 
 def test_lines_hold_what_the_rows_say(file):
-    found = {(one.ladder, one.engine): one for one in draw.lines(file)}
+    found = {(one.ladder, one.engine): one for one in plot.lines(file)}
     assert list(found) == [("worlds", "fused"), ("worlds", "mjx"), ("obstacles", "fused")]
     worlds = found["worlds", "fused"]
     assert worlds.size == (4, 16, 64)
@@ -108,8 +108,8 @@ def test_lines_hold_what_the_rows_say(file):
 
 def test_table_and_figures_are_made_of_them(file, tmp_path, capsys):
     page = tmp_path / "page.md"
-    page.write_text(f"before\n{draw.BEGIN}\nold\n{draw.END}\nafter\n")
-    draw.main(file, figures=tmp_path / "images", page=page)
+    page.write_text(f"before\n{plot.BEGIN}\nold\n{plot.END}\nafter\n")
+    plot.main(file, figures=tmp_path / "images", page=page)
     text = page.read_text()
     assert "old" not in text
     assert text.startswith("before")
@@ -153,7 +153,7 @@ def test_the_smoke_run_writes_three_rows_and_goes_on(tmp_path, capsys):
     found = speed.read(out)
     assert [row["extra"]["size"] for row in found] == list(cost.SMOKE_SIZES)
     assert all(row["median"] > 0 and row["workload"] == "scalability/dynamics" for row in found)
-    (line,) = draw.lines(out)
+    (line,) = plot.lines(out)
     assert line.memory.exponent == pytest.approx(1.0, abs=0.2)  # bytes of arrays, no timing
     cost.main(out=out, smoke=True)
     assert len(speed.read(out)) == 3

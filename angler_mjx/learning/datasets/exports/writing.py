@@ -6,7 +6,7 @@ from pathlib import Path
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets.exports import flights, lerobot, minari, mpinets, parquet
 from angler_mjx.learning.datasets.reading.dataset import open_dataset
-from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage import output_lock
 
 type Write = Callable[..., None]
 
@@ -50,7 +50,7 @@ def export(
     data = open_dataset(place, split=split, success=success, fields=flights.NEEDED)
     flights.action_names(data, action)
     most = flights.count(data)
-    claimed = claims.acquire(out, what="export", left=lambda _: None)
+    claimed = output_lock.acquire(out, what="export", left=lambda _: None)
     try:
         FORMATS[to](data, claimed.building, action, lambda done: tell(done, most))
     except OSError as error:

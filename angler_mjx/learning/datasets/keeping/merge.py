@@ -10,7 +10,7 @@ from angler_mjx.learning.datasets import card, describing, index, manifest, sums
 from angler_mjx.learning.datasets.index import of_manifest, shared_environment
 from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.runs.several import RUNS
-from angler_mjx.runs.storage import claims
+from angler_mjx.runs.storage import output_lock
 
 SAME = ("arrays", "time", "conventions", "split_shares", "sample", "licence")
 """What datasets must have in common."""
@@ -32,7 +32,7 @@ def merge(places: Sequence[Path], out: Path, name: str | None = None) -> Path:
         raise ConfigError("merge: give two datasets or more")
     found = [manifest.read(place) for place in places]
     _require_alike(places, found)
-    claimed = claims.acquire(out, what="dataset")
+    claimed = output_lock.acquire(out, what="dataset")
     try:
         whole = _merged(places, found, claimed.building, name or out.name)
         table = of_manifest(claimed.building, whole)

@@ -14,7 +14,7 @@ from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.learning.datasets.verifying import again
 from angler_mjx.runs import rollout
 from angler_mjx.runs.progress import Progress
-from angler_mjx.runs.storage import claims, folder
+from angler_mjx.runs.storage import folder, output_lock
 
 _NEEDED = (folder.CONFIG, "inputs/")
 """Of a run: without these nobody knows what was flown."""
@@ -49,7 +49,7 @@ def repair(place: Path, told: Progress, *, accept: bool = False) -> Repaired:
         RunError: the disk or the device gave out.
     """
     found = manifest.read(place)
-    if claims.partial_path(place).exists():
+    if output_lock.partial_path(place).exists():
         raise ConfigError(f"{place}: is being made; wait, or go on with it by --resume")
     said = _said(place, found)
     there = set(sums.files(place))

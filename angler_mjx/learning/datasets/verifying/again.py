@@ -13,12 +13,12 @@ from angler_mjx.learning.datasets.manifest import Manifest, PartEntry
 from angler_mjx.learning.datasets.verifying.report import DatasetCheck
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.robot.control.plans import Plan
-from angler_mjx.runs import sizes, waves
+from angler_mjx.runs import device_batches, sizes
 from angler_mjx.runs.progress import SilentProgress
 from angler_mjx.runs.provenance import describe_environment
 from angler_mjx.runs.simulator.hosted import PlanNotes
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import harvest, layout
+from angler_mjx.runs.storage import device_to_host, layout
 from angler_mjx.runs.storage.folder import Run
 from angler_mjx.sim.state import Outcome, World
 
@@ -128,14 +128,14 @@ def choose(parts: Sequence[PartEntry], count: int) -> list[tuple[PartEntry, list
 
 @dataclass(frozen=True)
 class _Stored:
-    """Plans of a run, for planners that do not plan alike twice; a `waves.StoredPlans`."""
+    """Plans of a run, for planners that do not plan alike twice; a `device_batches.StoredPlans`."""
 
     run: Run
 
     def of(
         self, firsts: list[int], worlds: World, simulator: Simulator
     ) -> tuple[Plan, PlanNotes | None]:
-        """See `waves.StoredPlans`."""
+        """See `device_batches.StoredPlans`."""
         robots = worlds.path.time_s.shape[1]
         planned = self.run.episodes["planned"].to_numpy(zero_copy_only=False).reshape(-1, robots)
         stored: Any = self.run.trajectories
@@ -169,7 +169,7 @@ def _part(
         simulator.compile()
         (tile,) = next(
             iter(
-                waves.simulate(
+                device_batches.simulate(
                     simulator, [first], recorded=True, progress=SilentProgress(), plans=plans
                 )
             )
@@ -177,7 +177,7 @@ def _part(
     finally:
         simulator.close()
     sized = sizes.shape_of(simulator)
-    made = harvest.arrays(tile, sized.samples)
+    made = device_to_host.arrays(tile, sized.samples)
     for world in worlds:
         here = slice(world - first, world - first + 1)
         flown = {name: _read(take(here), sized.stepped(name)) for name, take in made.items()}

@@ -19,8 +19,8 @@ from angler_mjx.planning.host.ompl.settings import Common, parameters
 from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
 from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
 from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.path_search.bodies import STANDS_S
 from angler_mjx.planning.problem import Problem
-from angler_mjx.planning.ways.bodies import STANDS_S
 
 SEARCH = 0.9
 """Of the time that is left, for a search; the rest for what is made of its path."""

@@ -17,8 +17,8 @@ from angler_mjx.report.viewing.entities.scenery import (
     times,
 )
 from angler_mjx.report.viewing.scene import ReplayScene, RobotTrack
-from angler_mjx.world.tasks.faces import SurfaceQuads, surface
 from angler_mjx.world.tasks.history import Goods, TaskHistory
+from angler_mjx.world.tasks.surface_quads import SurfaceQuads, surface
 
 SEEN, UNSEEN = rgba("#5fd3b0"), rgba("#c7663f")
 """Of surfaces: light green and dark orange differ in lightness as well."""

@@ -18,7 +18,7 @@ from zarr.codecs import BloscCodec
 from angler_mjx.errors import RunError
 from angler_mjx.planning.problem import Problem
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import arrays, claims
+from angler_mjx.runs.storage import arrays, output_lock
 from angler_mjx.runs.storage.environments import leaves
 
 SCHEMA, SCHEMA_VERSION = "angler_mjx problems", 2
@@ -46,7 +46,7 @@ def make(
         RunError: the path cannot be written.
     """
     total, tile = simulator.scenario.worlds, simulator.tile
-    claimed = claims.acquire(path, what="file of problems", left=lambda building: None)
+    claimed = output_lock.acquire(path, what="file of problems", left=lambda building: None)
     try:
         group = zarr.open_group(claimed.building, mode="a")
         for first in range(0, total, tile):

@@ -38,7 +38,7 @@ from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.simulator.hosted import PlanNotes, status_of
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import claims, planned
+from angler_mjx.runs.storage import output_lock, planned
 from angler_mjx.runs.storage.damage import reading
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.state import World
@@ -134,7 +134,7 @@ class PlanFile:
         digest = hashlib.sha256()
         with reading(self.path):
             for path in sorted(self.path.rglob("*")):
-                if path.is_file() and path.name != claims.LOCK:
+                if path.is_file() and path.name != output_lock.LOCK:
                     digest.update(str(path.relative_to(self.path)).encode())
                     digest.update(path.read_bytes())
         return digest.hexdigest()

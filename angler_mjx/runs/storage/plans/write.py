@@ -17,9 +17,9 @@ from angler_mjx.robot.control.joint_trajectory import LINEAR, JointTrajectory
 from angler_mjx.robot.control.plans import Plan, points_m
 from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch, status_of
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import claims
-from angler_mjx.runs.storage.claims import OutputLock
+from angler_mjx.runs.storage import output_lock
 from angler_mjx.runs.storage.damage import reading
+from angler_mjx.runs.storage.output_lock import OutputLock
 from angler_mjx.runs.storage.plans.read import SCHEMA, SCHEMA_VERSION
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.task_table import refuse_task
@@ -104,7 +104,9 @@ def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, til
     """
     if resume:
         return _again(path, scenario, shape)
-    claimed = claims.acquire(path, what="file of plans", left=lambda building: claims.RESUMABLE)
+    claimed = output_lock.acquire(
+        path, what="file of plans", left=lambda building: output_lock.RESUMABLE
+    )
     try:
         group = zarr.open_group(claimed.building, mode="a")
         group.attrs.update({"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **_about(scenario)})
@@ -118,7 +120,7 @@ def begin(path: Path, scenario: Scenario, shape: PathShape, *, resume: bool, til
 def _again(path: Path, scenario: Scenario, shape: PathShape) -> Writer:
     if path.is_dir() and any(path.iterdir()):
         raise ConfigError(f"--resume {path}: this file is complete; nothing is left to do")
-    claimed = claims.acquire_unfinished(path, what="file of plans")
+    claimed = output_lock.acquire_unfinished(path, what="file of plans")
     if claimed is None:
         raise ConfigError(f"--resume {path}: there is no interrupted file of that name")
     try:

@@ -17,8 +17,6 @@ from angler_kernels import lanes
 from angler_mjx.robot.control import plans
 from angler_mjx.robot.control.stack import Command, ControlParams
 from angler_mjx.sim import nearness, start
-from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.detection import Contact
 from angler_mjx.sim.engines.lanes import pairs
@@ -50,6 +48,8 @@ from angler_mjx.sim.record import Sample
 from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, LASTING, MEETING, OBSTACLES
+from angler_mjx.sim.world_phases import running
+from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 from angler_mjx.world.currents import Current
 from angler_mjx.world.obstacles import Obstacles, ObstacleState
 
@@ -91,11 +91,11 @@ class FusedEngine:
             return repeated(again, state, steps)
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
-        policy = telling.active_policy(policy, command)
+        policy = running.active_policy(policy, command)
         minds, told = WorldMemory.of(state), WorldPhaseOutput()
-        if telling.has_world_phases(spec, policy):
+        if running.has_world_phases(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-            minds, told = telling.run_tile_phases(
+            minds, told = running.run_tile_phases(
                 spec,
                 policy,
                 here,
@@ -131,7 +131,7 @@ class FusedEngine:
     ) -> tuple[WorldState, Sample]:
         """See `Engine.segment`."""
         del begins
-        scene, policy = scene_of(fleet, worlds), telling.active_policy(policy, command)
+        scene, policy = scene_of(fleet, worlds), running.active_policy(policy, command)
         row, rebuild = lanes.flatten(moving_of(fleet, state))
         rebuilds: list[Any] = []
         begin_s = None
@@ -143,13 +143,13 @@ class FusedEngine:
             row: list[jax.Array], minds: WorldMemory, number: jax.Array
         ) -> tuple[Any, Any, Any]:
             moving, told = rebuild(row), WorldPhaseOutput()
-            if telling.has_world_phases(spec, policy):
+            if running.has_world_phases(spec, policy):
                 there = vehicles_of(moving)
                 bodies = (
-                    to_arrays(moving.obstacles, 2) if telling.observes_obstacles(policy) else None
+                    to_arrays(moving.obstacles, 2) if running.observes_obstacles(policy) else None
                 )
                 ended = outcome_of(moving) if spec.by_task else None
-                minds, told = telling.run_tile_phases(
+                minds, told = running.run_tile_phases(
                     spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
                 )
             after, sample = _control_step(spec, scene, moving, number, command, told, begin_s)

@@ -13,13 +13,13 @@ from angler_kernels.lanes.planes import is_table
 from angler_mjx.errors import RunError
 from angler_mjx.robot.control.plans import Plan
 from angler_mjx.robot.control.stack import ControlMemory, ControlParams
-from angler_mjx.sim.aboard.telling import WorldMemory
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.lanes import steps as lane_steps
 from angler_mjx.sim.engines.lanes.steps import Cells
 from angler_mjx.sim.fleet import Fleet, VehicleGroup, laden_cruise
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.state import Tally, World, WorldState
+from angler_mjx.sim.world_phases.running import WorldMemory
 from angler_mjx.world.currents import Current, looked_up
 from angler_mjx.world.environment import Environment, region
 from angler_mjx.world.obstacles import Obstacles, ObstacleState

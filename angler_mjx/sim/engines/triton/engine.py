@@ -20,8 +20,6 @@ import jax.numpy as jnp
 
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import nearness
-from angler_mjx.sim.aboard import telling
-from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton import launch as triton
@@ -33,6 +31,8 @@ from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.repeated import repeated
 from angler_mjx.sim.state import Laid, SimSpec, World, WorldState
+from angler_mjx.sim.world_phases import running
+from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 
 UNROLLED = 10
 """Control steps in the body of the loop, whose bookkeeping costs launches; `AHEAD` divides it."""
@@ -77,7 +77,7 @@ class TritonEngine:
         steps: int = 1,
     ) -> tuple[WorldState, Sample]:
         """See `Engine.control_step`."""
-        if steps > 1 and telling.has_world_phases(spec, telling.active_policy(policy, command)):
+        if steps > 1 and running.has_world_phases(spec, running.active_policy(policy, command)):
             again = partial(
                 self.control_step,
                 spec,
@@ -147,10 +147,10 @@ class TritonEngine:
 
         here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
         state, command, rows, flying = jax.tree.map(fill, (state, command, rows, here))
-        policy = telling.active_policy(policy, command)
-        watched = telling.observes_obstacles(policy)
-        tell, told = partial(telling.run_tile_phases, spec, policy, flying, fleet=fleet), None
-        if telling.has_world_phases(spec, policy):
+        policy = running.active_policy(policy, command)
+        watched = running.observes_obstacles(policy)
+        tell, told = partial(running.run_tile_phases, spec, policy, flying, fleet=fleet), None
+        if running.has_world_phases(spec, policy):
             bodies = state.obstacles if watched else None
             number = state.step[0] if rows is None else state.step
             ended = state.tally.outcome if spec.by_task else None
@@ -162,7 +162,7 @@ class TritonEngine:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flying, command)
         tile = Tile(fleet, flying if rows is None else worlds, rows, laid)
         steps = n_sample * steps_per_sample
-        period = telling.period(spec, policy) if rows is None and steps > 1 else 1
+        period = running.period(spec, policy) if rows is None and steps > 1 else 1
 
         def laid_out(ahead: int) -> tuple[Segment, tuple[Launch, Launch]]:
             ahead, also = min(ahead, steps), spec.also

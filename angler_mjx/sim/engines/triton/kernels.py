@@ -10,7 +10,7 @@ import jax
 from angler_kernels import lanes
 from angler_mjx.sim.engines.lanes import judge as lane_judge
 from angler_mjx.sim.engines.triton import launch as triton
-from angler_mjx.sim.engines.triton.here import KernelBodies, KernelGroup
+from angler_mjx.sim.engines.triton.context import KernelBodies, KernelGroup
 from angler_mjx.sim.engines.triton.segment import Arrays, Drift, Segment
 from angler_mjx.sim.fleet import VehicleGroup
 from angler_mjx.sim.phase import Phase

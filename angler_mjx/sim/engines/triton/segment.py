@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from angler_kernels.lanes.planes import PlaneLayout, Shelf
 from angler_mjx.robot.control.stack import Command
 from angler_mjx.sim import record, step
-from angler_mjx.sim.aboard.telling import WorldMemory, WorldPhaseOutput
 from angler_mjx.sim.engines.triton.tile import Tile
 from angler_mjx.sim.phase import Phase
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import SimSpec, WorldState
 from angler_mjx.sim.step import ALONE, KEPT, MEETING, OBSTACLES
+from angler_mjx.sim.world_phases.running import WorldMemory, WorldPhaseOutput
 
 AHEAD = 5
 """Control steps that obstacles are moved ahead of the robots, where no policy watches them."""

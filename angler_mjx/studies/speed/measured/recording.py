@@ -22,8 +22,8 @@ import numpy as np
 
 from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.runs import sizes
-from angler_mjx.runs.storage import atomic, harvest, shards
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage import atomic, device_to_host, shards
+from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim.record import Sample
@@ -155,8 +155,8 @@ def _to_the_horizon(timed: Timed) -> FinishedTile:
     return FinishedTile(
         first=0,
         kept=simulator.tile,
-        constants=_on_host(harvest.constants(worlds, recorded=True)),
-        end=_on_host(harvest.end(state, recorded=True)),
+        constants=_on_host(device_to_host.constants(worlds, recorded=True)),
+        end=_on_host(device_to_host.end(state, recorded=True)),
         parts=parts,
     )
 
@@ -215,7 +215,7 @@ class _Run:
     def write(self) -> None:
         """Write all tiles, one after another, as a run does."""
         for number in range(self._tiles):
-            arrays = harvest.arrays(self._tile, self._samples)
+            arrays = device_to_host.arrays(self._tile, self._samples)
             self._recorder.write(number * self._tile.kept, arrays, self._environment)
 
 

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from angler_mjx.errors import RunError
-from angler_mjx.runs import waves
+from angler_mjx.runs import device_batches
 from angler_mjx.runs.simulator import devices as on_devices
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
@@ -228,7 +228,7 @@ def _fly(
     for _ in range(calls):
         state, sample, running = program(simulator.fleet, worlds, state, *simulator._driver)
         in_flight.append(running)
-        if len(in_flight) == waves.AHEAD:
+        if len(in_flight) == device_batches.AHEAD:
             in_flight.popleft().block_until_ready()
     return state, sample
 

@@ -17,7 +17,7 @@ from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.scenario.scenario import Scenario
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.sim.state import Outcome, World
 from angler_mjx.world.obstacles.types import STATIC
 

@@ -7,7 +7,7 @@ from angler_experiments.learned_planner import checkpoint as checkpoints
 from angler_experiments.learned_planner.evaluate import figure, rows
 from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
-from angler_experiments.learned_planner.telling import Clock
+from angler_experiments.learned_planner.progress import Clock
 
 
 def arrivals(

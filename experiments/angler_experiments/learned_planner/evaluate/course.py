@@ -19,7 +19,7 @@ from angler_mjx.runs.simulator.compiling import Compiled, PendingProgram, Togeth
 from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.runs.simulator.simulator import Simulator
 from angler_mjx.runs.storage.intervals import ClusteredRate, clustered
-from angler_mjx.sim.knowledge import InformationLevel
+from angler_mjx.sim.information import InformationLevel
 from angler_mjx.sim.state import Outcome, World
 
 _TIMED = 2

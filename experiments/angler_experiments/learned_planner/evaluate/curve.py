@@ -10,7 +10,7 @@ from angler_experiments.learned_planner.evaluate import figure
 from angler_experiments.learned_planner.evaluate.book import EvaluationLog, head, line
 from angler_experiments.learned_planner.evaluate.course import EvaluationCourse
 from angler_experiments.learned_planner.evaluate.rows import sea, table
-from angler_experiments.learned_planner.telling import Clock
+from angler_experiments.learned_planner.progress import Clock
 from angler_experiments.learned_planner.training import keeping, loop
 
 _WITH_HELD = 20.0 / 19.0

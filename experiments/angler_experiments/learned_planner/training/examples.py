@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from angler_experiments.learned_planner import path_encoding
 from angler_experiments.learned_planner import scene as seen
-from angler_experiments.learned_planner import ways
 from angler_experiments.learned_planner.scene import Scene
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.problem import Problem
@@ -101,7 +101,7 @@ def as_examples(problems: Problem, paths: Trajectory) -> Examples:
 
     def one(problem: Problem, path: Trajectory) -> Examples:
         frames = seen.lines(problem)
-        way = jax.vmap(ways.from_path)(path, frames, problem.team.cruise_speed_mps)
+        way = jax.vmap(path_encoding.from_path)(path, frames, problem.team.cruise_speed_mps)
         return Examples(
             scenes=_packed(seen.scene(problem)),
             ways=jnp.where(path.found[:, None, None], way, 0.0),

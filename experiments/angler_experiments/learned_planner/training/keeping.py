@@ -11,9 +11,9 @@ import numpy as np
 
 from angler_experiments.learned_planner.scene import Scene
 from angler_experiments.learned_planner.shapes import SCHEMA
-from angler_experiments.learned_planner.training import drawn, gathering
-from angler_experiments.learned_planner.training.drawn import Source
+from angler_experiments.learned_planner.training import gathering, sampled
 from angler_experiments.learned_planner.training.examples import Examples
+from angler_experiments.learned_planner.training.sampled import Source
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic import whole
 
@@ -45,7 +45,7 @@ def examples(
         tell(f"{held.count} worlds of {file}")
         count = held.count if worlds is None else min(worlds, held.count)
         return jax.tree.map(lambda leaf: leaf[:count], held) if count < held.count else held
-    made = gathering.gathered(drawn.of_sources(chosen, worlds), worlds, tell, seconds)
+    made = gathering.gathered(sampled.of_sources(chosen, worlds), worlds, tell, seconds)
     tell(f"{made.count} worlds drawn and planned")
     if file is not None:
         write(file, made, chosen)

@@ -17,8 +17,8 @@ import orbax.checkpoint as ocp
 from angler_experiments.learned_planner import checkpoint, flow, network
 from angler_experiments.learned_planner.checkpoint import Checkpoint
 from angler_experiments.learned_planner.shapes import Width
-from angler_experiments.learned_planner.training.drawn import Source
 from angler_experiments.learned_planner.training.examples import Examples, mirrored
+from angler_experiments.learned_planner.training.sampled import Source
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.storage.atomic import whole
 

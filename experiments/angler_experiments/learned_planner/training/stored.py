@@ -14,12 +14,12 @@ from angler_experiments.learned_planner.training.examples import Examples
 from angler_mjx.errors import ConfigError
 from angler_mjx.learning import datasets
 from angler_mjx.learning.datasets import manifest
-from angler_mjx.planning.asking import team
+from angler_mjx.planning.build_problem import team
 from angler_mjx.planning.problem import Problem
 from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.storage import environments
 from angler_mjx.runs.storage.folder import Run
-from angler_mjx.sim import fleet, knowledge
+from angler_mjx.sim import fleet, information
 
 
 def of_folder(path: Path, split: str, tell: Callable[[str], None]) -> Iterator[Examples]:
@@ -102,7 +102,7 @@ def of_run(path: Path, tile: int = 64, worlds: np.ndarray | None = None) -> Iter
                 grid=environment.grid,
                 floor_z_m=environment.floor_z_m,
                 team=_with_speed(begun, speed),
-                obstacles=knowledge.obstacles(
+                obstacles=information.obstacles(
                     environment,
                     knows,
                     horizon,
@@ -110,7 +110,7 @@ def of_run(path: Path, tile: int = 64, worlds: np.ndarray | None = None) -> Iter
                     water.density_kgpm3,
                     water.gravity_mps2,
                 ),
-                current=knowledge.current(environment, knows.current),
+                current=information.current(environment, knows.current),
                 seed=jnp.uint32(0),
                 horizon_s=horizon,
                 goal_tolerance_m=spec.goal_tolerance_m,

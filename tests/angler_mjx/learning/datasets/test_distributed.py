@@ -16,7 +16,7 @@ from angler_mjx.errors import ConfigError, RunError
 from angler_mjx.learning.datasets import index, making, manifest
 from angler_mjx.runs import rollout, several
 from angler_mjx.runs.progress import SilentProgress
-from angler_mjx.runs.storage import claims, folder
+from angler_mjx.runs.storage import folder, output_lock
 from angler_mjx.runs.storage.folder import Run
 
 from ...threads import together
@@ -57,7 +57,7 @@ def test_parts_are_flown_together_and_one_writes_the_rest(file, made, flown_befo
 
 def test_a_part_that_is_whole_is_begun_by_nobody(file, made, flown_before, tmp_path):
     asked, out = making.read_request(file, 6), tmp_path / "out"
-    claimed = claims.acquire(out, what="dataset")
+    claimed = output_lock.acquire(out, what="dataset")
     folder.write_json(claimed.building / several.MAKING, asked.resolved())
     first = manifest.read(made).parts[0]
     shutil.copytree(made / first.path, claimed.building / first.path)
@@ -109,7 +109,7 @@ def commands(file, out, *more):
 def test_two_processes_make_the_same_dataset_also_when_one_was_lost(file, made, tmp_path):
     out = tmp_path / "out"
     started = commands(file, out)
-    building = claims.partial_path(out)
+    building = output_lock.partial_path(out)
     try:
         # Killed when the first part is whole: by then it is at the second.
         until = time.monotonic() + 400

@@ -12,16 +12,16 @@ import pytest
 
 from angler_experiments.currents.yardstick import least_time_s, uniform_least_time_s
 from angler_mjx.errors import ConfigError
-from angler_mjx.planning import asking
+from angler_mjx.planning import build_problem
 from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
 from angler_mjx.planning.current.planner import CurrentConfig, CurrentSettings, plan
 from angler_mjx.planning.online.planners import _environment
-from angler_mjx.planning.ways.robot import WayConfig, layers
+from angler_mjx.planning.path_search.robot import WayConfig, layers
 from angler_mjx.runs.simulator.on_device import device_planner
 from angler_mjx.scenario.scenario import load_scenario
 from angler_mjx.sim import fleet
 from angler_mjx.sim.fleet import Member, Variant
-from angler_mjx.sim.knowledge import CurrentInformation
+from angler_mjx.sim.information import CurrentInformation
 from angler_mjx.world.currents import DoubleGyre, Rankine, Uniform
 
 from ..problems import no_obstacles, problem
@@ -267,7 +267,7 @@ def test_powers_are_those_of_thrusters_against_drag():
     members = [Member(variants=(HEAVY,), weights=(1.0,), cruise_speed_mps=CRUISE)]
     control = fleet.build(members).control
     here = jnp.zeros((1, 3))
-    told = asking.team(control, here, jnp.zeros(1), here)
+    told = build_problem.team(control, here, jnp.zeros(1), here)
     vehicle = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float64), control.vehicle)
     for axis in range(3):
         for step, speed in enumerate(np.linspace(0.0, vehicle.terminal_speed_mps[axis], 9)):

@@ -14,8 +14,8 @@ from angler_mjx.planning.current.map import step_costs
 from angler_mjx.planning.current.pace import NO_WAY, pace, power_model
 from angler_mjx.planning.current.timetable import scheduled
 from angler_mjx.planning.online.planners import _environment
-from angler_mjx.planning.ways.lattice import terrain
-from angler_mjx.planning.ways.traffic import GridTraffic
+from angler_mjx.planning.path_search.lattice import terrain
+from angler_mjx.planning.path_search.traffic import GridTraffic
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 from ...compiling import quickly

@@ -4,7 +4,7 @@ import coal
 import numpy as np
 
 from angler_mjx.planning.problem import Problem, Team
-from angler_mjx.sim.knowledge import CurrentInformation, Information, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, Information, ObstacleInformation
 from angler_mjx.world.grid import Grid
 
 HULL_A = np.array([[-0.15, 0.12, -0.02], [-0.15, -0.12, -0.02], [0.0, 0.0, 0.1]])

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.planning.mppi import ahead
-from angler_mjx.sim.knowledge import CurrentInformation, ObstacleInformation
+from angler_mjx.sim.information import CurrentInformation, ObstacleInformation
 from angler_mjx.world.acoustics.channel import HeardRobots
 
 TIMES = np.array([0.25, 0.5, 1.25, 9.0])

@@ -9,7 +9,7 @@ import pytest
 import angler_mjx as angler
 from angler_mjx.errors import ConfigError
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.state import Outcome
 
 from ...robot.vehicles import made_up

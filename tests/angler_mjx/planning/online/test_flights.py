@@ -12,9 +12,9 @@ from angler_mjx.robot.control.trajectory import Trajectory
 from angler_mjx.runs.session.batch import BatchSession
 from angler_mjx.runs.session.online import OnlineFlyer, problem_of
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.runs.storage import harvest
+from angler_mjx.runs.storage import device_to_host
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.state import Outcome
 
 SCENARIO = """
@@ -173,21 +173,21 @@ def test_what_a_robot_was_not_planned_for_is_counted_until_its_end(replanned):
     )
     state, _, _ = fly(replanned, worlds)
     assert outcomes(state) == [Outcome.RUNNING, Outcome.REACHED]
-    whole = np.asarray(harvest.end(state, recorded=False).failed_replans)
+    whole = np.asarray(device_to_host.end(state, recorded=False).failed_replans)
     np.testing.assert_array_equal(whole, [[29, 0]])  # at 1, 2, ... 29 s of 30
     ended = replace(
         state.tally,
         outcome=state.tally.outcome.at[0, 0].set(Outcome.COLLISION_DYNAMIC),
         end_time_s=state.tally.end_time_s.at[0, 0].set(10.3),
     )
-    early = harvest.end(replace(state, tally=ended), recorded=False).failed_replans
+    early = device_to_host.end(replace(state, tally=ended), recorded=False).failed_replans
     np.testing.assert_array_equal(early, [[10, 0]])
 
 
 def test_nothing_is_counted_where_nothing_is_planned_anew(kept):
     state = kept.reset(kept.worlds())
-    assert harvest.end(state, recorded=False).failed_replans is None
-    assert harvest.end(replace(state, policy=None), recorded=False).failed_replans is None
+    assert device_to_host.end(state, recorded=False).failed_replans is None
+    assert device_to_host.end(replace(state, policy=None), recorded=False).failed_replans is None
 
 
 @pytest.mark.nightly(by="the flight around the obstacle, in the fused engine")

@@ -12,9 +12,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning.planner import PathShape
 from angler_mjx.planning.routes import fields
 from angler_mjx.runs.simulator import scenario_policy
-from angler_mjx.sim.aboard.here import Sent, WorldContext
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.world_phases.context import Sent, WorldContext
 from angler_mjx.world import routes as reading
 
 from ...compiling import quickly

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from angler_mjx.planning.routes.policy import _obstacles
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 
 
 def test_a_robot_that_knows_of_no_obstacle_has_no_body_to_avoid():

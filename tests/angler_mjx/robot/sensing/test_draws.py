@@ -14,7 +14,7 @@ from angler_mjx.robot.control.navigation import NavigationParams
 from angler_mjx.robot.sensing import instruments, params, suite
 from angler_mjx.robot.sensing.config import SensorsConfig
 from angler_mjx.robot.sensing.readings import Truth
-from angler_mjx.sim.aboard.senses import OF_FILTER
+from angler_mjx.sim.world_phases.sensing import OF_FILTER
 
 from ...independence import assert_uncorrelated
 

@@ -8,7 +8,7 @@ import pytest
 import zarr
 
 from angler_mjx.runs.storage import arrays, environments, layout
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.sim.information import ObstacleInformation
 from angler_mjx.world import currents
 from angler_mjx.world.obstacles import BOX, bounding_radius
 

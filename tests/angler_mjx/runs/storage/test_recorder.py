@@ -7,7 +7,7 @@ import zarr
 
 from angler_mjx.runs.storage import environments as store
 from angler_mjx.runs.storage import recorder, shards
-from angler_mjx.runs.storage.harvest import Constants, FinishedTile, Last, TileEnd, arrays
+from angler_mjx.runs.storage.device_to_host import Constants, FinishedTile, Last, TileEnd, arrays
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.sim.record import FIELDS, Sample
 

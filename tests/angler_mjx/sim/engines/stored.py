@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pyarrow.parquet as pq
 
-from angler_mjx.runs.storage import harvest, results
-from angler_mjx.runs.storage.harvest import FinishedTile
+from angler_mjx.runs.storage import device_to_host, results
+from angler_mjx.runs.storage.device_to_host import FinishedTile
 from angler_mjx.runs.storage.recorder import Recorder, Shape
 from angler_mjx.sim import fleet
 
@@ -26,8 +26,8 @@ def store(path, scene, members, after, samples):
     tile = FinishedTile(
         first=0,
         kept=samples.p.shape[0],
-        constants=jax.tree.map(np.asarray, harvest.constants(scene.worlds, recorded=True)),
-        end=jax.tree.map(np.asarray, harvest.end(after, recorded=True)),
+        constants=jax.tree.map(np.asarray, device_to_host.constants(scene.worlds, recorded=True)),
+        end=jax.tree.map(np.asarray, device_to_host.end(after, recorded=True)),
         parts=[samples],
     )
     worlds, steps, robots = samples.p.shape[:3]
@@ -45,9 +45,9 @@ def store(path, scene, members, after, samples):
     environment = tile.constants.environment
     place = path / "trajectories.zarr"
     recorder = Recorder.create(place, shape, environment, tile=worlds, sample_dt_s=dt)
-    recorder.write(0, harvest.arrays(tile, steps), environment)
+    recorder.write(0, device_to_host.arrays(tile, steps), environment)
     kinds = [(kind.vehicle, kind.parameter_set) for kind in fleet.variants(members)]
-    rows = results.episode_table(harvest.tile_result(tile), kinds, 0)
+    rows = results.episode_table(device_to_host.tile_result(tile), kinds, 0)
     pq.write_table(rows, path / "episodes.parquet")
     entries = [
         {

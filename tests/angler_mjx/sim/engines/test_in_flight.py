@@ -10,13 +10,13 @@ import pytest
 
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.sim import fleet
-from angler_mjx.sim.aboard import phases, telling
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.engines.triton.engine import TritonEngine
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.world_phases import phases, running
 from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
@@ -102,7 +102,7 @@ def fly(scene):
         return jax.device_get(state), both
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(telling, "PHASES", (phases.SENSE, WORK, phases.POLICY))
+        patch.setattr(running, "PHASES", (phases.SENSE, WORK, phases.POLICY))
         yield with_engine
 
 

@@ -12,11 +12,11 @@ from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.robot.vehicles import library
 from angler_mjx.robot.vehicles.load import Load
 from angler_mjx.sim import fleet
-from angler_mjx.sim.aboard import phases, telling
 from angler_mjx.sim.engines.lanes.engine import FusedEngine
 from angler_mjx.sim.fleet import Member, Variant
 from angler_mjx.sim.phase import Done, Phase
 from angler_mjx.sim.policy import Policy
+from angler_mjx.sim.world_phases import phases, running
 from angler_mjx.world.tasks.spec import TaskSpec
 
 from ...compiling import quickly
@@ -85,7 +85,7 @@ def sunk(scenes):
     kinds = fleet.build(members(), multibody=False, load=LOAD)
     spec, policy = replace(scene.spec, task=TASK), SaysMass()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(telling, "PHASES", (phases.SENSE, WORK, phases.POLICY))
+        patch.setattr(running, "PHASES", (phases.SENSE, WORK, phases.POLICY))
         engine = FusedEngine()
         start = quickly(partial(engine.reset, scene.spec, policy=policy))(kinds, worlds)
         run = partial(engine.segment, spec, n_sample=STEPS, steps_per_sample=1, policy=policy)

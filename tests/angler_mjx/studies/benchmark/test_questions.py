@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.editing import merged
 from angler_mjx.scenario.scenario import shipped
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark import questions
 
 FILE = """

@@ -17,7 +17,7 @@ import pytest
 from angler_mjx.cli import main as cli
 from angler_mjx.cli.studies import fleet_size as command
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.studies.fleet_size import asking, flying, folder, report, running
+from angler_mjx.studies.fleet_size import conditions, flying, folder, report, running
 from angler_mjx.studies.fleet_size.flying import arrival
 from angler_mjx.studies.fleet_size.simulators import Simulators
 from angler_mjx.studies.fleet_size.store import Batch, StudyStore
@@ -111,7 +111,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def study(source):
-    return asking.read(source)
+    return conditions.read(source)
 
 
 @pytest.fixture(scope="module")
@@ -278,7 +278,7 @@ def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
     shutil.copytree(whole[0], out)
     table = json.loads((out / folder.STUDY).read_text())
     (out / folder.STUDY).write_text(json.dumps(table | {"complete": False}))
-    other = asking.read(source, batch=8)
+    other = conditions.read(source, batch=8)
     with pytest.raises(ConfigError, match=r"another study\.budget"):
         running.run(other, source, out, told=Told(), resume=True)
     with pytest.raises(ConfigError, match="no interrupted study"):
@@ -286,11 +286,11 @@ def test_another_study_does_not_go_on_with_it(whole, source, tmp_path):
 
 
 def test_no_batch_begins_after_the_time_is_over(source, tmp_path, simulators):
-    study = asking.read(source, most_minutes=1e-9)
+    study = conditions.read(source, most_minutes=1e-9)
     with pytest.raises(RunError, match=r"most_minutes.*over before the first batch"):
         running.run(study, source, tmp_path / "late", told=Told(), simulators=simulators)
     assert not (tmp_path / "late").exists()
-    given = asking.read(source)
+    given = conditions.read(source)
     with pytest.raises(KeyboardInterrupt):
         running.run(given, source, tmp_path / "no", told=_Never(), simulators=simulators)
     assert not (tmp_path / "no").exists()
@@ -323,14 +323,14 @@ def test_the_command_tells_what_came_of_it(whole, source, capsys):
 
 
 def test_a_batch_is_made_of_whole_tiles(source):
-    assert running.tile_of(asking.read(source)) == 2  # the scenario's
+    assert running.tile_of(conditions.read(source)) == 2  # the scenario's
     with pytest.raises(ConfigError, match=r"budget\.batch = 3: must be whole tiles of 2 worlds"):
-        running.tile_of(asking.read(source, batch=3, most_worlds=6))
+        running.tile_of(conditions.read(source, batch=3, most_worlds=6))
 
 
 def test_every_interval_names_its_level(source):
     """Of 14 sizes each may be accepted wrongly with 1 / 14 of half of 10 %, excluded with half."""
-    given = asking.read(source)
+    given = conditions.read(source)
     rule = running.rule_of(given)
     rule = dataclasses.replace(rule, sizes=tuple(range(3, 17)), confidence=0.9)
     found = {"levels": report.levels(rule)}

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from angler_mjx.shipped import list_shipped
-from angler_mjx.studies.fleet_size import asking
+from angler_mjx.studies.fleet_size import conditions
 
 FILES = tuple(list_shipped("angler_mjx.studies.fleet_size").values())
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_every_size_can_be_flown(path):
-    study = asking.read(path)
+    study = conditions.read(path)
     assert study.config.name == path.stem
     for condition in study.conditions:
         for size in study.config.first_sizes():
@@ -23,7 +23,7 @@ def test_every_size_can_be_flown(path):
 
 def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
     for name in ("survey_reef", "delivery_corridor"):
-        study = asking.read(next(path for path in FILES if path.stem == name))
+        study = conditions.read(next(path for path in FILES if path.stem == name))
         made = {one.name: study.scenario(one, 8) for one in study.conditions}
         speeds = [
             made[name].randomise.current[0] * 0.5 for name in ("still water", "0.2 m/s", "0.5 m/s")
@@ -35,5 +35,5 @@ def test_tasks_are_asked_in_currents_with_breakdowns_and_acoustics():
         assert made["one in five breaks down"].breakdowns.share == 0.2
         assert made["acoustic"].acoustics.model == "budget"
         assert study.sizes == tuple(range(1, 65))
-        smoke = asking.read(Path(study.source), smoke=True)
+        smoke = conditions.read(Path(study.source), smoke=True)
         assert (smoke.sizes, smoke.config.budget.most_worlds) == ((1, 8), 4)

@@ -14,9 +14,9 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control.commands import ThrusterPwm
 from angler_mjx.sim.engines import free_flight
 from angler_mjx.studies.flights import courses, kinds, tracks
-from angler_mjx.studies.flights import draws as drawing
+from angler_mjx.studies.flights import samples as drawing
 from angler_mjx.studies.flights.kinds import FlightKind
-from angler_mjx.studies.trials import document, draws, eight, figures, listing, steps
+from angler_mjx.studies.trials import document, eight, figures, listing, samples, steps
 from angler_mjx.studies.trials.trial import Trial, misses_of_eight, misses_of_step
 from angler_mjx.world.currents import Uniform
 
@@ -131,11 +131,11 @@ SEEDS = (3, 8, 170)
 
 @pytest.fixture(scope="module")
 def verdicts():
-    return list(draws.fly("cascade", SEEDS))
+    return list(samples.fly("cascade", SEEDS))
 
 
 def test_a_seed_is_a_draw_within_its_limits():
-    many = [draws.draw(seed) for seed in range(300)]
+    many = [samples.draw(seed) for seed in range(300)]
     assert {one.kind for one in many} == set(kinds.shipped())
     volts = [one.battery_v for one in many]
     assert min(volts) >= 12.0
@@ -145,25 +145,25 @@ def test_a_seed_is_a_draw_within_its_limits():
     shares = np.stack([one.gain_shares for one in many])
     assert shares.min() >= 0.8
     assert shares.max() <= 1.2
-    again = draws.draw(170)
+    again = samples.draw(170)
     assert again.kind == many[170].kind
     np.testing.assert_array_equal(again.gain_shares, many[170].gain_shares)
 
 
 def test_every_gain_is_scaled_by_its_own_share_but_settings_stay():
     shares = np.linspace(0.8, 1.2, 64)[None]
-    cascade = draws.gains_of(kinds.spec_of("cascade"), shares)
+    cascade = samples.gains_of(kinds.spec_of("cascade"), shares)
     follow, pose, _, _ = cascade
     np.testing.assert_allclose(follow.lag_stop_m, 1.0 * shares[:, 2], rtol=1e-6)
     np.testing.assert_allclose(pose.position_per_s, 0.8 * shares[:, 3], rtol=1e-6)
-    _, firmware = draws.gains_of(kinds.spec_of("ardusub"), shares)
+    _, firmware = samples.gains_of(kinds.spec_of("ardusub"), shares)
     assert float(firmware.SERVO_TRIM[0]) == 1500.0
     assert float(firmware.WPNAV_SPEED[0]) == 100.0
     np.testing.assert_allclose(firmware.PSC_POSXY_P, 1.0 * shares[:, 3], rtol=1e-6)
 
 
 def test_a_draw_flies_alone_as_it_does_among_others(verdicts):
-    (alone,) = draws.fly("cascade", SEEDS[1:2])
+    (alone,) = samples.fly("cascade", SEEDS[1:2])
     among = verdicts[1]
     assert alone.draw.seed == among.draw.seed == 8
     # Compiled for another number of robots the sums round otherwise; the loop is stable.

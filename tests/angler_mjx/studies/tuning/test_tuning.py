@@ -12,13 +12,13 @@ from angler_mjx.robot.control import stages
 from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.scenario.scenario import load_scenario, shipped
 from angler_mjx.studies.tuning import (
-    draws,
     figures,
     flying,
     folder,
     gain_files,
     knobs,
     problem,
+    samples,
     search,
     tune,
 )
@@ -82,13 +82,13 @@ def test_gains_that_a_scenario_gives_are_where_the_search_begins():
 
 
 def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
-    robots = draws.robots(load_scenario("heterogeneous"))
+    robots = samples.robots(load_scenario("heterogeneous"))
     assert any("blue_ismc" in label for label in robots.left_out)
     assert not any("blue_ismc" in label for label in robots.labels)
     n = 3 * len(robots.labels)
-    few = draws.draw(robots, n, 4, draws.TRAIN, 0.05, timed=True)
-    more = draws.draw(robots, 2 * n, 4, draws.TRAIN, 0.05, timed=True)
-    other = draws.draw(robots, n, 4, draws.HELD_OUT, 0.05, timed=True)
+    few = samples.draw(robots, n, 4, samples.TRAIN, 0.05, timed=True)
+    more = samples.draw(robots, 2 * n, 4, samples.TRAIN, 0.05, timed=True)
+    other = samples.draw(robots, n, 4, samples.HELD_OUT, 0.05, timed=True)
     assert sorted(few.group) == list(range(n))
     for name in ("start_m", "yaw_rad"):
         a, b = (np.asarray(getattr(x.orders, name)) for x in (few, more))
@@ -99,7 +99,7 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
     assert not np.any(mass[0] == mass[1])
     # A fifth more or less, to float32.
     assert np.all(np.abs(mass[0] - 1.0) <= 0.2 + 1e-6)
-    weak = draws.draw(robots, n, 4, draws.TRAIN, 0.05, timed=True, thrust_error=0.3)
+    weak = samples.draw(robots, n, 4, samples.TRAIN, 0.05, timed=True, thrust_error=0.3)
     thrust = np.asarray(weak.orders.plant.B) / np.where(
         believed := np.asarray(few.orders.params.vehicle.B), believed, np.inf
     )
@@ -123,7 +123,7 @@ def test_flights_are_known_by_their_numbers_and_go_round_robots_and_courses():
 def test_a_fleet_that_nothing_holds_level_is_refused():
     fleet = [{"vehicle": "bluerov2", "parameter_set": "blue_ismc"}]
     with pytest.raises(ConfigError, match="level"):
-        draws.robots(load_scenario(SCENARIO, fleet=fleet))
+        samples.robots(load_scenario(SCENARIO, fleet=fleet))
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +179,7 @@ def test_a_tuning_that_was_interrupted_leaves_its_best_and_ends_with_the_same_by
     # One figure stands for all; the command draws them all below.
     monkeypatch.setattr(figures, "ALL", {"search": figures.search})
     # Flights of 15 s are as good to be repeated as those of 30 s.
-    monkeypatch.setattr(draws, "FLIGHT_S", 15.0)
+    monkeypatch.setattr(samples, "FLIGHT_S", 15.0)
     monkeypatch.setattr(flying, "FLIGHT_S", 15.0)
     wanted = settings("ardusub", objective="robust")
     whole = tune.tune(wanted, tmp_path / "whole")

@@ -11,14 +11,14 @@ from angler_mjx.cli.main import main
 from angler_mjx.errors import ConfigError
 from angler_mjx.testing.validation import page, terms
 from angler_mjx.testing.validation import validate as all_of_it
-from angler_mjx.testing.validation.found import (
+from angler_mjx.testing.validation.judging import faults
+from angler_mjx.testing.validation.results import (
     Expected,
     Measured,
     TermResult,
     ValidationResult,
     read,
 )
-from angler_mjx.testing.validation.judging import faults
 from angler_mjx.testing.validation.terms import Worse
 
 ROOT = Path(__file__).parents[4]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.tasks import sight
-from angler_mjx.world.tasks.faces import surface_quads
 from angler_mjx.world.tasks.history import Doing, Goods, TaskHistory
 from angler_mjx.world.tasks.spec import SurveySpec
+from angler_mjx.world.tasks.surface_quads import surface_quads
 
 from .test_work import CELL, flown, spec_of
 

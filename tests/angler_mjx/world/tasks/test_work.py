@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from angler_mjx.world.grid import Grid
-from angler_mjx.world.tasks import bits, drawing, sight, work
-from angler_mjx.world.tasks.drawing import GoalSampling
-from angler_mjx.world.tasks.knowing import HeardReports, TaskScene
+from angler_mjx.world.tasks import bits, sampling, sight, work
+from angler_mjx.world.tasks.sampling import GoalSampling
 from angler_mjx.world.tasks.spec import SurveySpec, TaskReport, TaskSpec, TaskState, TaskWorld
+from angler_mjx.world.tasks.task_belief import HeardReports, TaskScene
 from angler_mjx.world.tasks.travel import Travel
 
 ROBOTS, SHAPE, CELL = 3, (8, 8, 6), 1.5
@@ -36,7 +36,7 @@ class Water:
 def task_of(spec: TaskSpec) -> TaskWorld:
     places = (GoalSampling(within=((0.3, 0.0, 0.0), (1.0, 1.0, 1.0))), GoalSampling())
     environment: Any = Water()
-    return drawing.draw(spec, *places, jax.random.key(4), environment, jnp.ones(SHAPE, bool))
+    return sampling.draw(spec, *places, jax.random.key(4), environment, jnp.ones(SHAPE, bool))
 
 
 @partial(jax.jit, static_argnums=0)

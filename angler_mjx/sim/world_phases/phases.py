@@ -10,18 +10,18 @@ from typing import Any
 
 import jax
 
-from angler_mjx.counting import every_n_steps
+from angler_mjx.periods import every_n_steps
 from angler_mjx.sim import policy as policies
-from angler_mjx.sim.aboard import hearing, senses
-from angler_mjx.sim.aboard.here import Sent, WorldContext
 from angler_mjx.sim.approach import last_approaches_s
 from angler_mjx.sim.fleet import carrying
 from angler_mjx.sim.phase import Done, Phase, Slots, nothing
 from angler_mjx.sim.record import ProgressRecord
 from angler_mjx.sim.state import Outcome
+from angler_mjx.sim.world_phases import hearing, sensing
+from angler_mjx.sim.world_phases.context import Sent, WorldContext
 from angler_mjx.world.tasks import work as tasks
-from angler_mjx.world.tasks.knowing import TaskScene
 from angler_mjx.world.tasks.spec import TaskState
+from angler_mjx.world.tasks.task_belief import TaskScene
 from angler_mjx.world.tasks.travel import Travel
 
 
@@ -29,7 +29,7 @@ def sense(here: WorldContext, now: Slots) -> Done:
     """Instruments read the truth, filters take the readings in."""
     if not here.spec.instrumented:
         return Done(slots=nothing)
-    memory, belief = senses.step(
+    memory, belief = sensing.step(
         here.spec, here.world, now["senses"], here.number, here.vehicles, here.flow
     )
     return Done(

@@ -3,7 +3,7 @@ import pytest
 from angler_mjx.cli import main as cli
 from angler_mjx.errors import ConfigError
 from angler_mjx.scenario.editing import first_difference
-from angler_mjx.studies.fleet_size import asking, running
+from angler_mjx.studies.fleet_size import conditions, running
 
 FILE = """
 name = "crossing"
@@ -19,7 +19,7 @@ fleet = [{{ vehicle = "bluerov2_heavy" }}]
 def read(tmp_path, sizes="[1, 2, 4]", more="", **given):
     path = tmp_path / "study.toml"
     path.write_text(FILE.format(sizes=sizes, more=more))
-    return asking.read(path, **given)
+    return conditions.read(path, **given)
 
 
 def test_conditions_are_all_combinations(tmp_path):
@@ -121,7 +121,7 @@ def test_a_task_is_done_or_not(tmp_path):
         "name = 's'\nscenario = 'reef_survey'\nsizes = [1]\ndeadline_s = 9.0\nshare = 0.5\n"
     )
     with pytest.raises(ConfigError, match=r"share = 0\.5: the scenario has a task"):
-        asking.read(path)
+        conditions.read(path)
 
 
 def test_the_same_study_is_known_again(tmp_path):

@@ -7,14 +7,14 @@ from typing import Any
 
 import jax
 
-from angler_mjx.sim.aboard.here import WorldContext
-from angler_mjx.sim.aboard.phases import HEAR, PHASES, POLICY, SENSE, WORK
 from angler_mjx.sim.fleet import Fleet
 from angler_mjx.sim.phase import run
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World, WorldState
+from angler_mjx.sim.world_phases.context import WorldContext
+from angler_mjx.sim.world_phases.phases import HEAR, PHASES, POLICY, SENSE, WORK
 from angler_mjx.world.obstacles import ObstacleState
 
 

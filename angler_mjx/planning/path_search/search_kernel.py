@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.programs import BlockProgram
-from angler_mjx.planning.ways.lattice import (
+from angler_mjx.planning.path_search.lattice import (
     BLOCKS,
     EDGES,
     FreeSpace,
@@ -21,8 +21,8 @@ from angler_mjx.planning.ways.lattice import (
     Terrain,
     span_bits,
 )
-from angler_mjx.planning.ways.search import QUARTER
-from angler_mjx.planning.ways.traffic import Balls
+from angler_mjx.planning.path_search.search import QUARTER
+from angler_mjx.planning.path_search.traffic import Balls
 
 _LEAVING = 3
 """Lines of scratch before those of the ends: where steps over 1, 2, 3 axes set out."""

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.traffic import GridTraffic, clear_of
+from angler_mjx.planning.path_search.traffic import GridTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
 
 _ROUNDING_M = 1e-3

@@ -18,12 +18,12 @@ from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.sim import fleet
-from angler_mjx.studies.flights import courses, draws, flying, kinds, measures
+from angler_mjx.studies.flights import courses, flying, kinds, measures, samples
 from angler_mjx.studies.flights.courses import FlightCourse, Times
-from angler_mjx.studies.flights.draws import CURRENT_MPS, MASS_ERROR, VORTEX_MPS
 from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.flights.measures import ReferenceMotion
+from angler_mjx.studies.flights.samples import CURRENT_MPS, MASS_ERROR, VORTEX_MPS
 from angler_mjx.world.currents import Uniform, Vortices
 
 COURSES = ("step", "hold", "eight")
@@ -37,7 +37,7 @@ whoever is swept away tells nothing of gains."""
 THRUST_ERROR = 0.3
 """Where it is asked for, thrusters push up to this share more or less than the controllers believe,
 about what a battery between 12 and 18 V does. All loops gain as much: it is a gain margin."""
-STEP_M = (0.5, draws.STEP_M)
+STEP_M = (0.5, samples.STEP_M)
 SPEED_MPS, SPEED_STEP_MPS = 0.5, 0.05
 """Along the figure of eight, at most; vehicles that could not make it against the vortices go
 slower, by whole steps."""
@@ -97,7 +97,7 @@ def robots(scenario: Scenario) -> TunedRobots:
         raise ConfigError(f"scenario {scenario.name}: nothing holds {'; '.join(left_out)} level")
     on_host = jax.tree.map(np.asarray, built.control)
     params = replace(kinds.chosen(on_host, rows), cruise_speed_mps=cruise[rows])
-    able = draws.able_mps(params.vehicle)
+    able = samples.able_mps(params.vehicle)
     speeds = [
         max(_whole(min(SPEED_MPS, cruise[row], 0.9 * most - VORTEX_MPS)), SPEED_STEP_MPS)
         for row, most in zip(rows, able, strict=True)
@@ -138,10 +138,10 @@ def _draw(seed: int, part: int, number: int) -> _FlightSample:
     direction = rng.normal(size=3)
     course = rng.uniform(-math.pi, math.pi)
     return _FlightSample(
-        step_m=rng.uniform(*STEP_M) * draws.unit(direction),
-        off_m=-OFF_M * draws.unit(direction),
+        step_m=rng.uniform(*STEP_M) * samples.unit(direction),
+        off_m=-OFF_M * samples.unit(direction),
         yaw_rad=rng.uniform(-math.pi, math.pi),
-        current=draws.level(rng.uniform(0.0, 1.0), course),
+        current=samples.level(rng.uniform(0.0, 1.0), course),
         vortex_mps=rng.uniform(0.0, VORTEX_MPS),
         shift_m=rng.uniform(-SHIFT_M, SHIFT_M, 2),
         turn=float(rng.choice([-1.0, 1.0])),
@@ -184,13 +184,13 @@ def draw(
         _course(one, name, flown.eight_mps[row], float(cruise[row]), times, timed)
         for one, name, row in zip(drawn, kind, rows, strict=True)
     ]
-    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * draws.able_mps(params.vehicle)) * ~eights
+    bound = np.minimum(CURRENT_MPS, CURRENT_SHARE * samples.able_mps(params.vehicle)) * ~eights
     current = bound[:, None] * np.array([one.current for one in drawn])
     heading = np.array([course.pose[0, 3] for course in wanted])
     return Flights(
         orders=FlightSettings(
             params=params,
-            plant=draws.as_it_is(
+            plant=samples.as_it_is(
                 params.vehicle,
                 np.array([one.mass for one in drawn]),
                 1.0 + thrust_error * np.array([one.thrust for one in drawn]),
@@ -222,7 +222,7 @@ def _course(
 def _vortices(drawn: Sequence[_FlightSample], eights: FloatArray) -> Vortices:
     """Those of the trials, of drawn strength and sense, shifted; none but for eights."""
     most = np.array([one.vortex_mps * on for one, on in zip(drawn, eights, strict=True)])
-    there: Vortices = jax.tree.map(np.asarray, draws.vortices(most))
+    there: Vortices = jax.tree.map(np.asarray, samples.vortices(most))
     shift = np.array([one.shift_m for one in drawn])
     turn = np.array([one.turn for one in drawn])
     return replace(

@@ -18,7 +18,7 @@ from angler_mjx.sim.record import Talk
 from angler_mjx.sim.state import World
 from angler_mjx.world.acoustics import channel
 from angler_mjx.world.acoustics.channel import Channel, HeardRobots, ModemState, Now, Packet
-from angler_mjx.world.tasks import knowing
+from angler_mjx.world.tasks import task_belief
 from angler_mjx.world.tasks.spec import TaskReport, TaskState
 
 
@@ -113,7 +113,7 @@ def words(
     own = before["policy"]
     if policy is not None and memory is not None:
         own = policy.says(memory.carry)
-    return {"policy": own, "task": None if task is None else knowing.report(task, running)}
+    return {"policy": own, "task": None if task is None else task_belief.report(task, running)}
 
 
 def for_policy(radio: ModemState | None) -> HeardRobots | None:
@@ -123,14 +123,14 @@ def for_policy(radio: ModemState | None) -> HeardRobots | None:
 
 def at_work(
     shared: Channel | None, radio: ModemState | None, t: jax.Array
-) -> knowing.HeardReports | None:
+) -> task_belief.HeardReports | None:
     """Where each robot takes the others to be at t [] s, and who of them still is at work."""
     if shared is None or radio is None:
         return None
     heard = radio.heard
     said: TaskReport = heard.words["task"]
     recent = t - heard.time_s < shared.lost_after_s
-    return knowing.HeardReports(
+    return task_belief.HeardReports(
         p=heard.place_m(t),
         active=recent & said.at_work,
         said=said,

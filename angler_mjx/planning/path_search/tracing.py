@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.ways.lattice import EDGES, FreeSpace, LatticeLayout, Terrain
-from angler_mjx.planning.ways.search import QUARTER
-from angler_mjx.planning.ways.traffic import Balls
+from angler_mjx.planning.path_search.lattice import EDGES, FreeSpace, LatticeLayout, Terrain
+from angler_mjx.planning.path_search.search import QUARTER
+from angler_mjx.planning.path_search.traffic import Balls
 
 
 def _backward_tables() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

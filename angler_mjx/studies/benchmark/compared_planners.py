@@ -13,7 +13,7 @@ from angler_mjx.runs.simulator import scenario_policy
 from angler_mjx.scenario.editing import merged
 from angler_mjx.scenario.scenario import Scenario
 from angler_mjx.scenario.tables import PlannerConfig
-from angler_mjx.sim.knowledge import Information
+from angler_mjx.sim.information import Information
 from angler_mjx.studies.benchmark.config import PlannerEntry
 
 

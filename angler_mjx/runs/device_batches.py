@@ -19,8 +19,8 @@ from angler_mjx.runs.progress import Progress
 from angler_mjx.runs.simulator import devices
 from angler_mjx.runs.simulator.hosted import PlanNotes, SampledBatch
 from angler_mjx.runs.simulator.simulator import Simulator
-from angler_mjx.runs.storage import harvest
-from angler_mjx.runs.storage.harvest import FinishedTile, Last, TileEnd
+from angler_mjx.runs.storage import device_to_host
+from angler_mjx.runs.storage.device_to_host import FinishedTile, Last, TileEnd
 from angler_mjx.sim.record import Sample
 from angler_mjx.sim.state import World
 
@@ -155,7 +155,9 @@ class _Flight:
     def fly(self, worlds: World) -> None:
         """Give the device all segments, taking the samples behind it; stop when all have ended."""
         sim, count = self._sim, len(self._firsts)
-        self._constants = devices.shards(harvest.constants(worlds, recorded=self._recorded), count)
+        self._constants = devices.shards(
+            device_to_host.constants(worlds, recorded=self._recorded), count
+        )
         state = sim.reset(worlds)
         for number in range(sim.segments):
             state, sample, running = sim.advance(worlds, state)
@@ -168,12 +170,12 @@ class _Flight:
             )
             if number == 0 and self._strict:
                 for at, first, kept in zip(self._constants, self._firsts, self._kept, strict=True):
-                    harvest.require_valid(at, first, kept)
+                    device_to_host.require_valid(at, first, kept)
             if len(self._in_flight) == AHEAD:
                 self._take(self._in_flight.popleft())
             if all(self._ended):
                 break
-        self._end = devices.shards(harvest.end(state, recorded=self._recorded), count)
+        self._end = devices.shards(device_to_host.end(state, recorded=self._recorded), count)
 
     def land(self) -> list[FinishedTile]:
         """Take what is still in flight, and the end."""
@@ -205,7 +207,7 @@ class _Flight:
             if self._ended[i]:
                 if self._recorded and self._last[i] is None:
                     step = segment.number * sim.segment_steps
-                    self._last[i] = harvest.last_in(segment.samples[i], step)
+                    self._last[i] = device_to_host.last_in(segment.samples[i], step)
                 continue
             if self._recorded:
                 self._parts[i].append(jax.tree.map(np.asarray, segment.samples[i]))

@@ -18,11 +18,11 @@ from angler_mjx.robot.control.laws.ardusub.gains import ArduSubGains
 from angler_mjx.robot.control.stack import ControlParams
 from angler_mjx.robot.vehicles.thrusters import FloatArray
 from angler_mjx.sim.state import SimSpec
-from angler_mjx.studies.flights import courses, draws, flying, kinds, tracks
-from angler_mjx.studies.flights.draws import CURRENT_MPS, STEP_M
+from angler_mjx.studies.flights import courses, flying, kinds, samples, tracks
 from angler_mjx.studies.flights.flying import FlightSettings
 from angler_mjx.studies.flights.kinds import FlightKind
 from angler_mjx.studies.flights.measures import RATE_RADPS, TILT_RAD
+from angler_mjx.studies.flights.samples import CURRENT_MPS, STEP_M
 from angler_mjx.studies.flights.tracks import Track
 from angler_mjx.world.currents import Uniform
 
@@ -122,12 +122,12 @@ def draw(seed: int) -> TrialSample:
     volts = BATTERY_V[0] + BATTERY_STEP_V * int(rng.integers(steps + 1))
     speed, course = rng.uniform(0.0, CURRENT_MPS), rng.uniform(-math.pi, math.pi)
     direction = rng.normal(size=3)
-    step = rng.uniform(0.0, STEP_M) * draws.unit(direction)
+    step = rng.uniform(0.0, STEP_M) * samples.unit(direction)
     return TrialSample(
         seed=seed,
         kind=kind,
         battery_v=round(volts, 6),
-        current_mps=draws.level(speed, course),
+        current_mps=samples.level(speed, course),
         step_m=step,
         yaw_rad=rng.uniform(-math.pi, math.pi),
         gain_shares=rng.uniform(1.0 - GAIN_SHARE, 1.0 + GAIN_SHARE, _GAINS),
@@ -176,7 +176,7 @@ def fly(
         full = chunk + chunk[:1] * (min(CHUNK, len(seeds)) - len(chunk))
         orders = _orders(spec, kept, full)
         gains = gains_of(spec, np.array([one.gain_shares for one in full]))
-        able = draws.able_mps(orders.plant)
+        able = samples.able_mps(orders.plant)
         track = tracks.track(spec, program(orders, gains))
         last = round(LAST_S / spec.control_dt_s)
         for i, one in enumerate(chunk):

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.batching import least_of_batch
-from angler_mjx.planning.ways.bodies import STANDS_S
-from angler_mjx.planning.ways.lattice import Terrain, line_of_sight
-from angler_mjx.planning.ways.tracing import Route
-from angler_mjx.planning.ways.traffic import GridTraffic, PlannedTraffic, clear_of
+from angler_mjx.planning.path_search.batching import least_of_batch
+from angler_mjx.planning.path_search.bodies import STANDS_S
+from angler_mjx.planning.path_search.lattice import Terrain, line_of_sight
+from angler_mjx.planning.path_search.tracing import Route
+from angler_mjx.planning.path_search.traffic import GridTraffic, PlannedTraffic, clear_of
 from angler_mjx.robot.control.trajectory import Trajectory
 
 

@@ -11,9 +11,9 @@ import pytest
 from angler_kernels.clearance import cell_neighbours
 from angler_mjx.errors import ConfigError, UnsupportedError
 from angler_mjx.sim import fleet
-from angler_mjx.sim.admission import WorldValidator
 from angler_mjx.sim.engines.base import by_name
 from angler_mjx.sim.physics.mjx_engine import BodyInertia
+from angler_mjx.sim.validate_worlds import WorldValidator
 
 
 @pytest.fixture(scope="module")

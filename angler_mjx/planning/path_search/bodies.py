@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from angler_mjx.planning.ways.traffic import GridTraffic
-from angler_mjx.sim.knowledge import ObstacleInformation
+from angler_mjx.planning.path_search.traffic import GridTraffic
+from angler_mjx.sim.information import ObstacleInformation
 
 STANDS_S = 2.0
 """How long a robot's goal must stay clear of bodies once it is there: then its way is over, and

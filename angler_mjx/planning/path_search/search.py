@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.planning.ways.batching import least_of_batch
-from angler_mjx.planning.ways.lattice import (
+from angler_mjx.planning.path_search.batching import least_of_batch
+from angler_mjx.planning.path_search.lattice import (
     BLOCKS,
     EDGES,
     FreeSpace,
@@ -24,7 +24,7 @@ from angler_mjx.planning.ways.lattice import (
     Terrain,
     span_bits,
 )
-from angler_mjx.planning.ways.traffic import Balls
+from angler_mjx.planning.path_search.traffic import Balls
 
 QUARTER = {axes: 0.25 * axes**0.5 for axes in (0, 1, 2, 3)}
 """Radius of the balls that cover a step over so many axes, cells; 0 axes: waiting."""

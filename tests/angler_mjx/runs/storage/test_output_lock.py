@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from angler_mjx.errors import ConfigError, RunError
-from angler_mjx.runs.storage import atomic, claims, environments, folder
+from angler_mjx.runs.storage import atomic, environments, folder, output_lock
 from angler_mjx.world.config import WorldConfig
 
 from ...report.viewing.conftest import make_environment
@@ -42,15 +42,15 @@ def holder(tmp_path):
 
 def test_a_living_process_is_respected_and_a_dead_one_followed(holder, tmp_path):
     out = tmp_path / "out"
-    for take in (claims.acquire, claims.acquire_unfinished):
+    for take in (output_lock.acquire, output_lock.acquire_unfinished):
         with pytest.raises(ConfigError, match=rf"another process makes this run: {holder.pid} on"):
             take(out)
     holder.send_signal(signal.SIGKILL)
     holder.wait()
     assert out.is_dir()
     with pytest.raises(ConfigError, match=r"an unfinished run lies in .*\.out\.partial"):
-        claims.acquire(out)
-    taken = claims.acquire_unfinished(out)
+        output_lock.acquire(out)
+    taken = output_lock.acquire_unfinished(out)
     assert taken is not None
     assert (taken.building / "result").read_text() == "half"
     taken.publish()
@@ -73,13 +73,13 @@ def leave(out, *name):
     done = subprocess.run([sys.executable, "-c", LEAVE, str(out), *name], check=False)
     assert done.returncode == -signal.SIGKILL
     assert out.is_dir()
-    assert claims.partial_path(out).is_dir()
+    assert output_lock.partial_path(out).is_dir()
 
 
 def test_an_empty_claim_of_a_dead_process_is_no_hindrance(tmp_path):
     leave(tmp_path / "out")
     folder.require_none(tmp_path / "out")
-    held = claims.acquire(tmp_path / "out")
+    held = output_lock.acquire(tmp_path / "out")
     (held.building / "result").write_text("whole")
     held.publish()
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["out", "result"]
@@ -89,7 +89,7 @@ def test_what_somebody_put_under_the_name_of_a_dead_claim_stays(tmp_path):
     leave(tmp_path / "out")
     (tmp_path / "out" / "mine").write_text("of another")
     with pytest.raises(ConfigError, match=r"it cannot go on; remove .*out and .*\.out\.partial"):
-        claims.acquire(tmp_path / "out")
+        output_lock.acquire(tmp_path / "out")
     assert (tmp_path / "out" / "mine").read_text() == "of another"
 
 
@@ -123,45 +123,45 @@ def test_where_there_are_no_locks_the_file_says_who_it_is(tmp_path, monkeypatch)
     def no_locks(handle, operation):
         raise OSError(95, "Operation not supported")
 
-    monkeypatch.setattr(claims.fcntl, "flock", no_locks)
-    held = claims.acquire(tmp_path / "out")
+    monkeypatch.setattr(output_lock.fcntl, "flock", no_locks)
+    held = output_lock.acquire(tmp_path / "out")
     with pytest.raises(ConfigError, match=f"another process makes this run: {os.getpid()}"):
-        claims.acquire_unfinished(tmp_path / "out")
-    lock = held.building / claims.LOCK
+        output_lock.acquire_unfinished(tmp_path / "out")
+    lock = held.building / output_lock.LOCK
     owner = json.loads(lock.read_text())
     # The same number, another process: begun at another time.
     lock.write_text(json.dumps(owner | {"started": "1"}))
     held.release()
-    again = claims.acquire_unfinished(tmp_path / "out")
+    again = output_lock.acquire_unfinished(tmp_path / "out")
     assert again is not None
     lock.write_text(json.dumps(owner | {"host": "elsewhere"}))
     with pytest.raises(ConfigError, match=r"on elsewhere.*if it is gone for sure, remove"):
-        claims.acquire_unfinished(tmp_path / "out")
+        output_lock.acquire_unfinished(tmp_path / "out")
     again.withdraw()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_name_is_taken_and_given_back(tmp_path):
-    held = claims.acquire(tmp_path / "out")
+    held = output_lock.acquire(tmp_path / "out")
     with pytest.raises(FileExistsError):
         (tmp_path / "out").mkdir()
     held.release()
     assert [path.name for path in tmp_path.iterdir()] == [".out.partial"]
-    assert claims.acquire_unfinished(tmp_path / "nothing") is None
+    assert output_lock.acquire_unfinished(tmp_path / "nothing") is None
     (tmp_path / "empty").mkdir()
-    assert claims.acquire_unfinished(tmp_path / "empty") is None
+    assert output_lock.acquire_unfinished(tmp_path / "empty") is None
     with pytest.raises(ConfigError, match="exists"):
-        claims.acquire(tmp_path / "empty")
+        output_lock.acquire(tmp_path / "empty")
 
 
 def test_a_name_under_a_file_says_that_this_is_no_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match=r"a part of .*file is no folder"):
-        claims.acquire(tmp_path / "file" / "out")
+        output_lock.acquire(tmp_path / "file" / "out")
 
 
 def test_what_is_in_the_way_at_the_end_stays_and_so_does_the_work(tmp_path):
-    held = claims.acquire(tmp_path / "out")
+    held = output_lock.acquire(tmp_path / "out")
     (held.building / "result").write_text("whole")
     (tmp_path / "out" / "other").write_text("of another")
     with pytest.raises(RunError, match=r"what was made is whole in .*\.out\.partial"):

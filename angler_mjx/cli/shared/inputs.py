@@ -54,7 +54,7 @@ def knows_given(text: str | None) -> dict[str, str] | None:
     """
     if text is None:
         return None
-    from angler_mjx.sim.knowledge import Information, InformationLevel
+    from angler_mjx.sim.information import Information, InformationLevel
 
     levels, things = get_args(InformationLevel.__value__), [one.name for one in fields(Information)]
     made: dict[str, str] = {}

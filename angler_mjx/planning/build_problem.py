@@ -5,8 +5,8 @@ import jax.numpy as jnp
 
 from angler_mjx.planning.problem import Problem, Team
 from angler_mjx.robot.control.stack import ControlParams
-from angler_mjx.sim import knowledge
-from angler_mjx.sim.knowledge import Information, SceneObservation
+from angler_mjx.sim import information
+from angler_mjx.sim.information import Information, SceneObservation
 from angler_mjx.sim.state import SimSpec, World
 
 _POWERS = 9
@@ -78,7 +78,7 @@ def _build_problem(
         grid=environment.grid,
         floor_z_m=environment.floor_z_m,
         team=begun,
-        obstacles=knowledge.obstacles(
+        obstacles=information.obstacles(
             environment,
             knows,
             horizon_s,
@@ -87,7 +87,7 @@ def _build_problem(
             water.gravity_mps2,
             now,
         ),
-        current=knowledge.current(environment, knows.current, at_m, begin_s),
+        current=information.current(environment, knows.current, at_m, begin_s),
         seed=seed,
         horizon_s=horizon_s,
         goal_tolerance_m=spec.goal_tolerance_m,

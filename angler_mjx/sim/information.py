@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.quaternion import rotate
+from angler_mjx._moved import renamed as _renamed
 from angler_mjx.world import obstacles as bodies
 from angler_mjx.world.currents import Current, Uniform, velocity
 from angler_mjx.world.environment import Environment, region
@@ -241,3 +242,8 @@ def _ahead(
     _, later = jax.lax.scan(some, begin, jnp.arange(count))
     states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), begin, later)
     return jnp.arange(count + 1) * (every * dt_s), states
+
+
+def __getattr__(name: str) -> Any:
+    """Return what had another name before 0.2."""
+    return _renamed(__name__, name)

@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.clearance import capsules_obstacle, point_grid
-from angler_mjx.draws import between, children, uniforms
 from angler_mjx.robot.vehicles.properties import GRAVITY_MPS2
+from angler_mjx.sampling import between, children, uniforms
 from angler_mjx.world.grid import Grid
 from angler_mjx.world.obstacles import bodies
 from angler_mjx.world.obstacles.config import DynamicConfig, ObstaclesConfig

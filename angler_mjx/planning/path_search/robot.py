@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from angler_kernels.programs import MOST_LANES, on_gpu
-from angler_mjx.planning.ways import search, search_kernel
-from angler_mjx.planning.ways.bodies import STANDS_S
-from angler_mjx.planning.ways.lattice import FreeSpace, Terrain, free_space
-from angler_mjx.planning.ways.pulling import pull
-from angler_mjx.planning.ways.tracing import Route, trace_back
-from angler_mjx.planning.ways.traffic import Balls, GridTraffic, PlannedTraffic, balls
+from angler_mjx.planning.path_search import search, search_kernel
+from angler_mjx.planning.path_search.bodies import STANDS_S
+from angler_mjx.planning.path_search.lattice import FreeSpace, Terrain, free_space
+from angler_mjx.planning.path_search.pulling import pull
+from angler_mjx.planning.path_search.tracing import Route, trace_back
+from angler_mjx.planning.path_search.traffic import Balls, GridTraffic, PlannedTraffic, balls
 from angler_mjx.robot.control.trajectory import Trajectory, hold
 
 MOST_LAYERS = 1024

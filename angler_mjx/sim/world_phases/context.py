@@ -7,16 +7,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from angler_mjx.counting import every_n_steps
+from angler_mjx.periods import every_n_steps
 from angler_mjx.robot.control import stack
-from angler_mjx.sim import knowledge
-from angler_mjx.sim.aboard import senses
+from angler_mjx.sim import information
 from angler_mjx.sim.fleet import Fleet
-from angler_mjx.sim.knowledge import ObstacleInformation, SceneObservation
+from angler_mjx.sim.information import ObstacleInformation, SceneObservation
 from angler_mjx.sim.physics.step import VehicleState
 from angler_mjx.sim.policy import Policy, PolicyInput
 from angler_mjx.sim.record import Belief
 from angler_mjx.sim.state import SimSpec, World
+from angler_mjx.sim.world_phases import sensing
 from angler_mjx.world import currents
 from angler_mjx.world.acoustics.channel import HeardRobots
 from angler_mjx.world.obstacles import ObstacleState
@@ -80,7 +80,7 @@ class WorldContext:
         """
         to = self._goals() if sent is None else sent
         return PolicyInput(
-            belief=senses.truth_told(self.vehicles, self.flow) if belief is None else belief,
+            belief=sensing.truth_told(self.vehicles, self.flow) if belief is None else belief,
             time_s=self.t,
             goal_m=to.goal_m,
             path=self.world.path,
@@ -112,7 +112,7 @@ class WorldContext:
         )
 
         def look() -> ObstacleInformation:
-            return knowledge.obstacles(
+            return information.obstacles(
                 environment,
                 knows,
                 policy.ahead_s,
@@ -126,7 +126,7 @@ class WorldContext:
             "grid": environment.grid,
             "floor_z_m": environment.floor_z_m,
             "obstacles": self._at_times(look, policy.looks),
-            "current": knowledge.current(environment, knows.current, at_m, self.t),
+            "current": information.current(environment, knows.current, at_m, self.t),
         }
 
     def _at_times[T](self, look: Callable[[], T], every: int) -> T:

@@ -10,7 +10,7 @@ from pydantic import Field
 from angler_mjx.errors import ConfigError
 from angler_mjx.files import FileModel, parse
 from angler_mjx.runs.storage.atomic import replacing
-from angler_mjx.testing.validation.place import describe
+from angler_mjx.testing.validation.host import describe
 
 
 class MeasurementMetadata(FileModel):
