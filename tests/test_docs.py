@@ -1,5 +1,7 @@
 """Pages of reference equal the models that they are made from."""
 
+import importlib
+import importlib.util
 import re
 from pathlib import Path
 
@@ -48,3 +50,22 @@ def test_every_field_of_a_dataset_is_documented():
         unit, meaning = (field.metadata[key].decode() for key in (b"unit", b"description"))
         wanted.append((field.name, unit.replace("1", ""), meaning))
     assert found == wanted
+
+
+def _imports():
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        for found in re.finditer(r"^\s*(?:>>> )?from (angler_[\w.]+) import ([\w, ]+)", text, re.M):
+            for name in found[2].split(","):
+                yield pytest.param(
+                    found[1], name.split(" as ")[0].strip(), id=f"{page.name}: {found[1]} {name}"
+                )
+
+
+@pytest.mark.filterwarnings("error::DeprecationWarning")
+@pytest.mark.parametrize(("module", "name"), _imports())
+def test_a_printed_import_leads_to_what_is_there_today(module, name):
+    if module.endswith("torch"):
+        pytest.importorskip("torch")
+    home = importlib.import_module(module)
+    assert hasattr(home, name) or importlib.util.find_spec(f"{module}.{name}")

@@ -132,7 +132,7 @@ def text(
         "## Read it",
         "",
         "```python",
-        "from angler_mjx import datasets",
+        "from angler_mjx.learning import datasets",
         "",
         'train = datasets.open("PATH", split="train")',
         "episode = train.episode(0)",

@@ -14,7 +14,7 @@ from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled import sweeping
 from angler_mjx.planning.host.compiled.mapping import measure
 from angler_mjx.planning.host.compiled.packed import Moving, Packed, pack
-from angler_mjx.planning.host.timed import TimedTraffic, timed_edge, timed_edges
+from angler_mjx.planning.host.timed import Traffic, timed_edge, timed_edges
 from angler_mjx.planning.problem import Problem
 
 FAR = 0.99
@@ -103,7 +103,7 @@ class EdgeChecker:
         t_a: float,
         b: np.ndarray,
         t_b: float,
-        traffic: TimedTraffic,
+        traffic: Traffic,
     ) -> bool:
         """Whether one robot can go from a [3] at t_a to b [3] at t_b, s, at one speed.
 
@@ -130,7 +130,7 @@ class EdgeChecker:
         t_a: np.ndarray,
         b: np.ndarray,
         t_b: np.ndarray,
-        traffic: TimedTraffic,
+        traffic: Traffic,
     ) -> np.ndarray:
         """The same for each of a, b [n, 3] and t_a, t_b [n]; bool [n]."""
         own = self._number(robot)
@@ -155,5 +155,5 @@ class EdgeChecker:
         return np.ascontiguousarray(p, np.float64).reshape(-1, 3 * self.robots)
 
 
-def _flat(traffic: TimedTraffic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _flat(traffic: Traffic) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return traffic.time_s, traffic.position_m, traffic.radius_m

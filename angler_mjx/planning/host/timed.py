@@ -13,7 +13,7 @@ from angler_mjx.planning.host.compiled.sweeping import clear_of_rock, clear_of_s
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimedTraffic:
+class Traffic:
     """Balls that go along lines in time; they stand before their first and after their last."""
 
     time_s: np.ndarray

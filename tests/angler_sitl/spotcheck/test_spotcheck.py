@@ -523,7 +523,7 @@ class Planning:
 @pytest.mark.parametrize("online", [True, False])
 def test_autopilots_are_told_what_the_policy_of_the_scenario_says(online, monkeypatch):
     monkeypatch.setattr(flying, "SitlSession", Booted)
-    monkeypatch.setattr(flying.online, "Flyer", Planning)
+    monkeypatch.setattr(flying.online, "OnlineFlyer", Planning)
     monkeypatch.setattr(flying.flight, "flown", lambda *_, **__: None)
     monkeypatch.setattr(Planning, "made", 0)
     time = SimpleNamespace(control_steps=3, steps_per_sample=1, control_dt_s=0.05)

@@ -40,9 +40,9 @@ def _never(*_):
 
 def test_examples_are_drawn_once(tmp_path, monkeypatch):
     made, file, told = _examples(), tmp_path / "there" / "examples.npz", []
-    monkeypatch.setattr(keeping.drawn, "of_sources", lambda chosen, worlds: iter([made]))
+    monkeypatch.setattr(keeping.sampled, "of_sources", lambda chosen, worlds: iter([made]))
     first = keeping.examples(SOURCES, None, file, told.append)
-    monkeypatch.setattr(keeping.drawn, "of_sources", _never)
+    monkeypatch.setattr(keeping.sampled, "of_sources", _never)
     again = keeping.examples(SOURCES, None, file, told.append)
     some = keeping.examples(SOURCES, 3, file, told.append)
     for a, b, c in zip(*map(jax.tree.leaves, (first, again, some)), strict=True):

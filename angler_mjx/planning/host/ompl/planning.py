@@ -15,7 +15,7 @@ from angler_mjx.planning.host.ompl.still import still_timed
 from angler_mjx.planning.host.ompl.straightening import fewer, straighter, through
 from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask, motion
 from angler_mjx.planning.host.ompl.timing import PADDED, apart
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.planner import NoPlan, Path, joint_path, way_points
 from angler_mjx.planning.problem import Problem
 
@@ -67,7 +67,7 @@ def warm_up(planner: str, settings: Common, problem: Problem) -> None:
     fewer(ways(checks), bent, speed, 2, 1)
     when, flown = still_timed(bent, speed, settings.turn_radps)
     apart(when, flown[:, 0], 0.0)
-    none = TimedTraffic.none()
+    none = Traffic.none()
     checks.timed_edge(0, start[0], 0.0, start[0], np.inf, none)
     checks.timed_edges(0, start[:1], np.zeros(1), start[:1], np.full(1, np.inf), none)
     if problem.current.components:

@@ -19,7 +19,7 @@ from angler_mjx.planning.host.ompl.spacetime import motion as in_time
 from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
 from angler_mjx.planning.host.ompl.team import motion as together
 from angler_mjx.planning.host.ompl.timing import apart
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
 ORDERS = 8
@@ -137,7 +137,7 @@ def _beside(
     return found
 
 
-def _traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> TimedTraffic:
+def _traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> Traffic:
     """Paths of robots with a motion, all with as many points."""
     paths = [
         (*apart(each.time_s, each.path[:, 0, :3], each.delay_s), radius)
@@ -145,9 +145,9 @@ def _traffic(movers: Sequence[tuple[TeamMotion | str, float]]) -> TimedTraffic:
         if isinstance(each, TeamMotion)
     ]
     if not paths:
-        return TimedTraffic.none()
+        return Traffic.none()
     most = max(len(when) for when, _, _ in paths)
-    return TimedTraffic.of(
+    return Traffic.of(
         np.stack([np.pad(when, (0, most - len(when)), "edge") for when, _, _ in paths]),
         np.stack([np.pad(p, ((0, most - len(p)), (0, 0)), "edge") for _, p, _ in paths]),
         np.array([radius for _, _, radius in paths]),

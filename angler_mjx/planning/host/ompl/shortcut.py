@@ -11,7 +11,7 @@ import numpy as np
 
 from angler_mjx.planning.host.edges import EdgeChecker
 from angler_mjx.planning.host.ompl.straightening import SmoothingProblem, fewer, straighter, through
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 
 ROUNDS = 4
 """Of straightening, each from the path of the one before."""
@@ -25,12 +25,12 @@ FINEST = 96
 MOST_TRIED = 400
 """Points of a path that is thinned; one with more is left."""
 
-NOBODY = TimedTraffic.none()
+NOBODY = Traffic.none()
 """Nothing is met."""
 
 
 def ways(
-    checks: EdgeChecker, traffic: TimedTraffic = NOBODY, clock_mps: float = 0.0
+    checks: EdgeChecker, traffic: Traffic = NOBODY, clock_mps: float = 0.0
 ) -> SmoothingProblem:
     """What edges are looked at among.
 

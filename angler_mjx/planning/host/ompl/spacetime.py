@@ -20,7 +20,7 @@ from angler_mjx.planning.host.ompl.shortcut import shortened, thinned, ways
 from angler_mjx.planning.host.ompl.still import SAFE
 from angler_mjx.planning.host.ompl.team import NoWayError, TeamMotion, TeamTask
 from angler_mjx.planning.host.ompl.timing import fastest, limits, water_at
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.problem import Problem
 
 LONGER = (1.2, 1.6, 2.4, 4.0)
@@ -33,7 +33,7 @@ SHORTEST_WAY_M = 2.0
 class _Clock:
     """Edges of one robot in space and time."""
 
-    def __init__(self, checks: EdgeChecker, speed: float, traffic: TimedTraffic) -> None:
+    def __init__(self, checks: EdgeChecker, speed: float, traffic: Traffic) -> None:
         self.checks, self.speed, self.traffic = checks, speed, traffic
         self.ways = ways(checks, traffic, speed)
 
@@ -70,7 +70,7 @@ class _Clock:
 
 
 def motion(
-    problem: Problem, robots: Sequence[int], task: TeamTask, traffic: TimedTraffic, share: float
+    problem: Problem, robots: Sequence[int], task: TeamTask, traffic: Traffic, share: float
 ) -> TeamMotion:
     """A motion of one robot among the paths of others.
 

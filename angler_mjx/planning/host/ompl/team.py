@@ -18,7 +18,7 @@ from angler_mjx.planning.host.ompl.search import PlanningOrder, Space, search
 from angler_mjx.planning.host.ompl.settings import Common, parameters
 from angler_mjx.planning.host.ompl.shortcut import NOBODY, shortened, thinned, ways
 from angler_mjx.planning.host.ompl.timing import TooStrongError, apart, timed
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 from angler_mjx.planning.path_search.bodies import STANDS_S
 from angler_mjx.planning.problem import Problem
 
@@ -83,7 +83,7 @@ def motion(
     problem: Problem,
     robots: Sequence[int],
     task: TeamTask,
-    traffic: TimedTraffic | None = None,
+    traffic: Traffic | None = None,
     share: float = 1.0,
 ) -> TeamMotion:
     """A motion of some robots from their starts to their goals.
@@ -198,7 +198,7 @@ def _delay(
     margin_m: float,
     when: np.ndarray,
     path: np.ndarray,
-    traffic: TimedTraffic,
+    traffic: Traffic,
 ) -> float | None:
     """How long all have to wait so that nothing that moves is met; None if it always is."""
     known = problem.obstacles
@@ -217,7 +217,7 @@ def _delay(
 
 
 def _may_stand(
-    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: TimedTraffic
+    alone: EdgeChecker, ends: np.ndarray, over: float, stays: float, traffic: Traffic
 ) -> bool:
     """Whether no other robot ever comes where some stand at their goals.
 
@@ -239,7 +239,7 @@ def _clear(
     checks: EdgeChecker,
     when: np.ndarray,
     path: np.ndarray,
-    traffic: TimedTraffic,
+    traffic: Traffic,
     wait: float,
     stays: float,
 ) -> bool:

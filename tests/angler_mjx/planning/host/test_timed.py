@@ -9,7 +9,7 @@ pytest.importorskip("coal", reason="needs the extra plan (coal)")
 from angler_mjx.errors import ConfigError
 from angler_mjx.planning.host.compiled.packed import SLACK_M
 from angler_mjx.planning.host.edges import EdgeChecker
-from angler_mjx.planning.host.timed import TimedTraffic
+from angler_mjx.planning.host.timed import Traffic
 
 from . import scenes
 
@@ -48,7 +48,7 @@ def traffic():
     time = np.cumsum(rng.uniform(0.5, 3.0, (3, 6)), axis=1)
     place = np.stack([path(rng, 6) for _ in range(3)])
     time[2, 4:], place[2, 4:] = time[2, 3], place[2, 3]  # A shorter path, padded.
-    return TimedTraffic.of(time, place, np.array([0.4, 0.9, 0.2]))
+    return Traffic.of(time, place, np.array([0.4, 0.9, 0.2]))
 
 
 def place_at(time_s, place, t):
@@ -114,7 +114,7 @@ HERE, THERE = np.array([5.0, 5.0, 5.0]), np.array([9.0, 5.0, 5.0])
 def crossing(time_s, radius_m=0.5):
     """One that goes through the middle of HERE and THERE from north to south."""
     way = [[7.0, 9.0, 5.0], [7.0, 1.0, 5.0]]
-    return TimedTraffic.of(np.array([time_s]), np.array([way]), np.array([radius_m]))
+    return Traffic.of(np.array([time_s]), np.array([way]), np.array([radius_m]))
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_closest_approach_is_that_of_the_closed_form(alone):
     limit = 0.8 / np.sqrt(2.0) - own
     way = [[7.0, 9.0, 5.0], [7.0, 1.0, 5.0]]
     for more, free in ((-2.0 * SLACK_M, True), (2.0 * SLACK_M, False)):
-        other = TimedTraffic.of([[-1.2, 6.8]], [way], [limit + more])
+        other = Traffic.of([[-1.2, 6.8]], [way], [limit + more])
         assert alone.timed_edge(0, HERE, 0.0, THERE, 4.0, other) is free
 
 
@@ -153,18 +153,18 @@ def test_one_who_stays_for_ever_is_looked_at_for_ever(alone):
         0, [7.0, 5.0, 5.0], 0.0, [7.0, 5.0, 5.0], np.inf, crossing([50, 54])
     )
     assert alone.timed_edge(0, [7.0, 5.0, 5.0], 54.0, [7.0, 5.0, 5.0], np.inf, crossing([50, 54]))
-    assert not alone.timed_edge(0, HERE, 0.0, THERE, np.inf, TimedTraffic.none())
+    assert not alone.timed_edge(0, HERE, 0.0, THERE, np.inf, Traffic.none())
 
 
 def test_time_that_runs_back_or_is_none_is_never_free(alone):
-    assert alone.timed_edge(0, HERE, 1.0, THERE, 2.0, TimedTraffic.none())
-    assert not alone.timed_edge(0, HERE, 2.0, THERE, 1.0, TimedTraffic.none())
-    assert not alone.timed_edge(0, HERE, np.nan, THERE, 1.0, TimedTraffic.none())
-    assert not alone.timed_edge(0, HERE, 1.0, [np.nan, 5.0, 5.0], 2.0, TimedTraffic.none())
+    assert alone.timed_edge(0, HERE, 1.0, THERE, 2.0, Traffic.none())
+    assert not alone.timed_edge(0, HERE, 2.0, THERE, 1.0, Traffic.none())
+    assert not alone.timed_edge(0, HERE, np.nan, THERE, 1.0, Traffic.none())
+    assert not alone.timed_edge(0, HERE, 1.0, [np.nan, 5.0, 5.0], 2.0, Traffic.none())
 
 
 def test_a_jump_in_a_path_counts_all_of_its_way(alone):
-    jump = TimedTraffic.of(
+    jump = Traffic.of(
         [[0.0, 2.0, 2.0, 4.0]],
         [[[5.0, 9.0, 5.0], [5.0, 9.0, 5.0], [5.0, 1.0, 5.0], [5.0, 1.0, 5.0]]],
         [0.1],
@@ -183,8 +183,8 @@ def test_obstacles_that_move_are_looked_at_in_time_alone_unless_they_are_to_stan
     assert ignored.state(first[None])
     assert not standing.state(first[None])
     for checker in (ignored, standing):
-        assert not checker.timed_edge(0, first, 0.0, first, 0.1, TimedTraffic.none())
-        assert checker.timed_edge(0, first, later, first, later + 1.0, TimedTraffic.none())
+        assert not checker.timed_edge(0, first, 0.0, first, 0.1, Traffic.none())
+        assert checker.timed_edge(0, first, later, first, later + 1.0, Traffic.none())
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,9 @@ def test_obstacles_that_move_are_looked_at_in_time_alone_unless_they_are_to_stan
 )
 def test_traffic_that_means_nothing_is_refused(arrays, said):
     with pytest.raises(ConfigError, match=said):
-        TimedTraffic.of(*arrays)
+        Traffic.of(*arrays)
 
 
 def test_a_robot_that_is_not_there_is_named(alone):
     with pytest.raises(ConfigError, match="robot = 1: give one of 0 to 0"):
-        alone.timed_edge(1, HERE, 0.0, THERE, 1.0, TimedTraffic.none())
+        alone.timed_edge(1, HERE, 0.0, THERE, 1.0, Traffic.none())

@@ -19,8 +19,8 @@ from ...report.viewing.conftest import make_environment
 HOLD = """
 import sys, time
 from pathlib import Path
-from angler_mjx.runs.storage import claims
-held = claims.claim(Path(sys.argv[1]))
+from angler_mjx.runs.storage import output_lock
+held = output_lock.acquire(Path(sys.argv[1]))
 (held.building / "result").write_text("half")
 print("held", flush=True)
 time.sleep(600)
@@ -60,8 +60,8 @@ def test_a_living_process_is_respected_and_a_dead_one_followed(holder, tmp_path)
 LEAVE = """
 import os, signal, sys
 from pathlib import Path
-from angler_mjx.runs.storage import claims
-held = claims.claim(Path(sys.argv[1]))
+from angler_mjx.runs.storage import output_lock
+held = output_lock.acquire(Path(sys.argv[1]))
 if sys.argv[2:]:
     (held.building / sys.argv[2]).write_text("{}")
 os.kill(os.getpid(), signal.SIGKILL)
