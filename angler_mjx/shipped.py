@@ -22,18 +22,18 @@ def find_shipped(
     """Return the file that a name or path stands for; a shipped name comes first.
 
     Args:
-        name_or_path: name of a shipped file, or path of a ``.toml`` file.
+        name_or_path: name of a shipped file; or path of a ``.toml`` file, or of one that exists.
         package: that ships files of this kind.
         kind: what the file is, for the message.
         folders: accept the path of an existing folder too.
 
     Raises:
-        ConfigError: neither is there; names what ships.
+        ConfigError: it is neither a name that ships nor such a path; names what ships.
     """
     files, path = list_shipped(package), Path(name_or_path)
     if str(name_or_path) in files:
         return files[str(name_or_path)]
-    if path.suffix == ".toml" or (folders and path.is_dir()):
+    if path.suffix == ".toml" or path.is_file() or (folders and path.is_dir()):
         return path
     folder = " or of a results folder" if folders else ""
     raise ConfigError(

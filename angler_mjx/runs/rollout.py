@@ -115,8 +115,8 @@ def rollout(
             claimed = opening.begin(simulator, place, found)
             stack.enter_context(opening.held(claimed, new=processes.count == 1))
         processes.meet("folder")
-        told = progress or SilentProgress()
-        return _Rollout(simulator, place, room, told, processes, claimed, found).run()
+        run_progress = progress or SilentProgress()
+        return _Rollout(simulator, place, room, run_progress, processes, claimed, found).run()
 
 
 def resume(
@@ -155,7 +155,7 @@ def resume(
         RunError: as in `rollout`.
     """
     place, processes = Path(out), processes or OneProcess()
-    told = progress or SilentProgress()
+    run_progress = progress or SilentProgress()
     with telling(processes), ExitStack() as stack:
         claimed = None
         if processes.index == 0:
@@ -165,7 +165,7 @@ def resume(
             require_policy(
                 begun, _commands(begun, policy) if simulator is None else simulator.policy
             )
-            claimed = folder.reopen(place, told.tell)
+            claimed = folder.reopen(place, run_progress.tell)
             stack.enter_context(opening.held(claimed, new=False))
         processes.meet("found")
         building = output_lock.partial_path(place)
@@ -185,9 +185,9 @@ def resume(
             raise ConfigError("simulator: was made for another scenario")
         room = sizes.room(simulator, chunk)
         if processes.index == 0 and stored.time.record_hz > 0:
-            opening.mend(simulator, building, told)
+            opening.mend(simulator, building, run_progress)
         processes.meet("folder")
-        return _Rollout(simulator, place, room, told, processes, claimed, found).run()
+        return _Rollout(simulator, place, room, run_progress, processes, claimed, found).run()
 
 
 def _commands(building: Path, policy: Policy | None) -> Policy | None:

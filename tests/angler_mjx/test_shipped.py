@@ -38,3 +38,9 @@ def test_an_unknown_name_is_refused_with_those_that_ship(tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match=f"unknown study '{name}'; there is .*survey_reef"):
             find_shipped(name, package, "study")
     assert find_shipped("no/such.toml", package, "study") == Path("no/such.toml")
+
+
+def test_a_file_that_exists_may_have_any_name(tmp_path):
+    path = tmp_path / "study.txt"
+    path.touch()
+    assert find_shipped(path, "angler_mjx.studies.fleet_size", "study") == path

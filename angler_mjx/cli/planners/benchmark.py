@@ -49,12 +49,12 @@ def benchmark(
     from angler_mjx.shipped import find_shipped
     from angler_mjx.studies.benchmark import running
 
-    source = find_shipped(source, "angler_mjx.studies.benchmark", "benchmark", folders=True)
     if report:
         if out or workers or ray or resume or presets or teams or problems:
             raise ConfigError("--report: makes the page of a results folder; leave out other flags")
         print(running.report(source))
         return
+    source = find_shipped(source, "angler_mjx.studies.benchmark", "benchmark", folders=True)
     given = {"presets": presets, "teams": teams, "problems": problems}
     found = running.read(source, **{key: x for key, x in given.items() if x is not None})
     name = f"{found.config.name}-again" if source.is_dir() else found.config.name
@@ -85,7 +85,7 @@ def _compare(first: Path, second: Path) -> None:
     from angler_mjx.studies.benchmark import again
 
     compared = again.compare(first, second)
-    print(_told(compared))
+    print(_format_comparison(compared))
     if not compared.same:
         sys.exit(1)
 
@@ -106,7 +106,7 @@ def _pool(workers: int | None, address: str | None) -> "Callable[[], Pool]":
     return local if address is None else remote
 
 
-def _told(compared: "FolderComparison") -> str:
+def _format_comparison(compared: "FolderComparison") -> str:
     lines = ["the same" if compared.same else "not the same"]
     for label, one in compared.planners.items():
         slower = "" if one.slower is None else f"; {one.slower:.2f} times its planning time"

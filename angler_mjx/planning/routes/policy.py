@@ -70,7 +70,7 @@ class AlongRoutes(Policy):
 
     def reset(self, known: PolicyInput, key: jax.Array) -> RoutesMemory:
         """See `Policy.reset`."""
-        _, place = _told(known)
+        _, place = _routes_and_goals(known)
         return RoutesMemory(
             stay_m=known.belief.p,
             stays=jnp.zeros(place.shape, bool),
@@ -80,7 +80,7 @@ class AlongRoutes(Policy):
 
     def act(self, carry: RoutesMemory, known: PolicyInput, key: jax.Array, step: jax.Array) -> Any:
         """See `Policy.act`."""
-        routes, place = _told(known)
+        routes, place = _routes_and_goals(known)
         p = known.belief.p
         v = jax.vmap(quaternion.rotate)(known.belief.q, known.belief.nu[:, :3])
         aims = jax.vmap(lambda place, p: guidance.aim(routes, jnp.maximum(place, 0), p))(place, p)
@@ -138,7 +138,7 @@ class AlongRoutes(Policy):
         return RoutesMemory(stay_m=stay, stays=stays, yaw_rad=yaw, held_up=held_up), command
 
 
-def _told(known: PolicyInput) -> tuple[Routes, jax.Array]:
+def _routes_and_goals(known: PolicyInput) -> tuple[Routes, jax.Array]:
     """Routes of the world, and the robots' places."""
     if known.routes is None or known.place is None:
         raise ConfigError(

@@ -99,7 +99,7 @@ def step(
     chosen = [mixed.which == k for k in range(len(entries))]
     yaw = quaternion.yaw(estimate.q)
     below: Any = None
-    used = told = mixed.which < 0
+    used = realised_used = mixed.which < 0
     aim, demanded = estimate.p, jnp.full_like(estimate.nu, jnp.nan)
     carries = []
     for i, stage in enumerate(stages):
@@ -120,7 +120,7 @@ def step(
         given = StageInput(
             params=params,
             estimate=estimate,
-            realised=_told_realised(stage, memory, new),
+            realised=_select_realised(stage, memory, new),
             dt=dt,
             density=density,
             gravity=gravity,
@@ -129,7 +129,7 @@ def step(
         carries.append(_select(used, carry, memory.stages[i]))
         aim = jnp.where(used, _aim(below, aim), aim)
         demanded = jnp.where(used, _wrench(below, demanded), demanded)
-        told = told | used if stage.wants_realised else told
+        realised_used = realised_used | used if stage.wants_realised else realised_used
     for flag, command, place in zip(chosen, mixed.commands, entries, strict=True):
         if place == len(stages):
             below = command if below is None else _select(flag, command, below)
@@ -139,7 +139,9 @@ def step(
             stages=tuple(carries),
             realised=None
             if memory.realised is None
-            else _select(told, allocation.realised(params.allocation, below), memory.realised),
+            else _select(
+                realised_used, allocation.realised(params.allocation, below), memory.realised
+            ),
             demanded=None if memory.demanded is None else BodyWrench(tau=demanded),
         ),
         target_m=aim,
@@ -164,14 +166,17 @@ def _through(
             inputs[kind] = (None, _select(flag, command, inputs[kind][1]))
         else:
             inputs[kind] = (flag, command)
-    results = [(flag, stage.step(gains, carry, given, told)) for flag, told in inputs.values()]
+    results = [
+        (flag, stage.step(gains, carry, given, stage_command))
+        for flag, stage_command in inputs.values()
+    ]
     chosen: tuple[Any, Any] = results[0][1]
     for flag, result in results[1:]:
         chosen = _select(flag, result, chosen)
     return chosen
 
 
-def _told_realised(stage: Stage, memory: ControlMemory, new: jax.Array) -> BodyWrench | None:
+def _select_realised(stage: Stage, memory: ControlMemory, new: jax.Array) -> BodyWrench | None:
     """What a stage is told of the wrench before; a stage that begins anew asked for none."""
     if not stage.wants_realised or memory.realised is None:
         return None

@@ -92,14 +92,14 @@ class FusedEngine:
         scene = scene_of(fleet, worlds, rows)
         number = state.step[0] if rows is None else state.step
         policy = running.active_policy(policy, command)
-        minds, told = WorldMemory.of(state), WorldPhaseOutput()
+        memory, output = WorldMemory.of(state), WorldPhaseOutput()
         if running.has_world_phases(spec, policy):
             here = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-            minds, told = running.run_tile_phases(
+            memory, output = running.run_tile_phases(
                 spec,
                 policy,
                 here,
-                minds,
+                memory,
                 number,
                 state.vehicles,
                 state.obstacles,
@@ -108,13 +108,13 @@ class FusedEngine:
             )
         moving = moving_of(fleet, state)
         flown = worlds if rows is None else jax.tree.map(lambda leaf: leaf[rows], worlds)
-        begin_s = told.last_approach_s
+        begin_s = output.last_approach_s
         if policy is None:
             begin_s = jax.vmap(partial(last_approaches_s, spec))(flown, command)
-        after, seen = _control_step(spec, scene, moving, number, command, told, begin_s)
-        sample = Sample(**told.record, **to_arrays(seen, 2))
+        after, seen = _control_step(spec, scene, moving, number, command, output, begin_s)
+        sample = Sample(**output.record, **to_arrays(seen, 2))
         sample = nearness.completed(spec, flown, sample)
-        return world_state(after, state.step + 1, minds), sample
+        return world_state(after, state.step + 1, memory), sample
 
     def segment(
         self,
@@ -140,45 +140,45 @@ class FusedEngine:
 
         @jax.jit  # traced once, for the types of its results and for the loop
         def fly(
-            row: list[jax.Array], minds: WorldMemory, number: jax.Array
+            row: list[jax.Array], memory: WorldMemory, number: jax.Array
         ) -> tuple[Any, Any, Any]:
-            moving, told = rebuild(row), WorldPhaseOutput()
+            moving, output = rebuild(row), WorldPhaseOutput()
             if running.has_world_phases(spec, policy):
                 there = vehicles_of(moving)
                 bodies = (
                     to_arrays(moving.obstacles, 2) if running.observes_obstacles(policy) else None
                 )
                 ended = outcome_of(moving) if spec.by_task else None
-                minds, told = running.run_tile_phases(
-                    spec, policy, worlds, minds, number, there, bodies, ended, fleet=fleet
+                memory, output = running.run_tile_phases(
+                    spec, policy, worlds, memory, number, there, bodies, ended, fleet=fleet
                 )
-            after, sample = _control_step(spec, scene, moving, number, command, told, begin_s)
+            after, sample = _control_step(spec, scene, moving, number, command, output, begin_s)
             now, again = lanes.flatten(sample)
             rebuilds.append(again)
             both = zip(lanes.flatten(after)[0], row, strict=True)
-            return [lanes.spread(x, old) for x, old in both], minds, (now, told.record)
+            return [lanes.spread(x, old) for x, old in both], memory, (now, output.record)
 
         begun = WorldMemory.of(state)
         template = jax.eval_shape(fly, row, begun, state.step[0])[2]
         nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), template)
 
         def one(carry: Any, i: jax.Array) -> tuple[Any, None]:
-            row, minds, kept, number = carry
-            row, minds, now = fly(row, minds, number)
+            row, memory, kept, number = carry
+            row, memory, now = fly(row, memory, number)
             kept = jax.tree.map(lambda new, old: jnp.where(i == 0, new, old), now, kept)
-            return (row, minds, kept, number + 1), None
+            return (row, memory, kept, number + 1), None
 
         def recorded(carry: Any, _: None) -> tuple[Any, Any]:
-            row, minds, number = carry
-            (row, minds, kept, number), _ = jax.lax.scan(
-                one, (row, minds, nothing, number), jnp.arange(steps_per_sample)
+            row, memory, number = carry
+            (row, memory, kept, number), _ = jax.lax.scan(
+                one, (row, memory, nothing, number), jnp.arange(steps_per_sample)
             )
-            return (row, minds, number), kept
+            return (row, memory, number), kept
 
-        (row, minds, _), (kept, record) = jax.lax.scan(
+        (row, memory, _), (kept, record) = jax.lax.scan(
             recorded, (row, begun, state.step[0]), length=n_sample
         )
-        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, minds)
+        after = world_state(rebuild(row), state.step + n_sample * steps_per_sample, memory)
         record = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, 1), record)
         samples = Sample(**record, **to_arrays(rebuilds[0](kept), 3))
         return after, nearness.all_completed(spec, worlds, samples)
@@ -274,24 +274,23 @@ def _control_step(
     moving: Moving,
     number: jax.Array,
     command: Command | None,
-    told: WorldPhaseOutput,
+    output: WorldPhaseOutput,
     begin_s: jax.Array | None,
 ) -> tuple[Moving, dict[str, Any]]:
     """One control step of all worlds, and its part of the sample.
 
     ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
-    paths, and for the policy's; ``told`` [W, R, ...] is what the phases of worlds gave; ``begin_s``
-    [W, R] when the last approaches of plans begin.
-    """
+    paths, and for the policy's; ``output`` [W, R, ...] is what the phases of worlds gave;
+    ``begin_s`` [W, R] when the last approaches of plans begin."""
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s
     where: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
-    said = told.command if command is None else command
+    said = output.command if command is None else command
     groups, records = [], []
     for given, robots in zip(scene.groups, moving.groups, strict=True):
         make = partial(GroupPhases, **where, given=given)
         with jax.named_scope("robots"):
-            now, record = lanes.shared(partial(_alone, make, robots, said, told))
+            now, record = lanes.shared(partial(_alone, make, robots, said, output))
         groups.append(now)
         records.append(record)
     sample = side_by_side(records)
@@ -305,8 +304,8 @@ def _control_step(
             given=given,
             said=None if begin_s is None else to_lanes(of_group(said, given.group), 2),
             last_approach_s=to_lanes(of_group(begin_s, given.group), 2),
-            approaching=to_lanes(of_group(told.approaching, given.group), 2),
-            finished=to_lanes(of_group(told.finished, given.group), 2),
+            approaching=to_lanes(of_group(output.approaching, given.group), 2),
+            finished=to_lanes(of_group(output.finished, given.group), 2),
             met=lanes_of_group(met, given.group),
         )
         judged, record = lanes.shared(partial(_run, place, MEETING, now))
@@ -320,14 +319,16 @@ def _alone(
     make: Callable[..., GroupPhases],
     robots: LaneRobots,
     said: Command | None,
-    told: WorldPhaseOutput,
+    output: WorldPhaseOutput,
 ) -> tuple[Any, Any]:
     """What the robots of a group do by themselves.
 
-    ``said`` and ``told`` [W, R, ...] are their commands, and what the phases of worlds gave.
+    ``said`` and ``output`` [W, R, ...] are their commands, and what the phases of worlds gave.
     """
     group = make().given.group
-    said, known, loaded = (to_lanes(of_group(x, group), 2) for x in (said, told.known, told.loaded))
+    said, known, loaded = (
+        to_lanes(of_group(x, group), 2) for x in (said, output.known, output.loaded)
+    )
     slots = {**vars(robots), "known": robots.vehicle if known is None else known}
     return _run(make(said=said, loaded=loaded), ALONE, slots)
 

@@ -103,11 +103,10 @@ def fly(scene):
     return with_engine
 
 
-BY = "test_in_flight.py for kernels, and world/acoustics/test_channel.py"
+MJX = pytest.param("mjx", marks=pytest.mark.nightly(by="the kernels, farther from the lanes"))
 
 
-@pytest.mark.nightly(by=BY)
-@pytest.mark.parametrize("name", ["mjx", "kernels"])
+@pytest.mark.parametrize("name", [MJX, "kernels"])
 def test_engines_agree(name, fly):
     (state, samples), (others, theirs) = fly(name), fly("lanes")
     np.testing.assert_array_equal(state.radio.air.sent, others.radio.air.sent)

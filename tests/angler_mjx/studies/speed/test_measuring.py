@@ -422,7 +422,6 @@ def test_the_command_ends_with_a_row_of_every_workload(tmp_path, name):
         assert row["median"] > 0
 
 
-@pytest.mark.nightly(by="test_operations_of_every_simulation_are_counted")
 def test_a_scenario_in_which_a_policy_commands_is_measured(tmp_path):
     """Programs of a simulator with a policy have one more argument."""
     file = tmp_path / "tiny.toml"
