@@ -1,6 +1,7 @@
 """Files that come with the package, each in the folder ``shipped`` of what reads it."""
 
 import importlib.resources
+import os.path
 from pathlib import Path
 
 from angler_mjx.errors import ConfigError, shown
@@ -33,7 +34,8 @@ def find_shipped(
     files, path = list_shipped(package), Path(name_or_path)
     if str(name_or_path) in files:
         return files[str(name_or_path)]
-    if path.suffix == ".toml" or path.is_file() or (folders and path.is_dir()):
+    # A name too long for the file system is no path; those of pathlib would raise.
+    if path.suffix == ".toml" or os.path.isfile(path) or (folders and os.path.isdir(path)):
         return path
     folder = " or of a results folder" if folders else ""
     raise ConfigError(

@@ -44,3 +44,9 @@ def test_a_file_that_exists_may_have_any_name(tmp_path):
     path = tmp_path / "study.txt"
     path.touch()
     assert find_shipped(path, "angler_mjx.studies.fleet_size", "study") == path
+
+
+@pytest.mark.parametrize("folders", [True, False])
+def test_a_name_too_long_for_a_path_is_unknown(folders):
+    with pytest.raises(ConfigError, match="unknown benchmark 'xxx"):
+        find_shipped("x" * 10_000, "angler_mjx.studies.benchmark", "benchmark", folders=folders)

@@ -281,7 +281,8 @@ def _control_step(
 
     ``number`` is that of all worlds, or [W] of each; ``command`` [W, R, ...] stands in for the
     paths, and for the policy's; ``output`` [W, R, ...] is what the phases of worlds gave;
-    ``begin_s`` [W, R] when the last approaches of plans begin."""
+    ``begin_s`` [W, R] when the last approaches of plans begin.
+    """
     like = moving.groups[0].vehicle.p[0]
     t = jnp.asarray(number, like.dtype) * spec.control_dt_s
     where: dict[str, Any] = {"spec": spec, "scene": scene, "t": t, "shape": scene.shape}
