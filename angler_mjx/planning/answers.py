@@ -76,7 +76,7 @@ def answer(
     *,
     any_speed: bool = False,
 ) -> Answer:
-    """What can be flown of what a planner gave.
+    """What can be flown of what a planner gave; one that is no list of paths is an error.
 
     Args:
         given: what ``plan`` returned, whatever it is.
@@ -89,6 +89,9 @@ def answer(
         any_speed: paths may be faster over ground than the robot cruises, as those of planners are
             that count on a current.
     """
+    wrong = _malformed(given, problem.robots)
+    if wrong is not None:
+        return failed(problem.robots, "error", wrong, planning_s)
     paths = checked(given, problem, most_points, any_speed=any_speed)
     missing = [(i, path.reason) for i, path in enumerate(paths) if isinstance(path, NoPlan)]
     reasons = {reason for _, reason in missing}
@@ -125,11 +128,19 @@ def checked(
         any_speed: see `answer`.
     """
     robots = problem.robots
-    if not isinstance(given, Sequence) or isinstance(given, str | bytes):
-        return [NoPlan(f"gave no list of paths but {type(given).__name__}")] * robots
-    if len(given) != robots:
-        return [NoPlan(f"gave {len(given)} paths for {robots} robots")] * robots
+    wrong = _malformed(given, robots)
+    if wrong is not None:
+        return [NoPlan(wrong)] * robots
     return [_path(path, problem, robot, most_points, any_speed) for robot, path in enumerate(given)]
+
+
+def _malformed(given: Any, robots: int) -> str | None:
+    """Return why a planner's answer is no list of a path for each robot; None if it is one."""
+    if not isinstance(given, Sequence) or isinstance(given, str | bytes):
+        return f"gave no list of paths but {type(given).__name__}"
+    if len(given) != robots:
+        return f"gave {len(given)} paths for {robots} robots"
+    return None
 
 
 class _RefusedError(Exception):

@@ -48,12 +48,54 @@ def points_m(plan: Plan) -> jax.Array:
     return plan.position_m if isinstance(plan, Trajectory) else plan.position[..., :3]
 
 
+def between(plan: JointTrajectory) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Return places within the segments of plans, which divide each into `PIECES`.
+
+    Args:
+        plan: of one robot, or with any axes leading.
+
+    Returns:
+        Times [..., n_point - 1, PIECES - 1] s, places [..., n_point - 1, PIECES - 1, 3] m in W, and
+        whether the segment is bent there, bool as the times: not a line, and no padding.
+    """
+    time, degree = plan.time_s, plan.degree[..., :-1, None]
+    share = jnp.arange(1, PIECES, dtype=time.dtype) / PIECES
+    span = (time[..., 1:] - time[..., :-1])[..., None]
+    times = time[..., :-1, None] + span * share
+    joints = (plan.position, plan.velocity, plan.acceleration)
+    ends: list[Any] = [
+        [leaf[..., rows, None, :3] for leaf in joints] for rows in (slice(None, -1), slice(1, None))
+    ]
+    begin, end = (
+        JointState(position=position, velocity=velocity, acceleration=acceleration)
+        for position, velocity, acceleration in ends
+    )
+    whole = jnp.where(span > 0, span, 1.0)[..., None]
+    places = segment(begin, end, whole, share[:, None], degree[..., None]).position
+    bent = jnp.broadcast_to((degree > LINEAR) & (span > 0), times.shape)
+    return times, places, bent
+
+
+def length_m(plan: Plan) -> jax.Array:
+    """Return the lengths [...] of plans, m; bent segments as `PIECES` lines."""
+    point = points_m(plan)
+    if isinstance(plan, JointTrajectory):
+        _, places, bent = between(plan)
+        first = jnp.broadcast_to(point[..., :-1, None, :], places.shape)
+        inner = jnp.where(bent[..., None], places, first)
+        pieces = jnp.concatenate([first[..., :1, :], inner], axis=-2)
+        pieces = pieces.reshape(*pieces.shape[:-3], -1, 3)
+        point = jnp.concatenate([pieces, point[..., -1:, :]], axis=-2)
+    leg = point[..., 1:, :] - point[..., :-1, :]
+    return jnp.sum(jnp.sqrt(jnp.sum(leg * leg, axis=-1)), axis=-1)
+
+
 def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Array:
     """Return the time [] s at which the last approach of one robot's plan to its goal begins.
 
     The last approach begins at the last way-point at least ``tolerance_m + APPROACH_M`` from the
-    goal, or at the farthest way-point where none is so far. A stay at the goal after it is part of
-    the approach.
+    goal, or at the farthest way-point where none is so far; places within bent segments count as
+    way-points (`between`). A stay at the goal after it is part of the approach.
 
     Args:
         plan: of one robot.
@@ -65,6 +107,11 @@ def last_approach_s(plan: Plan, goal_m: jax.Array, tolerance_m: float) -> jax.Ar
     """
     time, point = plan.time_s, points_m(plan)
     away = jnp.sqrt(jnp.sum((point - goal_m) ** 2, axis=-1))
+    if isinstance(plan, JointTrajectory):
+        times, places, bent = between(plan)
+        off = jnp.where(bent, jnp.sqrt(jnp.sum((places - goal_m) ** 2, axis=-1)), 0.0)
+        time = jnp.concatenate([time, times.reshape(-1)])
+        away = jnp.concatenate([away, off.reshape(-1)])
     far = away >= jnp.minimum(tolerance_m + APPROACH_M, jnp.max(away))
     return jnp.max(jnp.where(far & found(plan), time, 0.0))
 

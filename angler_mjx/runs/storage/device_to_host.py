@@ -12,7 +12,7 @@ import numpy as np
 from angler_mjx.errors import RunError
 from angler_mjx.planning.online.policy import ReplanningMemory
 from angler_mjx.planning.online.replanning import FleetPlans
-from angler_mjx.robot.control.plans import points_m
+from angler_mjx.robot.control.plans import length_m
 from angler_mjx.runs.simulator.hosted import PlanNotes
 from angler_mjx.runs.storage.layout import END, plan_arrays
 from angler_mjx.runs.storage.results import TaskResult, TileResult
@@ -99,6 +99,9 @@ class FinishedTile:
     """How its worlds were planned, where that was not on the device."""
 
 
+_length_m = jax.jit(length_m)
+
+
 def constants(worlds: World, *, recorded: bool) -> Constants:
     """What to keep of worlds."""
     return Constants(
@@ -107,18 +110,12 @@ def constants(worlds: World, *, recorded: bool) -> Constants:
         redraws=worlds.environment.redraws,
         variant=worlds.variant,
         planned=worlds.planned,
-        plan_length_m=_length(points_m(worlds.path)),
+        plan_length_m=_length_m(worlds.path),
         plan_end_s=worlds.path.time_s[..., -1],
         factors=worlds.factors,
         environment=worlds.environment if recorded else None,
         plan=plan_arrays(worlds.path) if recorded else None,
     )
-
-
-@jax.jit
-def _length(points: jax.Array) -> jax.Array:
-    leg = points[..., 1:, :] - points[..., :-1, :]
-    return jnp.sum(jnp.sqrt(jnp.sum(leg * leg, axis=-1)), axis=-1)
 
 
 def end(state: WorldState, *, recorded: bool) -> TileEnd:

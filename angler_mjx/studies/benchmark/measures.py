@@ -7,8 +7,8 @@ import numpy as np
 
 from angler_mjx.planning.answers import Answer
 from angler_mjx.planning.planner import NoPlan, Path
+from angler_mjx.robot.control.plans import course
 from angler_mjx.runs.storage import results
-from angler_mjx.studies.benchmark.paths import points_m
 
 type Row = dict[str, Any]
 
@@ -36,10 +36,10 @@ def of_paths(paths: Sequence[Path]) -> Row:
     """Length, times and turning of the paths of a whole team."""
     ends = [float(path.time_s[-1]) for path in paths]
     return {
-        "plan_length_m": float(sum(length_m(points_m(path)) for path in paths)),
+        "plan_length_m": float(sum(length_m(course(path)[1]) for path in paths)),
         "plan_makespan_s": max(ends),
         "plan_flowtime_s": float(sum(ends)),
-        "plan_turn_rad": float(np.mean([turn_rad(points_m(path)) for path in paths])),
+        "plan_turn_rad": float(np.mean([turn_rad(course(path)[1]) for path in paths])),
     }
 
 

@@ -270,7 +270,9 @@ def _block(run: RefereeRun, chosen: Sequence[int]) -> Iterator[RefereeWorld]:
             once = OF_TASK + (OF_SURVEY if run.task.kind == "survey" else ())
             place |= {name: read(name) for name in once}
         if run.has_flown_plans:
-            place |= {name: read(name) for name in ("plan_time_s", "plan_m", "target_m")}
+            bends = ["plan_degree"] if "plan_degree" in run.group else []
+            flown = ["plan_time_s", "plan_m", "target_m", *bends]
+            place |= {name: read(name) for name in flown}
     for index in chosen:
         with reading(where):
             yield _world(

@@ -118,6 +118,8 @@ class RefereeScene:
     def _approach(self, robot: int, may: NDArray[np.bool_], must: NDArray[np.bool_]) -> None:
         """Write `arrives` of a robot that flies its stored plan, [T] each, where that shows it."""
         place, tolerance_m = self.world.place, self.run.goal_tolerance_m
+        if "plan_degree" in place and np.any(np.asarray(place["plan_degree"][robot]) > 1):
+            return  # it is bent: aims do not say the time on it
         time_s = np.asarray(place["plan_time_s"][robot], float)
         point_m = np.asarray(place["plan_m"][robot], float)
         goal_m = np.asarray(place["goal_m"][robot], float)

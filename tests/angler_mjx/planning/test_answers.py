@@ -115,7 +115,7 @@ def test_joints_other_than_the_vehicle_s_are_refused():
 def test_the_wrong_robots_are_refused(given, reason):
     got = answer(given, TWO, 0.1, None)
     assert got.paths == [NoPlan(reason)] * 2
-    assert (got.status, got.reason) == ("none", reason)
+    assert (got.status, got.reason) == ("error", reason)
 
 
 def test_the_rest_of_a_team_keeps_its_paths():

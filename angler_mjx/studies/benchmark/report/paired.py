@@ -3,8 +3,9 @@
 The difference of two success rates has Newcombe's interval for paired data (Statistics in Medicine
 17, 1998, 2635-2650, method 10: Wilson's intervals of both rates, joined with the correlation of
 the pairs), and the exact p of McNemar's test: two-sided binomial on the problems that one of the
-two alone solved. Ratios of costs are medians over problems that both solved, with percentiles of
-a bootstrap that resamples whole worlds (Efron and Tibshirani 1993), always with the same seed.
+two alone solved. Ratios of costs are medians over problems that both solved, those of planning time
+over problems that both planned, with percentiles of a bootstrap that resamples whole worlds (Efron
+and Tibshirani 1993), always with the same seed.
 
 The report's page computes the same ratios for any selection of its reader. Both sides resample by
 one generator, so that the page and ``comparisons.csv`` show one interval.

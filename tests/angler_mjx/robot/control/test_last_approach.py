@@ -8,7 +8,11 @@ import pytest
 from angler_mjx.errors import ConfigError
 from angler_mjx.robot.control import mixed, plans, stack, stages
 from angler_mjx.robot.control.commands import BodyTwist, Estimate
-from angler_mjx.robot.control.joint_trajectory import from_path
+from angler_mjx.robot.control.joint_trajectory import (
+    VEHICLE_JOINTS,
+    JointTrajectory,
+    from_path,
+)
 from angler_mjx.robot.control.mixed import Mixed
 from angler_mjx.robot.control.trajectory import Trajectory
 
@@ -47,6 +51,30 @@ def test_the_last_approach_begins_where_the_plan_is_far_for_the_last_time(case):
     assert float(last(path, GOAL, TOLERANCE_M)) == begin
     joints = from_path(path, jnp.asarray(0.0))
     assert float(last(joints, GOAL, TOLERANCE_M)) == begin
+
+
+def test_a_plan_is_not_over_before_a_bulge_between_its_way_points():
+    # At its goal after 14 s, at 0.45 m/s: the cubic back to it over 40 s leads 2.67 m away.
+    lines = plan([(0, 3, 0), (14, 0, 0), (54, 0, 0)])
+    time, point = lines.time_s, lines.position_m
+    velocity = np.zeros((5, 4))
+    velocity[1, 0] = -0.45
+    bulge = JointTrajectory(
+        joints=VEHICLE_JOINTS,
+        time_s=time,
+        position=jnp.concatenate([point, jnp.zeros((5, 1))], axis=-1),
+        velocity=jnp.asarray(velocity),
+        acceleration=jnp.zeros((5, 4)),
+        degree=jnp.full(5, 3),
+        commanded=jnp.ones(4, bool),
+        found=jnp.asarray(True),
+    )
+    # -18 s (1 - s)^2 m at share s of the way: more than 1.3 m at 5/8 (-1.58), less at 6/8 (-0.84).
+    assert float(plans.last_approach_s(bulge, GOAL, TOLERANCE_M)) == 14 + 40 * 5 / 8
+    inner = -18.0 * np.linspace(0, 1, 9) * (1 - np.linspace(0, 1, 9)) ** 2
+    length = 3.0 + np.abs(np.diff(inner)).sum()
+    # On the first segment it overshoots neither end: 3 m.
+    np.testing.assert_allclose(plans.length_m(bulge), length, rtol=1e-6)
 
 
 def test_without_a_plan_there_is_nothing_to_wait_for():

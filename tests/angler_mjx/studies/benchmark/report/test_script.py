@@ -106,6 +106,8 @@ def test_captions_state_how_problems_count_that_a_planner_did_not_get(results):
     assert f"{given_up} of {total} runs count as failures" in said
     note = " ".join(html.unescape((WEB / "page.html").read_text(encoding="utf-8")).split())
     assert "count as failures in all charts and comparisons" in note
+    assert paired.RATIOS["planning_s"] == "planned"
+    assert "over problems that both solved (of planning time: both planned)" in note
     # The rates that the charts show follow that rule.
     hit, counted = runs[results.judged], runs.counted
     for (planner,), rate in rates.by((runs["planner"],), hit, counted).items():
