@@ -111,9 +111,10 @@ def read(path: Path) -> dict[str, float]:
         Values by name, in the firmware's units.
 
     Raises:
-        ConfigError: there is no such file, or a line is none of these.
+        ConfigError: there is no such file, a line is none of these, or lines are of two vehicles.
     """
     found = {}
+    system = None
     for number, line in enumerate(read_text(path, _MOST_BYTES).splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()
         if not words:
@@ -125,7 +126,12 @@ def read(path: Path) -> dict[str, float]:
                     f"{where}: component {shown(words[1])} is not the autopilot ({_AUTOPILOT}); "
                     "remove its lines"
                 )
-            words = words[2:4]
+            if system not in (None, words[0]):
+                raise ConfigError(
+                    f"{where}: system {shown(words[0])} after system {shown(system)}; "
+                    "keep the lines of one vehicle"
+                )
+            system, words = words[0], words[2:4]
         try:
             name, value = words[0], float(words[1])
             usable = len(words) == 2 and math.isfinite(value) and len(name) <= LONGEST_NAME

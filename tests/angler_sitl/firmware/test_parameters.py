@@ -213,6 +213,13 @@ def test_both_files_of_a_tuning_give_the_same_parameters(tmp_path):
     assert values[0]["PSC_POSXY_P"] == 1.8
 
 
+def test_parameters_of_two_vehicles_are_refused(tmp_path):
+    file = tmp_path / "fleet.params"
+    file.write_text("1\t1\tPSC_POSXY_P\t2.5\t9\n2\t1\tPSC_POSXY_P\t3.5\t9\n")
+    with pytest.raises(ConfigError, match=r"fleet\.params:2: .*system '2' after system '1'"):
+        parameters.read(file)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
